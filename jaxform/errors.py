@@ -1,0 +1,43 @@
+"""The one error that bad input raises: it names file, key, value and the mend, in one line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+
+@dataclass(eq=False)
+class InputError(ValueError):
+    """Input that cannot be simulated.
+
+    Its text is one line: ``FILE: KEY = VALUE: PROBLEM; MEND``, with the parts that are known.
+
+    Attributes:
+        problem: What is wrong, in words.
+        mend: What to do about it, in words.
+        key: Dotted key in the scene or study file, or the name of the argument.
+        value: The offending value.
+        file: The file it was read from.
+    """
+
+    problem: str
+    mend: str = ""
+    key: str = ""
+    value: Any = None
+    file: str = ""
+
+    def within(self, *, file: str = "", key: str = "") -> InputError:
+        """The same error told from outside: fills in the file and the key where they are not known yet."""
+        return replace(self, file=self.file or file, key=self.key or key)
+
+    def __str__(self) -> str:
+        """The one line for people."""
+        named = self.key if self.value is None else f"{self.key} = {_short(self.value)}" if self.key else _short(self.value)
+        head = ": ".join(part for part in (self.file, named, self.problem) if part)
+        line = f"{head}; {self.mend}" if self.mend else head
+        return " ".join(line.split())
+
+
+def _short(value: Any, limit: int = 80) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."
