@@ -1,0 +1,30 @@
+# Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
+
+.PHONY: demo test lint lock clean environment
+
+# Inverse design: the initial thickness that forms a dish of uniform wall.
+demo: environment
+	.venv/bin/jaxform optimize dish-uniform-wall --out out/demo --force
+	@echo
+	@echo "Look in out/demo: thickness.png and convergence.png (pictures), summary.json, history.csv,"
+	@echo "final.vtu (for ParaView), best.toml (run it again with: .venv/bin/jaxform simulate out/demo/best.toml --out out/best)"
+
+test: lint
+	.venv/bin/python -m pytest -n 2 --dist loadfile
+
+# The variable keeps pyright from asking the network whether there is a newer one.
+lint: environment
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 .venv/bin/pyright
+
+lock:
+	@tools/environment.sh lock
+
+# Removes what the other targets made, results of other runs under out/ excepted.
+clean:
+	rm -rf .venv .uv .pytest_cache .ruff_cache .hypothesis jaxform.egg-info out/demo
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+environment:
+	@tools/environment.sh venv
