@@ -8,7 +8,6 @@ import jax
 os.environ["MPLBACKEND"] = "Agg"
 
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # The first example of a test compiles, so its time says nothing; the same examples in every run.
 hypothesis.settings.register_profile("jaxform", deadline=None, derandomize=True, database=None)

@@ -1,0 +1,42 @@
+"""jaxform: a differentiable simulator of blow moulding and thermoforming."""
+
+from jaxform.errors import InputError
+from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
+from jaxform.mold import Mold, make_mold
+from jaxform.result import Result, explain, summarize
+from jaxform.scene import (
+    Parison,
+    Pressure,
+    Scene,
+    Solver,
+    build_scene,
+    make_parison,
+    make_pressure,
+    make_solver,
+    replace,
+)
+from jaxform.simulation import Moment, run, simulate
+
+__all__ = [
+    "InputError",
+    "ModifiedMooneyRivlin",
+    "Mold",
+    "Moment",
+    "MooneyRivlin",
+    "NeoHookean",
+    "Parison",
+    "Pressure",
+    "Result",
+    "Scene",
+    "Solver",
+    "build_scene",
+    "explain",
+    "make_mold",
+    "make_parison",
+    "make_pressure",
+    "make_solver",
+    "replace",
+    "run",
+    "simulate",
+    "summarize",
+]

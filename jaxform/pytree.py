@@ -1,0 +1,26 @@
+"""Frozen dataclasses as JAX pytrees: arrays are leaves, choices are static."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+
+def static(**kwargs: Any) -> Any:
+    """A dataclass field that is a choice, not data: part of the tree's structure, known before tracing."""
+    return field(metadata={"static": True}, **kwargs)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field, static))
+def pytree[T](cls: type[T]) -> type[T]:
+    """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`."""
+    return jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
+
+
+def as_real(value: ArrayLike) -> jax.Array:
+    """The value as an array of JAX's default floating type (float64 where x64 is enabled, else float32)."""
+    return jnp.asarray(value, dtype=float)

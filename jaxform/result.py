@@ -1,0 +1,198 @@
+"""What a simulation gives: the formed part, its wall thickness, energies, and the summary in numbers and words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import membrane
+from jaxform.pytree import pytree
+from jaxform.scene import Scene
+from jaxform.stepping import Body, State, Status, kinetic_energy, strain_energy
+
+
+@pytree
+class Energy:
+    """Energy account of the modelled part [J]; every term is computed by itself, none by difference.
+
+    Attributes:
+        strain: Strain energy at the end.
+        kinetic: Kinetic energy at the end.
+        external_work: Sum of P dV.
+        damping_loss: Work done against damping.
+        contact_loss: Kinetic energy of the nodes when they stuck.
+    """
+
+    strain: jax.Array
+    kinetic: jax.Array
+    external_work: jax.Array
+    damping_loss: jax.Array
+    contact_loss: jax.Array
+
+    @property
+    def balance_error(self) -> jax.Array:
+        """What the account misses, relative to the external work (0 where nothing was done)."""
+        kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss
+        work = jnp.abs(self.external_work)
+        return jnp.where(work > 0, jnp.abs(kept - self.external_work) / jnp.where(work > 0, work, 1.0), 0.0)
+
+
+@pytree
+class Seconds:
+    """Wall-clock time of `run` [s]: compiling, and the loop alone."""
+
+    compile: float
+    run: float
+
+
+@pytree
+class Result:
+    """The formed part.
+
+    Attributes:
+        positions: Final node positions (n_node, 3) [m].
+        thickness: Final thickness at the nodes (n_node,) [m]: the adjacent elements' h/h0, weighted by reference
+            area, times the node's initial thickness; 0 where the node does not exist.
+        active: Nodes that exist at the end (n_node,).
+        stuck: Nodes that do not move any more (n_node,).
+        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        element_thickness: Final thickness of the elements (n_element,) [m].
+        stretches: Larger and smaller principal stretch of the elements (n_element, 2).
+        velocities: Final node velocities (n_node, 3) [m/s].
+        mass: Of the modelled part [kg].
+        energy: The energy account.
+        time: Simulated time [s].
+        steps, windows, shortened: Steps and windows taken, and windows cut short by contact.
+        status: Bits of `Status`; 0 when all went well.
+        seconds: Wall-clock time where the host loop took it, else None.
+    """
+
+    positions: jax.Array
+    thickness: jax.Array
+    active: jax.Array
+    stuck: jax.Array
+    contact_time: jax.Array
+    element_thickness: jax.Array
+    stretches: jax.Array
+    velocities: jax.Array
+    mass: jax.Array
+    energy: Energy
+    time: jax.Array
+    steps: jax.Array
+    windows: jax.Array
+    shortened: jax.Array
+    status: jax.Array
+    seconds: Seconds | None = None
+
+
+def make_result(state: State, scene: Scene, sheet_body: Body) -> Result:
+    """The result of a state; pure, so it can be traced."""
+    sheet = scene.tables.sheet
+    first, edge1, edge2 = membrane.edges(state.positions, sheet.triangles)
+    strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
+    ratio = 1.0 / jnp.sqrt(strain.determinant)
+    node_count = scene.parison.thickness.size
+    weight = membrane.sum_to_nodes(sheet.area, sheet.triangles, node_count)
+    nodal_ratio = membrane.sum_to_nodes(sheet.area * ratio, sheet.triangles, node_count) / weight
+    volume = jnp.sum(membrane.dot(first - sheet.origin[:, None], membrane.cross(edge1, edge2))) / 6.0
+    # The account inside the loop lags one step, for the volume is known when the next force is.
+    pressures = scene.pressure.at(jnp.stack([state.time - state.step_length, state.time]))
+    last_work = jnp.mean(pressures) * (volume - state.volume)
+    return Result(
+        positions=state.positions.T,
+        thickness=nodal_ratio * scene.parison.thickness,
+        active=jnp.ones(node_count, bool),
+        stuck=state.stuck,
+        contact_time=state.contact_time,
+        element_thickness=sheet_body.thickness * ratio,
+        stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
+        velocities=state.velocities.T,
+        mass=jnp.sum(scene.material.density * sheet.area * sheet_body.thickness),
+        energy=Energy(
+            strain=strain_energy(state, scene, sheet_body),
+            kinetic=kinetic_energy(state, sheet_body.mass),
+            external_work=state.external_work + last_work,
+            damping_loss=state.damping_loss,
+            contact_loss=state.contact_loss,
+        ),
+        time=state.time,
+        steps=state.steps,
+        windows=state.windows,
+        shortened=state.shortened,
+        status=state.status,
+    )
+
+
+_WORDS = {
+    Status.NON_FINITE: "a position or velocity is not finite; the state before that window is kept",
+    Status.UNSTABLE: "unstable: the sheet holds more energy than was put in",
+    Status.WINDOWS_EXHAUSTED: "the windows that were planned for did not suffice to reach the end time",
+    Status.CONTACT_OVERFLOW: "more pairs of node and mold triangle came near each other than there is room for",
+    Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
+    Status.STOPPED: "stopped by the caller",
+}
+_MENDS = {
+    Status.NON_FINITE: "lower solver.safety or the pressure",
+    Status.UNSTABLE: "lower solver.safety, or raise the pressure more slowly",
+    Status.WINDOWS_EXHAUSTED: "build the scene anew with the end time that is simulated",
+    Status.CONTACT_OVERFLOW: "coarsen the mold or refine the parison",
+    Status.CONTACT_MISSED: "lower solver.safety or the pressure",
+}
+
+
+def explain(result: Result) -> str:
+    """The status in words: "ok", or what stopped the run, when and where, and what may help."""
+    status = int(result.status)
+    if status == 0:
+        return "ok"
+    what = [words for bit, words in _WORDS.items() if status & bit]
+    mend = [words for bit, words in _MENDS.items() if status & bit]
+    speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
+    node = int(np.argmax(speed))
+    place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
+    where = (
+        f"at t = {float(result.time):.6g} s, fastest node {node} at ({place}) m with {speed[node]:.3g} m/s"
+    )
+    return "; ".join([*what, where, *mend])
+
+
+def formed_areas(result: Result, scene: Scene) -> np.ndarray:
+    """Final area (n_element,) [m^2] of the elements; thickness times area is kept from the initial sheet."""
+    initial = np.asarray(scene.parison.thickness)[np.asarray(scene.parison.triangles)].mean(1)
+    return np.asarray(scene.tables.sheet.area) * initial / np.asarray(result.element_thickness)
+
+
+def summarize(result: Result, scene: Scene) -> dict[str, Any]:
+    """The contents of summary.json as plain numbers and words."""
+    area, wall = formed_areas(result, scene), np.asarray(result.element_thickness, float)
+    mean = float(np.average(wall, weights=area))
+    spread = float(np.sqrt(np.average(np.square(wall - mean), weights=area)))
+    seconds = result.seconds or Seconds(0.0, 0.0)
+    energy = {name: float(getattr(result.energy, name)) for name in Energy.__dataclass_fields__}
+    return {
+        "scene": scene.name,
+        "status": explain(result),
+        "elements_initial": len(area),
+        "elements_final": len(area),
+        "nodes_final": int(np.sum(result.active)),
+        "time": float(result.time),
+        "steps": int(result.steps),
+        "windows": int(result.windows),
+        "windows_shortened": int(result.shortened),
+        "compile_seconds": seconds.compile,
+        "run_seconds": seconds.run,
+        "thickness": {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean},
+        "contact_fraction": float(area[_touching(result, scene)].sum() / area.sum()),
+        "mass": float(result.mass),
+        "energy": energy | {"balance_error": float(result.energy.balance_error)},
+    }
+
+
+def _touching(result: Result, scene: Scene) -> np.ndarray:
+    """Elements with three stuck nodes (n_element,), at least one of which touches the mold."""
+    triangles = np.asarray(scene.parison.triangles)
+    stuck, touched = np.asarray(result.stuck)[triangles], (np.asarray(result.contact_time) > 0)[triangles]
+    return stuck.all(1) & touched.any(1)

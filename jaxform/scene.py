@@ -1,0 +1,404 @@
+"""What is simulated: `Scene` and its parts, their validation, and `replace`.
+
+A scene is a pytree. Every number in it is a leaf that can be designed; every choice (which law, is there a mold) is
+static. What the host must build from it (reference geometry, search structure, number of windows) is built once by
+`build_scene` and travels with the scene as `scene.tables`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxform import membrane
+from jaxform.errors import InputError
+from jaxform.force import Sheet
+from jaxform.materials import Material
+from jaxform.mold import Mold, SearchGrid, build_grid, first_crossing
+from jaxform.pytree import as_real, pytree, static
+
+STEPS_PER_WINDOW = 64
+_MOST_STEPS = 20_000_000
+_INTERPOLATIONS = ("linear", "cubic-ramp")
+
+
+@pytree
+class Parison:
+    """The initial sheet or tube.
+
+    Attributes:
+        positions: Initial node positions (n_node, 3) [m].
+        triangles: Node numbers (n_element, 3); pressure acts along their normals (right-hand rule).
+        thickness: Initial thickness at the nodes (n_node,) [m].
+        clamped: Nodes that never move (n_node,).
+        fixed: Components that never move (n_node, 3), on symmetry planes.
+    """
+
+    positions: jax.Array
+    triangles: jax.Array
+    thickness: jax.Array
+    clamped: jax.Array
+    fixed: jax.Array
+
+
+@pytree
+class Pressure:
+    """Pressure difference over time, held before the first and after the last knot.
+
+    Attributes:
+        time: Knots (n_knot,) [s], increasing.
+        value: Pressure at the knots (n_knot,) [Pa].
+        interpolation: "linear", or "cubic-ramp": between two knots it rises as the cube of the elapsed fraction.
+    """
+
+    time: jax.Array
+    value: jax.Array
+    interpolation: str = static(default="linear")
+
+    def at(self, time: jax.Array) -> jax.Array:
+        """Pressure [Pa] at any times [s], of their shape."""
+        if self.time.size == 1:
+            return jnp.broadcast_to(self.value[0], jnp.shape(time))
+        knot = jnp.clip(jnp.searchsorted(self.time, time, side="right") - 1, 0, self.time.size - 2)
+        begin, end = self.time[knot], self.time[knot + 1]
+        fraction = jnp.clip((time - begin) / (end - begin), 0.0, 1.0)
+        if self.interpolation == "cubic-ramp":
+            fraction = fraction**3
+        return self.value[knot] + fraction * (self.value[knot + 1] - self.value[knot])
+
+
+@pytree
+class Solver:
+    """Options of the time integration.
+
+    Attributes:
+        end_time: When the simulation ends [s].
+        damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
+        safety: Fraction of the stable step that is taken.
+    """
+
+    end_time: jax.Array
+    damping: jax.Array | None = None
+    safety: float = static(default=0.9)
+
+
+@pytree
+class Tables:
+    """What the host built for a scene; depends on its meshes and limits, not on the numbers to be designed.
+
+    Attributes:
+        sheet: Initial geometry, component-first.
+        bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
+        mobility: 1 where a component of a node may move, else 0, (3, n_node).
+        grid: Search structure of the mold, or None.
+        window_count: Number of windows that a run may take.
+    """
+
+    sheet: Sheet
+    bound: jax.Array
+    mobility: jax.Array
+    grid: SearchGrid | None
+    window_count: int = static()
+
+
+@pytree
+class Scene:
+    """All that a simulation needs; made by `build_scene` or `load`."""
+
+    parison: Parison
+    material: Material
+    pressure: Pressure
+    solver: Solver
+    mold: Mold | None
+    tables: Tables
+    name: str = static(default="scene")
+
+
+# What `replace` may put in, and the least value it may have (None: any).
+_DESIGNABLE: dict[str, float | None] = {
+    "parison.thickness": 0.0,
+    "pressure.time": None,
+    "pressure.value": None,
+    "material.c": 0.0,
+    "material.alpha": None,
+    "material.a01": 0.0,
+    "material.a02": None,
+    "material.density": 0.0,
+    "solver.end_time": 0.0,
+    "solver.damping": None,
+}
+
+
+def make_parison(
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    thickness: ArrayLike,
+    clamped: np.ndarray,
+    fixed: np.ndarray | None = None,
+) -> Parison:
+    """A parison from positions (n_node, 3) [m], triangles (n_element, 3) and clamped nodes (n_node,).
+
+    Args:
+        positions: Initial node positions.
+        triangles: Node numbers.
+        thickness: Initial thickness [m], a number or (n_node,).
+        clamped: Mask of the nodes that never move.
+        fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
+
+    Raises:
+        InputError: If a thickness is not positive or not finite, or does not fit the mesh.
+    """
+    count = len(positions)
+    given = np.asarray(thickness, float)
+    if given.ndim and given.shape != (count,):
+        raise InputError(
+            f"needs one value per node: {count}, not {given.shape}", "match the mesh", "parison.thickness"
+        )
+    bad = ~(np.isfinite(given) & (given > 0))
+    if np.any(bad):
+        value = float(given[bad].flat[0]) if given.ndim else float(given)
+        raise InputError(
+            "the thickness must be positive and finite", "give metres > 0", "parison.thickness", value
+        )
+    return Parison(
+        positions=as_real(positions),
+        triangles=jnp.asarray(triangles, jnp.int32),
+        thickness=as_real(np.broadcast_to(given, (count,))),
+        clamped=jnp.asarray(clamped, bool),
+        fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
+    )
+
+
+def make_pressure(time: ArrayLike, value: ArrayLike, interpolation: str = "linear") -> Pressure:
+    """A pressure history through knots (n_knot,): times [s], increasing, and values [Pa].
+
+    Raises:
+        InputError: If the knots do not increase, are not finite, or do not match.
+    """
+    times, values = np.atleast_1d(np.asarray(time, float)), np.atleast_1d(np.asarray(value, float))
+    if times.shape != values.shape or times.ndim != 1:
+        raise InputError(
+            f"{times.size} times and {values.size} values do not match",
+            "give one value per time",
+            "pressure.value",
+        )
+    for key, knots in (("pressure.time", times), ("pressure.value", values)):
+        if not np.all(np.isfinite(knots)):
+            raise InputError("a knot is not finite", "give finite numbers", key, knots.tolist())
+    if np.any(np.diff(times) <= 0):
+        raise InputError(
+            "the knots do not increase", "sort the times and drop repeats", "pressure.time", times.tolist()
+        )
+    if interpolation not in _INTERPOLATIONS:
+        raise InputError(
+            "unknown", f"choose one of {', '.join(_INTERPOLATIONS)}", "pressure.interpolation", interpolation
+        )
+    return Pressure(as_real(times), as_real(values), interpolation)
+
+
+def make_solver(*, end_time: float, damping: float | None = None, safety: float = 0.9) -> Solver:
+    """Options of the time integration; see `Solver`.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+    _require(np.isfinite(end_time) and end_time > 0, "must be positive", "solver.end_time", end_time)
+    if damping is not None:
+        _require(np.isfinite(damping) and damping >= 0, "must not be negative", "solver.damping", damping)
+    _require(0 < safety <= 1, "must be in (0, 1]", "solver.safety", safety)
+    return Solver(as_real(end_time), None if damping is None else as_real(damping), float(safety))
+
+
+def build_scene(
+    *,
+    parison: Parison,
+    material: Material,
+    pressure: Pressure,
+    solver: Solver,
+    mold: Mold | None = None,
+    name: str = "scene",
+) -> Scene:
+    """Builds a scene: validates it and does all host work.
+
+    Raises:
+        InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
+            the run would take more steps than anyone would wait for.
+    """
+    _warn_of_float32()
+    _check_material(material)
+    positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
+    _check_mesh(positions, triangles, parison)
+    grid = None if mold is None else build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    if mold is not None and grid is not None:
+        _check_start(positions, triangles, mold, grid)
+    sheet = _reference_sheet(parison)
+    bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
+    held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
+    tables = Tables(
+        sheet=sheet,
+        bound=bound,
+        mobility=as_real(~held.T),
+        grid=grid,
+        window_count=_window_count(bound, material, solver),
+    )
+    return Scene(
+        parison=parison,
+        material=material,
+        pressure=pressure,
+        solver=solver,
+        mold=mold,
+        tables=tables,
+        name=name,
+    )
+
+
+def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
+    """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
+
+    A number takes its old shape, or may be broadcast to it. Meshes are not replaced but built anew.
+
+    Raises:
+        InputError: If a path does not exist or does not fit the scene, or a value has another shape or, where it is
+            known (not traced), is not finite or out of range.
+    """
+    for path, value in changes.items():
+        part, _, name = path.partition(".")
+        old = _designable(scene, path)
+        new = _fitted(path, value, old)
+        owner = dataclasses.replace(getattr(scene, part), **{name: new})
+        scene = dataclasses.replace(scene, **{part: owner})
+    return scene
+
+
+def _designable(scene: Scene, path: str) -> jax.Array:
+    part, _, name = path.partition(".")
+    old = getattr(getattr(scene, part, None), name, None)
+    if path in _DESIGNABLE and old is not None:
+        return old
+    if old is not None:
+        raise InputError(
+            "the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path
+        )
+    known = [
+        p for p in _DESIGNABLE if getattr(getattr(scene, p.split(".")[0]), p.split(".")[1], None) is not None
+    ]
+    close = difflib.get_close_matches(path, known, n=1)
+    mend = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
+    raise InputError("this scene has no such number", mend, path)
+
+
+def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
+    new = as_real(value)
+    try:
+        new = jnp.broadcast_to(new, old.shape)
+    except ValueError:
+        raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
+    least = _DESIGNABLE[path]
+    if not isinstance(new, jax.core.Tracer):
+        seen = np.asarray(new)
+        if not np.all(np.isfinite(seen)):
+            raise InputError("is not finite", "give finite numbers", path)
+        if least is not None and np.any(seen <= least):
+            raise InputError("must be positive", "give numbers > 0", path, float(seen.min()))
+        if path == "pressure.time" and np.any(np.diff(seen) <= 0):
+            raise InputError(
+                "the knots do not increase", "sort the times and drop repeats", path, seen.tolist()
+            )
+    return new
+
+
+def _require(good: bool, problem: str, key: str, value: Any) -> None:
+    if not good:
+        raise InputError(problem, "", key, value)
+
+
+def _check_material(material: Material) -> None:
+    for field in dataclasses.fields(material):
+        key, value = f"material.{field.name}", float(getattr(material, field.name))
+        if _DESIGNABLE[key] is None:
+            _require(np.isfinite(value) and value >= 0, "must not be negative", key, value)
+        else:
+            _require(np.isfinite(value) and value > 0, "must be positive", key, value)
+
+
+def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
+    if len(triangles) == 0:
+        raise InputError("the parison has no triangles", "give a surface mesh of triangles", "parison")
+    edge1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
+    edge2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
+    area = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
+    longest = np.maximum(np.square(edge1).sum(1), np.square(edge2).sum(1))
+    bad = np.flatnonzero(~(area > 1e-9 * longest))
+    if len(bad):
+        raise InputError(
+            f"{len(bad)} of its triangles are degenerate, the first is number {bad[0]}",
+            "remesh the parison",
+            "parison",
+        )
+    held = np.asarray(parison.clamped)[:, None] | np.asarray(parison.fixed)
+    if np.all(held):
+        raise InputError(
+            "nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison"
+        )
+
+
+def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid: SearchGrid) -> None:
+    sides = np.unique(
+        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
+    )
+    begin, end = positions[sides[:, 0]], positions[sides[:, 1]]
+    crossing = first_crossing(begin, end, mold, grid)
+    if crossing is not None:
+        where = 0.5 * (begin + end)[crossing[0]]
+        place = ", ".join(f"{value:.4g}" for value in where)
+        raise InputError(
+            f"the parison starts through the mold, near ({place}) m, in mold triangle {crossing[1]}",
+            "move the mold (mold.translate) or shrink the parison",
+            "mold",
+        )
+
+
+def _reference_sheet(parison: Parison) -> Sheet:
+    positions, triangles = parison.positions.T, parison.triangles.T
+    inverse, area = membrane.reference_metric(positions, triangles)
+    # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
+    on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
+    places = np.asarray(parison.positions)
+    origin = [places[on_plane[:, k], k].mean() if on_plane[:, k].any() else 0.0 for k in range(3)]
+    return Sheet(triangles, inverse, area, as_real(origin))
+
+
+def _window_count(bound: jax.Array, material: Material, solver: Solver) -> int:
+    """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare."""
+    stretch = jnp.linspace(1.0, 6.0, 64)
+    square = jnp.square(stretch)
+    unit = (jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square))
+    strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
+    stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
+    step = solver.safety * 2.0 / jnp.sqrt(3.0 * stiffest * jnp.max(bound) / material.density)
+    steps = 1.3 * float(solver.end_time / step)
+    if not steps < _MOST_STEPS:
+        raise InputError(
+            f"the run would take {steps:.2g} steps of {float(step):.2g} s",
+            "shorten it, coarsen the smallest elements or soften the material",
+            "solver.end_time",
+            float(solver.end_time),
+        )
+    return int(np.ceil(steps / STEPS_PER_WINDOW)) + 16
+
+
+def _warn_of_float32() -> None:
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "jaxform computes in float32 because JAX's x64 mode is off; "
+            'for full accuracy call jax.config.update("jax_enable_x64", True) first',
+            stacklevel=3,
+        )
