@@ -8,27 +8,30 @@ and since it is the point where the path meets the triangle, its gradient is tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform.membrane import cross, dot, gather
 from jaxform.mold import Mold, SearchGrid
+from jaxform.pytree import pytree
 
-_LISTED_PER_NODE = (1, 4, 24)  # capacities of the first listing, by cell, in pairs per node
-_TESTED_PER_NODE = (0.25, 1, 6)  # capacities of the list that is tested in every step
+# Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
+# the room for them, and nothing is compiled twice. No derivative goes through these loops.
+_LIST_BLOCK = 512
+_TEST_BLOCK = 128
+_ROOM_PER_NODE = 16  # pairs that a window can hold, per node
 
 
-class Near(NamedTuple):
+@pytree
+class Near:
     """What a window knows of the mold.
 
     Attributes:
-        node, triangle: The pairs (capacity,) that can meet; the unused ones have `used` False.
-        used: (capacity,).
-        planes: Geometry of the pairs' triangles (12, capacity).
-        rung: Which of the short ladder of capacities holds them; 0 is none at all.
+        node, triangle: The pairs (room,) that can meet.
+        planes: Geometry of the pairs' triangles (12, room).
+        count: How many pairs there are.
         start: Positions (3, n_node) [m] at the border.
         limit: Distance (n_node,) [m] from there within which no triangle but the listed can be met.
         overflow: Whether pairs were lost, so that the window must not be trusted.
@@ -36,9 +39,8 @@ class Near(NamedTuple):
 
     node: jax.Array
     triangle: jax.Array
-    used: jax.Array
     planes: jax.Array
-    rung: jax.Array
+    count: jax.Array
     start: jax.Array
     limit: jax.Array
     overflow: jax.Array
@@ -67,10 +69,6 @@ def left(positions: jax.Array, near: Near) -> jax.Array:
     return jnp.any(dot(gap, gap) > jnp.square(near.limit))
 
 
-def _capacities(per_node: tuple[float, ...], node_count: int) -> list[int]:
-    return [max(64, int(k * node_count)) for k in per_node]
-
-
 def list_near(positions: jax.Array, free: jax.Array, travel: jax.Array, mold: Mold, grid: SearchGrid) -> Near:
     """Lists the pairs of free nodes and triangles that are closer than the node may travel.
 
@@ -85,35 +83,31 @@ def list_near(positions: jax.Array, free: jax.Array, travel: jax.Array, mold: Mo
     cell = _cells(positions, grid)
     bound = grid.bound[cell]
     near = free & (bound < travel)
-    limit = jnp.where(near, travel, bound)
-    count = jnp.where(near, grid.start[cell + 1] - grid.start[cell], 0)
-    total = jnp.sum(count)
-    capacities = _capacities(_LISTED_PER_NODE, positions.shape[1])
-    rung = jnp.searchsorted(jnp.asarray([0, *capacities]), total)
-    kept = _capacities(_TESTED_PER_NODE, positions.shape[1])
-    branches = [_nothing(kept[-1])]
-    branches += [_lister(capacity, kept[-1]) for capacity in capacities]
-    node, triangle, used, tested = jax.lax.switch(
-        jnp.minimum(rung, len(capacities)),
-        branches,
-        positions,
-        travel,
-        count,
-        grid.start[cell],
-        mold,
-        grid.listed,
-    )
-    planes = _planes(mold, triangle)
-    return Near(
-        node=node,
-        triangle=triangle,
-        used=used,
-        planes=planes,
-        rung=jnp.minimum(jnp.searchsorted(jnp.asarray([0, *kept]), tested), len(kept)),
-        start=positions,
-        limit=jnp.where(free, limit, jnp.inf),
-        overflow=(rung > len(capacities)) | (tested > kept[-1]),
-    )
+    limit = jnp.where(free, jnp.where(near, travel, bound), jnp.inf)
+    end = jnp.cumsum(jnp.where(near, grid.start[cell + 1] - grid.start[cell], 0))
+    shift = grid.start[cell + 1] - end
+    # Whole blocks: a slice that reached beyond the end would be moved back.
+    room = -(-_ROOM_PER_NODE * positions.shape[1] // _TEST_BLOCK) * _TEST_BLOCK
+    lists = jnp.zeros((2, room), jnp.int32), jnp.zeros((12, room), positions.dtype), jnp.int32(0)
+
+    def more(carry: tuple[jax.Array, tuple[jax.Array, ...]]) -> jax.Array:
+        return carry[0] < end[-1]
+
+    def list_block(carry: tuple[jax.Array, tuple[jax.Array, ...]]) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+        first, (pairs, planes, count) = carry
+        slot = first + jnp.arange(_LIST_BLOCK, dtype=jnp.int32)
+        node = jnp.minimum(jnp.searchsorted(end, slot, side="right"), end.size - 1).astype(jnp.int32)
+        triangle = grid.listed[jnp.clip(slot + shift[node], 0, grid.listed.size - 1)]
+        d, edge1, edge2 = _corners(mold, triangle)
+        keep = (slot < end[-1]) & (_distance(gather(positions, node) - d, edge1, edge2) <= travel[node])
+        # Where a pair goes; what is not kept, or finds no room, goes nowhere.
+        place = jnp.where(keep, count + jnp.cumsum(keep) - 1, room)
+        pairs = pairs.at[:, place].set(jnp.stack([node, triangle]), mode="drop")
+        planes = planes.at[:, place].set(jnp.concatenate([d, *_dual(edge1, edge2)]), mode="drop")
+        return first + _LIST_BLOCK, (pairs, planes, count + jnp.sum(keep, dtype=jnp.int32))
+
+    _, (pairs, planes, count) = jax.lax.while_loop(more, list_block, (jnp.int32(0), lists))
+    return Near(pairs[0], pairs[1], planes, jnp.minimum(count, room), positions, limit, count > room)
 
 
 def _cells(positions: jax.Array, grid: SearchGrid) -> jax.Array:
@@ -124,50 +118,14 @@ def _cells(positions: jax.Array, grid: SearchGrid) -> jax.Array:
     return (i * grid.shape[1] + j) * grid.shape[2] + k
 
 
-def _nothing(kept: int) -> Callable[..., Any]:
-    zeros = jnp.zeros(kept, jnp.int32)
-    return lambda *_: (zeros, zeros, zeros.astype(bool), jnp.int32(0))
-
-
-def _lister(capacity: int, kept: int) -> Callable[..., Any]:
-    """Expands the near nodes' lists into at most `capacity` pairs and keeps those within the node's travel."""
-
-    def pairs(
-        positions: jax.Array,
-        travel: jax.Array,
-        count: jax.Array,
-        start: jax.Array,
-        mold: Mold,
-        listed: jax.Array,
-    ) -> tuple[jax.Array, ...]:
-        end = jnp.cumsum(count)
-        slot = jnp.arange(capacity)
-        node = jnp.repeat(jnp.arange(count.size), count, total_repeat_length=capacity)
-        triangle = listed[jnp.clip(start[node] + slot - (end - count)[node], 0, listed.size - 1)]
-        distance = _distance(gather(positions, node), mold, triangle)
-        keep = (slot < end[-1]) & (distance <= travel[node])
-        (index,) = jnp.nonzero(keep, size=kept, fill_value=0)
-        tested = jnp.sum(keep)
-        return (
-            node[index].astype(jnp.int32),
-            triangle[index],
-            jnp.arange(kept) < tested,
-            tested.astype(jnp.int32),
-        )
-
-    return pairs
-
-
 def _corners(mold: Mold, triangle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """First vertex D and the edges DE and DF, each (3, n) [m]."""
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     return d, e - d, f - d
 
 
-def _distance(points: jax.Array, mold: Mold, triangle: jax.Array) -> jax.Array:
-    """Distance (n,) [m] of points (3, n) to their triangles."""
-    d, edge1, edge2 = _corners(mold, triangle)
-    away = points - d
+def _distance(away: jax.Array, edge1: jax.Array, edge2: jax.Array) -> jax.Array:
+    """Distance (n,) [m] from triangles to points that lie `away` (3, n) [m] from their first vertex."""
     normal, dual1, dual2 = _dual(edge1, edge2)
     gamma, delta = dot(away, dual1), dot(away, dual2)
     inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
@@ -187,12 +145,6 @@ def _dual(edge1: jax.Array, edge2: jax.Array) -> tuple[jax.Array, jax.Array, jax
     normal = cross(edge1, edge2)
     square = dot(normal, normal)
     return normal / jnp.sqrt(square), cross(edge2, normal) / square, cross(normal, edge1) / square
-
-
-def _planes(mold: Mold, triangle: jax.Array) -> jax.Array:
-    """First vertex, unit normal and the two dual vectors of each pair's triangle, (12, capacity)."""
-    d, edge1, edge2 = _corners(mold, triangle)
-    return jnp.concatenate([d, *_dual(edge1, edge2)])
 
 
 def _meet(
@@ -247,52 +199,84 @@ def land(
         mold: The mold.
         grid: Its search structure.
     """
-    capacities = _capacities(_TESTED_PER_NODE, before.shape[1])
     touch = 64 * jnp.finfo(before.dtype).eps * grid.size
-    fixed = jax.lax.stop_gradient((before, landing.positions, landing.stuck, near))
-    tests = [lambda *_: jnp.asarray(False)] + [_tester(capacity, touch) for capacity in capacities]
-    met = jax.lax.switch(near.rung, tests, *fixed)
-    pulls = [lambda _before, landing, *_: landing] + [_lander(capacity, touch) for capacity in capacities]
-    return jax.lax.switch(jnp.where(met, near.rung, 0), pulls, before, landing, mass, time, near, mold)
+    paths = jax.lax.stop_gradient((before, landing.positions))
+    met = _any_meets(*paths, landing.stuck, near, touch)
+
+    def pull(before: jax.Array, landing: Landing, mass: jax.Array, mold: Mold) -> Landing:
+        chosen = _first_met(*jax.lax.stop_gradient((before, landing.positions)), landing.stuck, near, touch)
+        return _landed(before, landing, mass, time, mold, chosen)
+
+    return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
 
 
-def _hits(
-    before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, capacity: int, touch: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    node = near.node[:capacity]
-    beta, meets = _meet(gather(before, node), gather(after, node), near.planes[:, :capacity], touch)
-    return beta, meets & near.used[:capacity] & ~stuck[node]
+def _block(
+    first: jax.Array, before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Node, triangle, beta and whether they meet, (block,) each, of the pairs from `first` on."""
+
+    def cut(values: jax.Array) -> jax.Array:
+        return jax.lax.dynamic_slice_in_dim(values, first, _TEST_BLOCK, axis=-1)
+
+    node = cut(near.node)
+    beta, meets = _meet(gather(before, node), gather(after, node), cut(near.planes), touch)
+    used = first + jnp.arange(_TEST_BLOCK) < near.count
+    return node, cut(near.triangle), beta, meets & used & ~stuck[node]
 
 
-def _tester(capacity: int, touch: jax.Array) -> Callable[..., jax.Array]:
-    return lambda before, after, stuck, near: jnp.any(_hits(before, after, stuck, near, capacity, touch)[1])
+def _any_meets(
+    before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
+) -> jax.Array:
+    """Whether any listed pair meets in this step; looks no further than the first block where one does."""
+
+    def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return (carry[0] < near.count) & ~carry[1]
+
+    def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        return carry[0] + _TEST_BLOCK, jnp.any(_block(carry[0], before, after, stuck, near, touch)[3])
+
+    return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
 
-def _lander(capacity: int, touch: jax.Array) -> Callable[..., Landing]:
-    """The landing itself; rare, so it may look at all nodes."""
+def _first_met(
+    before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
+) -> jax.Array:
+    """The triangle (n_node,) that each node meets first in this step, -1 where none.
 
-    def pull(
-        before: jax.Array, landing: Landing, mass: jax.Array, time: jax.Array, near: Near, mold: Mold
-    ) -> Landing:
-        fixed = jax.lax.stop_gradient((before, landing.positions))
-        beta, hit = _hits(*fixed, landing.stuck, near, capacity, touch)
-        node = near.node[:capacity]
-        first = jnp.full(before.shape[1], jnp.inf, before.dtype).at[node].min(jnp.where(hit, beta, jnp.inf))
-        # Of the walls met in this step the first counts; of equals the one with the highest number, every time.
-        best = jnp.where(hit & (beta == first[node]), near.triangle[:capacity], -1)
-        chosen = jnp.full(before.shape[1], -1, jnp.int32).at[node].max(best)
-        lands = chosen >= 0
-        point = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
-        kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
-        return Landing(
-            positions=jnp.where(lands, point, landing.positions),
-            velocities=jnp.where(lands, 0.0, landing.velocities),
-            stuck=landing.stuck | lands,
-            contact_time=jnp.where(lands, time, landing.contact_time),
-            loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
-        )
+    Of two that are met at once the one with the higher number counts, every time.
+    """
+    none = jnp.full(stuck.size, jnp.inf, before.dtype), jnp.full(stuck.size, -1, jnp.int32)
 
-    return jax.checkpoint(pull)
+    def more(carry: tuple[jax.Array, tuple[jax.Array, jax.Array]]) -> jax.Array:
+        return carry[0] < near.count
+
+    def choose(
+        carry: tuple[jax.Array, tuple[jax.Array, jax.Array]],
+    ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        first, (best, chosen) = carry
+        node, triangle, beta, meets = _block(first, before, after, stuck, near, touch)
+        better = best.at[node].min(jnp.where(meets, beta, jnp.inf))
+        chosen = jnp.where(better < best, -1, chosen)
+        chosen = chosen.at[node].max(jnp.where(meets & (beta == better[node]), triangle, -1))
+        return first + _TEST_BLOCK, (better, chosen)
+
+    return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1][1]
+
+
+def _landed(
+    before: jax.Array, landing: Landing, mass: jax.Array, time: jax.Array, mold: Mold, chosen: jax.Array
+) -> Landing:
+    """The landing on the chosen triangles (n_node,); differentiable."""
+    lands = chosen >= 0
+    point = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
+    kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
+    return Landing(
+        positions=jnp.where(lands, point, landing.positions),
+        velocities=jnp.where(lands, 0.0, landing.velocities),
+        stuck=landing.stuck | lands,
+        contact_time=jnp.where(lands, time, landing.contact_time),
+        loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
+    )
 
 
 def _landing_point(

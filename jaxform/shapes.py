@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from jaxform import grids, meshes, topology
 from jaxform.errors import InputError
 from jaxform.meshes import Mesh
+from jaxform.profiles import Profile
 
 Symmetry = Literal["none", "half", "quarter"]
 PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
@@ -46,17 +47,18 @@ class Sheet:
 def disc(
     *,
     radius: float,
-    element_size: float | None = None,
+    element_size: float | Profile | None = None,
     elements: int | None = None,
     symmetry: Symmetry = "none",
 ) -> Sheet:
     """A round sheet about the origin in z = 0 with normals +z and a clamped rim.
 
-    Ring i of n has radius i R / n and 6 i segments, 3 i in a half and about 1.5 i in a quarter.
+    Ring i of n has radius i R / n and 6 i segments, 3 i in a half and about 1.5 i in a quarter. Where the element
+    size is a profile over the radius, rings are that far apart and their segments that long, in proportion.
 
     Args:
         radius: R [m].
-        element_size: Length of the edges [m]; or
+        element_size: Length of the edges [m], a number or a profile along the radius; or
         elements: About how many triangles, in the modelled part.
         symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
 
@@ -66,17 +68,19 @@ def disc(
     Raises:
         InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
     """
-    parts = _parts(symmetry)
+    density = 6 / _parts(symmetry)
     radius = _length("parison.radius", radius)
-    _check_resolution(element_size, elements, largest=radius)
-    density = 6 / parts
-    ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
-    if elements and symmetry != "none":
-        ring_count = max(2, ring_count)
-    _check_count(density * ring_count**2, element_size)
-
-    segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
-    radii = radius * (np.arange(ring_count + 1) / ring_count)
+    if isinstance(element_size, Profile):
+        radii, segments = _graded_rings(radius, element_size, density)
+    else:
+        _check_resolution(element_size, elements, largest=radius)
+        ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
+        if elements and symmetry != "none":
+            ring_count = max(2, ring_count)
+        _check_count(density * ring_count**2, element_size)
+        segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
+        radii = radius * (np.arange(ring_count + 1) / ring_count)
+    ring_count = len(segments) - 1
     rings = [grids.ring(r, count, symmetry) for r, count in zip(radii, segments, strict=True)]
     starts = np.cumsum([0, *map(len, rings)])
     bands = [
@@ -85,6 +89,22 @@ def disc(
     ]
     clamped = np.arange(starts[-1]) >= starts[-2]
     return _sheet(np.concatenate(rings), np.concatenate(bands), clamped, symmetry)
+
+
+def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray[np.float64], list[int]]:
+    """Radii of the rings and their numbers of segments, from the local size over the radius."""
+    if size.along != "radius":
+        raise InputError("a disc is graded along its radius", "use radius", f"{size.key}.along", size.along)
+    size.positive()
+    _check_count(density * (radius / min(size.value)) ** 2, min(size.value))
+    fine = np.linspace(0.0, radius, 20_001)
+    local = np.interp(fine, size.at, size.value)
+    rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (1 / local[1:] + 1 / local[:-1]))])
+    ring_count = max(2, grids.whole(rank[-1]))
+    radii = np.interp(np.linspace(0.0, rank[-1], ring_count + 1), rank, fine)
+    local = np.interp(radii, size.at, size.value)
+    segments = [max(1, math.floor(density * r / s + 0.5)) for r, s in zip(radii, local, strict=True)]
+    return radii, [0, *segments[1:]]
 
 
 def rectangle(
