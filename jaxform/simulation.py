@@ -69,19 +69,25 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None) ->
     advance = _compiled(state, scene, sheet_body)
     result = _make_result.lower(state, scene, sheet_body).compile()
     compiled = time.perf_counter()
-    left = scene.tables.window_count
+    left, telling = scene.tables.window_count, 0.0
     while left > 0:
         state, done = advance(state, scene, sheet_body, jnp.int32(take))
         left -= take
-        if on_window is not None and on_window(_moment(state, scene, sheet_body)):
-            stopped = state.status | (0 if done else Status.STOPPED)
-            state = dataclasses.replace(state, status=jnp.asarray(stopped, jnp.int32))
-            break
+        if on_window is not None:
+            moment = _moment(state, scene, functools.partial(result, state, scene, sheet_body))
+            told = time.perf_counter()
+            stop = on_window(moment)
+            telling += time.perf_counter() - told
+            if stop:
+                stopped = state.status | (0 if done else Status.STOPPED)
+                state = dataclasses.replace(state, status=jnp.asarray(stopped, jnp.int32))
+                break
         if done:
             break
     final = result(_closed(state, scene), scene, sheet_body)
     jax.block_until_ready(final)
-    seconds = Seconds(compiled - began, time.perf_counter() - compiled)
+    # What the caller does in between, such as writing frames, is not the loop.
+    seconds = Seconds(compiled - began, time.perf_counter() - compiled - telling)
     return dataclasses.replace(final, seconds=seconds)
 
 
@@ -110,6 +116,5 @@ def _compiled(state: State, scene: Scene, sheet_body: Body) -> Callable[..., tup
     return _advance.lower(state, scene, sheet_body, jnp.int32(1)).compile()
 
 
-def _moment(state: State, scene: Scene, sheet_body: Body) -> Moment:
-    result = functools.partial(_make_result, state, scene, sheet_body)
+def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:
     return Moment(float(state.time), float(scene.solver.end_time), int(state.steps), result)

@@ -1,0 +1,314 @@
+"""Scene and study files to objects and back."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import csv
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform import catalog, fields, materials, meshes, molds, schema, shapes
+from jaxform.errors import InputError
+from jaxform.mold import Mold, make_mold
+from jaxform.profiles import Profile
+from jaxform.pytree import as_real
+from jaxform.scene import Parison, Scene, build_scene, make_parison, make_pressure, make_solver
+from jaxform.validation import validate
+
+REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
+
+
+@dataclass(frozen=True)
+class SceneDocument:
+    """A validated scene file.
+
+    Attributes:
+        file: What to call it in messages.
+        folder: What its relative paths are relative to.
+        data: Its tables, as they stand in the file.
+        model: The same, validated, with defaults filled in.
+    """
+
+    file: str
+    folder: Path
+    data: dict[str, Any]
+    model: schema.SceneFile
+
+    @property
+    def name(self) -> str:
+        """The scene's name; that of the file where it gives none."""
+        return self.model.name or Path(self.file).stem
+
+
+@dataclass(frozen=True)
+class StudyDocument:
+    """A validated study file.
+
+    Attributes:
+        file: What to call it in messages.
+        folder: What its relative paths are relative to.
+        data: Its tables, as they stand in the file.
+        model: The same, validated, with defaults filled in.
+        scene: The scene that it varies.
+    """
+
+    file: str
+    folder: Path
+    data: dict[str, Any]
+    model: schema.StudyFile
+    scene: SceneDocument
+
+
+def load(name_or_path: str | Path) -> Scene:
+    """A scene, built from a built-in name or a TOML file, with all host work done.
+
+    Raises:
+        InputError: There is no such scene, or something in it cannot be simulated.
+    """
+    return build(read_scene(name_or_path))
+
+
+def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDocument:
+    """A scene file, validated but not built.
+
+    Args:
+        name_or_path: A built-in name or the path of a TOML file.
+        folder: What a relative path is relative to; by default the working directory.
+
+    Raises:
+        InputError: There is no such scene, or a key or value in it is wrong.
+    """
+    source = catalog.read(name_or_path, "scene", folder)
+    model = validate(schema.SceneFile, source.data, source.file)
+    return SceneDocument(source.file, source.path.resolve().parent, source.data, model)
+
+
+def read_study(name_or_path: str | Path) -> StudyDocument:
+    """A study file and the scene that it names (a built-in name, or a path relative to the study), validated.
+
+    Raises:
+        InputError: There is no such study or scene, or a key or value in one of them is wrong.
+    """
+    source = catalog.read(name_or_path, "study")
+    model = validate(schema.StudyFile, source.data, source.file)
+    folder = source.path.resolve().parent
+    with _told_of(source.file, "scene"):
+        scene = read_scene(model.scene, folder)
+    return StudyDocument(source.file, folder, source.data, model, scene)
+
+
+def build(document: SceneDocument) -> Scene:
+    """The scene of a document; host work.
+
+    Raises:
+        InputError: A mesh cannot be read or simulated, or values do not fit together.
+    """
+    model = document.model
+    with _told_of(document.file):
+        pressure, solver = model.pressure, model.solver
+        return build_scene(
+            parison=_parison(document),
+            material=_material(model.material),
+            pressure=make_pressure(pressure.time, pressure.value, pressure.interpolation),
+            solver=make_solver(end_time=solver.end_time, damping=solver.damping, safety=solver.safety),
+            mold=_mold(document),
+            name=document.name,
+        )
+
+
+def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | None:
+    """The exact solution that [output] names: initial_radius [m], arc [m], thickness_ratio, each (n,); or None.
+
+    Raises:
+        InputError: The file cannot be read, or a column or number is missing.
+    """
+    name = document.model.output.reference
+    if name is None:
+        return None
+    path = document.folder / name
+    with _told_of(document.file, "output.reference"):
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as stream:
+                rows = list(csv.DictReader(stream))
+            columns = {key: np.array([float(row[key]) for row in rows]) for key in REFERENCE_COLUMNS}
+        except OSError as error:
+            raise InputError(f"cannot be read ({error.strerror})", "correct the path", value=str(path)) from None
+        except (KeyError, TypeError, ValueError, csv.Error):
+            columns = {}
+        if not columns or not all(len(x) and np.isfinite(x).all() for x in columns.values()):
+            mend = f"give the columns {', '.join(REFERENCE_COLUMNS)}"
+            raise InputError("is not a table of numbers with a header", mend, value=str(path))
+        return columns
+
+
+@contextlib.contextmanager
+def _told_of(file: str, key: str = "") -> Iterator[None]:
+    try:
+        yield
+    except InputError as error:
+        raise error.within(file=file, key=key) from None
+
+
+def _parison(document: SceneDocument) -> Parison:
+    sheet = _sheet(document)
+    thickness = _thickness(document, sheet)
+    return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
+
+
+def _sheet(document: SceneDocument) -> shapes.Sheet:
+    table = document.model.parison
+    if isinstance(table, schema.FileParison):
+        with _told_of("", "parison.path"):
+            mesh = meshes.read_mesh(document.folder / table.path, scale=table.scale)
+            return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
+    if isinstance(table, schema.Rectangle):
+        return shapes.rectangle(
+            size=table.size,
+            element_size=table.element_size,
+            elements=table.elements,
+            symmetry=table.symmetry,
+        )
+    if isinstance(table, schema.Sphere):
+        return shapes.sphere(
+            radius=table.radius,
+            element_size=table.element_size,
+            elements=table.elements,
+            symmetry=table.symmetry,
+        )
+    size = table.element_size
+    local = _profile(size, "parison.element_size") if isinstance(size, schema.Profile) else size
+    return shapes.disc(
+        radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry
+    )
+
+
+def _profile(table: schema.Profile, key: str) -> Profile:
+    return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
+
+
+def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
+    table, key = document.model.parison.thickness, "parison.thickness"
+    if isinstance(table, schema.Profile):
+        return _profile(table, key)(sheet.positions)
+    if isinstance(table, schema.FieldReference):
+        return fields.nodal_field(document.folder / table.file, table.field, sheet.positions, key)
+    if isinstance(table, str):
+        name = table.removeprefix("field:")
+        if name not in sheet.fields:
+            known = ", ".join(sorted(sheet.fields)) or "none"
+            raise InputError("the mesh has no such field", f"its fields: {known}", key, table)
+        return sheet.fields[name]
+    return table
+
+
+def _material(
+    table: schema.NeoHookean | schema.MooneyRivlin | schema.ModifiedMooneyRivlin,
+) -> materials.Material:
+    if isinstance(table, schema.NeoHookean):
+        return materials.NeoHookean(as_real(table.c), as_real(table.density))
+    if isinstance(table, schema.MooneyRivlin):
+        return materials.MooneyRivlin(as_real(table.c), as_real(table.alpha), as_real(table.density))
+    return materials.ModifiedMooneyRivlin(as_real(table.a01), as_real(table.a02), as_real(table.density))
+
+
+def _mold(document: SceneDocument) -> Mold | None:
+    table = document.model.mold
+    if table is None:
+        return None
+    if isinstance(table, schema.RevolvedMold):
+        shape = molds.revolved(profile=table.profile, segments=table.segments)
+    else:
+        with _told_of("", "mold.path"):
+            mesh = meshes.read_mesh(document.folder / table.path, scale=table.scale)
+            shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
+    return make_mold(shape.vertices, shape.triangles, shape.dropped)
+
+
+_PATHS = ("parison.path", "parison.thickness.file", "mold.path", "output.reference")
+
+
+def write_scene(
+    document: SceneDocument, changes: Mapping[str, Any], folder: str | Path, name: str = "best.toml"
+) -> Path:
+    """Writes a scene file with changes that runs from its new folder.
+
+    Args:
+        document: The scene to change.
+        changes: New values at dotted keys: plain values, or arrays; a nodal parison.thickness [m] of shape
+            (n_node,) goes into a mesh file beside the scene file.
+        folder: Where to write.
+        name: The name of the scene file.
+
+    Returns:
+        The path of the scene file.
+    """
+    folder = Path(folder)
+    data = copy.deepcopy(document.data)
+    data.setdefault("name", document.name)
+    for key in _PATHS:
+        _rewrite_path(data, key, document.folder)
+    for key, value in changes.items():
+        if key == "parison.thickness" and np.ndim(value) == 1 and not isinstance(value, str | dict):
+            value = _write_field(document, np.asarray(value), folder / f"{Path(name).stem}-thickness.vtu")
+        _put(data, key, value.tolist() if hasattr(value, "tolist") else value)
+    path = folder / name
+    path.write_text(_toml(data), encoding="utf-8")
+    return path
+
+
+def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> None:
+    *sections, last = key.split(".")
+    table: Any = data
+    for section in sections:
+        table = table.get(section) if isinstance(table, dict) else None
+    if isinstance(table, dict) and last in table:
+        table[last] = str(folder / table[last])
+
+
+def _write_field(document: SceneDocument, value: NDArray[Any], path: Path) -> dict[str, str]:
+    sheet = _sheet(document)
+    meshes.write_vtu(path, sheet.positions, sheet.triangles, {"thickness": np.asarray(value, float)})
+    return {"file": path.name, "field": "thickness"}
+
+
+def _put(data: dict[str, Any], key: str, value: Any) -> None:
+    *sections, last = key.split(".")
+    for section in sections:
+        data = data.setdefault(section, {})
+    data[last] = value
+
+
+def _toml(data: Mapping[str, Any]) -> str:
+    """Numbers, texts, lists and tables, two levels of which become sections."""
+    plain = [f"{_key(key)} = {_inline(value)}" for key, value in data.items() if not isinstance(value, dict)]
+    lines = list(plain)
+    for section, table in data.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{_key(section)}]"]
+            lines += [f"{_key(key)} = {_inline(value)}" for key, value in table.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _inline(key)
+
+
+def _inline(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # TOML's escapes include those of JSON; only this one character is allowed there and not here.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(key)} = {_inline(item)}" for key, item in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    return repr(value)

@@ -1,0 +1,355 @@
+"""The one description of scene and study files: keys, types, ranges.
+
+Lengths are in m, times in s, pressures and stiffnesses in Pa, densities in kg/m^3; nothing is converted. What needs
+the mesh or several numbers at once is checked where the scene is built.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, Tag, field_validator, model_validator
+
+from jaxform.validation import NotNegative, Positive, Table, check_increasing, choice, form, wrong
+
+Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Place = Literal["radius", "x", "y", "z"]
+
+_THICKNESS_FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
+
+
+class Profile(Table):
+    """A positive quantity, piecewise linear along a place in the initial sheet."""
+
+    along: Place
+    at: Annotated[list[float], Field(min_length=1)]
+    value: list[Positive]
+
+    @model_validator(mode="after")
+    def _check(self) -> Profile:
+        _check_knots(self.at, self.value)
+        return self
+
+
+class TargetProfile(Table):
+    """A wanted thickness, piecewise linear along a place in the initial sheet or in the formed part."""
+
+    along: Literal["initial-radius", "initial-x", "initial-y", "initial-z", "radius", "x", "y", "z"]
+    at: Annotated[list[float], Field(min_length=1)]
+    value: list[Positive]
+
+    @model_validator(mode="after")
+    def _check(self) -> TargetProfile:
+        _check_knots(self.at, self.value)
+        return self
+
+
+class FieldReference(Table):
+    """A nodal field in a mesh file, found by initial position [m]."""
+
+    file: str
+    field: str
+
+
+def _check_knots(at: list[float], value: list[float]) -> None:
+    check_increasing(at)
+    if len(at) != len(value):
+        problem = f"has {len(value)} values for {len(at)} knots"
+        raise wrong(problem, "give one value per knot", "value", value)
+
+
+def _own_field(text: str) -> str:
+    if not text.startswith("field:") or text == "field:":
+        raise wrong("is not a number", _THICKNESS_FORMS, value=text)
+    return text
+
+
+def _quantity_form(value: Any) -> str:
+    if isinstance(value, dict):
+        return "reference" if {"file", "field"} & set(value) else "profile"
+    return "own field" if isinstance(value, str) else "number"
+
+
+_Number = Annotated[Positive, Tag("<number>")]
+_Reference = Annotated[FieldReference, Tag("<reference>")]
+Thickness = Annotated[
+    _Number
+    | Annotated[Profile, Tag("<profile>")]
+    | _Reference
+    | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
+    form(_quantity_form),
+]
+ElementSize = Annotated[
+    _Number | Annotated[Profile, Tag("<profile>")],
+    form(lambda value: "profile" if isinstance(value, dict) else "number"),
+]
+TargetThickness = Annotated[
+    _Number | Annotated[TargetProfile, Tag("<profile>")] | _Reference,
+    form(lambda value: "number" if isinstance(value, str) else _quantity_form(value)),
+]
+
+
+def _one_number(value: Any) -> Any:
+    if isinstance(value, dict) or (isinstance(value, str) and value.startswith("field:")):
+        raise wrong("stiffness zones are not there yet", "give one number", value=value)
+    return value
+
+
+Stiffness = Annotated[Positive, BeforeValidator(_one_number)]
+StiffnessRatio = Annotated[NotNegative, BeforeValidator(_one_number)]
+
+
+class _BuiltIn(Table):
+    """What the built-in parisons share: exactly one of element_size and elements, cut planes, thickness."""
+
+    elements: Annotated[int, Field(gt=0)] | None = None
+    symmetry: Literal["none", "half", "quarter"] = "none"
+    thickness: Thickness
+
+    @field_validator("thickness")
+    @classmethod
+    def _no_own_field(cls, thickness: Any) -> Any:
+        if isinstance(thickness, str):
+            problem = "only a parison from a file has fields of its own"
+            raise wrong(problem, "give {file, field}, a number or a profile", value=thickness)
+        return thickness
+
+
+class Disc(_BuiltIn):
+    """A round sheet about the origin in z = 0 with a clamped rim."""
+
+    shape: Literal["disc"]
+    radius: Positive
+    element_size: ElementSize | None = None
+
+    @field_validator("element_size")
+    @classmethod
+    def _along_radius(cls, size: Any) -> Any:
+        if isinstance(size, Profile) and size.along != "radius":
+            raise wrong("is not possible for a disc", "use radius", "along", size.along)
+        return size
+
+
+class Rectangle(_BuiltIn):
+    """A sheet over [0, a] x [0, b] in z = 0 with clamped edges."""
+
+    shape: Literal["rectangle"]
+    size: Annotated[list[Positive], Field(min_length=2, max_length=2)]
+    element_size: Positive | None = None
+
+
+class Sphere(_BuiltIn):
+    """A closed sphere about the origin, nothing clamped."""
+
+    shape: Literal["sphere"]
+    radius: Positive
+    element_size: Positive | None = None
+
+
+class FileParison(Table):
+    """A user's mesh; pressure acts along its triangles' normals."""
+
+    shape: Literal["file"]
+    path: str
+    scale: Positive = 1.0
+    flip: bool = False
+    clamp: str = "boundary"
+    planes: list[Literal["x", "y", "z"]] = []
+    thickness: Thickness
+
+
+Parison = Annotated[
+    Annotated[Disc, Tag("<disc>")]
+    | Annotated[Rectangle, Tag("<rectangle>")]
+    | Annotated[Sphere, Tag("<sphere>")]
+    | Annotated[FileParison, Tag("<file>")],
+    *choice("shape", ["disc", "rectangle", "sphere", "file"], later=["tube"]),
+]
+
+
+class NeoHookean(Table):
+    """W = c (I1 - 3)."""
+
+    model: Literal["neo-hookean"]
+    c: Stiffness
+    density: Positive
+
+
+class MooneyRivlin(Table):
+    """W = c [(I1 - 3) + alpha (I2 - 3)]."""
+
+    model: Literal["mooney-rivlin"]
+    c: Stiffness
+    alpha: StiffnessRatio
+    density: Positive
+
+
+class ModifiedMooneyRivlin(Table):
+    """W = a01 (I1 - 3) + a02 (I2 - 3)^2."""
+
+    model: Literal["modified-mooney-rivlin"]
+    a01: Stiffness
+    a02: StiffnessRatio
+    density: Positive
+
+
+Material = Annotated[
+    Annotated[NeoHookean, Tag("<neo-hookean>")]
+    | Annotated[MooneyRivlin, Tag("<mooney-rivlin>")]
+    | Annotated[ModifiedMooneyRivlin, Tag("<modified-mooney-rivlin>")],
+    *choice("model", ["neo-hookean", "mooney-rivlin", "modified-mooney-rivlin"], later=["ogden"]),
+]
+
+
+class Pressure(Table):
+    """Pressure difference over time, held before the first and after the last knot."""
+
+    time: Annotated[list[float], Field(min_length=1)]
+    value: Annotated[list[float], Field(min_length=1)]
+    interpolation: Literal["linear", "cubic-ramp"] = "linear"
+
+
+class RevolvedMold(Table):
+    """A profile [[r, z], ...] from the axis outwards, turned about the z axis."""
+
+    shape: Literal["revolved"]
+    profile: Annotated[list[Pair], Field(min_length=2)]
+    segments: Annotated[int, Field(ge=3)]
+
+
+class FileMold(Table):
+    """A user's mesh: scaled, turned about x, y, z [degrees], then moved [m]."""
+
+    shape: Literal["file"]
+    path: str
+    scale: Positive = 1.0
+    translate: Triple = [0.0, 0.0, 0.0]
+    rotate: Triple = [0.0, 0.0, 0.0]
+
+
+Mold = Annotated[
+    Annotated[RevolvedMold, Tag("<revolved>")] | Annotated[FileMold, Tag("<file>")],
+    *choice("shape", ["revolved", "file"], later=["box-insert", "bottle-half"]),
+]
+
+
+class Solver(Table):
+    """Time integration."""
+
+    end_time: Positive
+    damping: NotNegative | None = None
+    safety: Annotated[float, Field(gt=0, le=1)] = 0.9
+
+
+class Output(Table):
+    """What to write beyond the result; `reference` is an exact solution to dot over the thickness picture."""
+
+    frames: Annotated[int, Field(ge=0)] = 0
+    reference: str | None = None
+
+
+class SceneFile(Table):
+    """A scene file."""
+
+    later: ClassVar = {"refinement": "leave [refinement] out and give a fine parison"}
+
+    name: str | None = None
+    description: str = ""
+    parison: Parison
+    material: Material
+    pressure: Pressure
+    mold: Mold | None = None
+    solver: Solver
+    output: Output = Output()
+
+
+def _check_bounds(bounds: list[float]) -> list[float]:
+    if bounds[0] >= bounds[1]:
+        raise wrong("leaves no room", "give the lower bound first, then the upper one", value=bounds)
+    return bounds
+
+
+class ThicknessProfile(Table):
+    """Design the initial thickness [m], piecewise linear along a place in the initial sheet."""
+
+    kind: Literal["thickness-profile"]
+    along: Place
+    knots: Annotated[int, Field(ge=2)] | None = None
+    at: Annotated[list[float], Field(min_length=2)] | None = None
+    bounds: Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_check_bounds)]
+
+    @model_validator(mode="after")
+    def _check(self) -> ThicknessProfile:
+        if (self.knots is None) == (self.at is None):
+            problem = "is missing" if self.at is None else "is given together with at"
+            raise wrong(problem, "give the number of knots or their places (at), one of them", "knots", self.knots)
+        check_increasing(self.at or [])
+        return self
+
+
+class PressureKnots(Table):
+    """Design the values [Pa] at the knots of the scene's pressure."""
+
+    kind: Literal["pressure"]
+    bounds: Annotated[Pair, AfterValidator(_check_bounds)]
+    increasing: bool = False
+
+
+Variable = Annotated[
+    Annotated[ThicknessProfile, Tag("<thickness-profile>")] | Annotated[PressureKnots, Tag("<pressure>")],
+    *choice("kind", ["thickness-profile", "pressure"], later=["thickness-field", "scale"]),
+]
+
+
+class Target(Table):
+    """Come close to a final thickness [m]."""
+
+    kind: Literal["target"]
+    thickness: TargetThickness
+
+
+# With a second kind it becomes a union like the others.
+Objective = Annotated[Target, choice("kind", ["target"], later=["uniform", "least-mass"])[1]]
+
+
+class Lbfgs(Table):
+    """Limited-memory quasi-Newton method with line search."""
+
+    method: Literal["lbfgs"] = "lbfgs"
+    iterations: Annotated[int, Field(ge=1)] = 30
+    tolerance: Positive | None = None
+
+
+class Adam(Table):
+    """First-order method with momentum."""
+
+    method: Literal["adam"]
+    iterations: Annotated[int, Field(ge=1)] = 30
+    tolerance: Positive | None = None
+    learning_rate: Positive | None = None
+
+
+Method = Annotated[
+    Annotated[Lbfgs, Tag("<lbfgs>")] | Annotated[Adam, Tag("<adam>")],
+    *choice("method", ["lbfgs", "adam"], later=["least-squares", "fixed-point"]),
+]
+
+
+class StudyFile(Table):
+    """A study file."""
+
+    description: str = ""
+    scene: str
+    variable: Annotated[list[Variable], Field(min_length=1)]
+    objective: Objective
+    solver: Method
+
+    @field_validator("variable")
+    @classmethod
+    def _each_once(cls, variables: list[Any]) -> list[Any]:
+        kinds = [variable.kind for variable in variables]
+        for index, kind in enumerate(kinds):
+            if kind in kinds[:index]:
+                raise wrong("is there twice", "keep one of them", f"[{index}].kind", kind)
+        return variables

@@ -1,0 +1,62 @@
+"""Small scenes that several tests share, so that each shape compiles once."""
+
+from __future__ import annotations
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxform
+from jaxform import molds, shapes
+from jaxform.materials import Material
+
+
+def real(value: float) -> jnp.ndarray:
+    return jnp.asarray(value, float)
+
+
+def mooney(alpha: float, c: float = 1.0) -> Material:
+    return jaxform.MooneyRivlin(real(c), real(alpha), real(1.0))
+
+
+def free_disc(elements: int, pressure: float, material: Material, **options: object) -> jaxform.Scene:
+    """A quarter of a free disc of radius 1 and thickness 0.01, inflated slowly; pressure in units of c h0/a."""
+    sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    settings = {"end_time": 60.0, "damping": 1.0} | options
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=material,
+        pressure=jaxform.make_pressure([0.0, 40.0], [0.0, 0.01 * pressure]),
+        solver=jaxform.make_solver(**settings),
+    )
+
+
+def sphere(elements: int, pressure: float, material: Material, time: list[float], **options: float) -> jaxform.Scene:
+    """A quarter of a closed sphere of radius 1 and thickness 0.01; pressure in units of c h0/r."""
+    sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
+    knots = [0.0, 0.01 * pressure] if len(time) == 2 else [0.01 * pressure]
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=material,
+        pressure=jaxform.make_pressure(time, knots),
+        solver=jaxform.make_solver(**options),
+    )
+
+
+@functools.cache
+def cup(elements: int = 60, end_time: float = 20.0) -> jaxform.Scene:
+    """A neo-Hookean disc into a truncated cone, a quarter; it touches bottom and wall within the time."""
+    sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    mold = molds.revolved(profile=[[0.0, 0.5], [0.55, 0.5], [1.0, 0.0]], segments=48)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=jaxform.NeoHookean(real(1.0), real(1.0)),
+        pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.2], "cubic-ramp"),
+        solver=jaxform.make_solver(end_time=end_time, damping=2.0),
+        mold=jaxform.make_mold(mold.vertices, mold.triangles, mold.dropped),
+    )
+
+
+def pole(scene: jaxform.Scene) -> int:
+    return int(np.argmin(np.linalg.norm(np.asarray(scene.parison.positions)[:, :2], axis=1)))
