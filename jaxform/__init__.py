@@ -1,6 +1,7 @@
 """jaxform: a differentiable simulator of blow moulding and thermoforming."""
 
 from jaxform.errors import InputError
+from jaxform.files import load
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
 from jaxform.mold import Mold, make_mold
 from jaxform.result import Result, explain, summarize
@@ -31,6 +32,7 @@ __all__ = [
     "Solver",
     "build_scene",
     "explain",
+    "load",
     "make_mold",
     "make_parison",
     "make_pressure",

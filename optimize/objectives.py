@@ -24,12 +24,16 @@ class Target:
             with `initial`, in the initial sheet).
         initial: Whether the profile's place is that in the initial sheet.
 
+    Attributes:
+        uniform: The target where it is one number, else None [m].
+
     Raises:
         InputError: If a target is not positive or does not fit the mesh.
     """
 
     def __init__(self, scene: Scene, thickness: ArrayLike | Profile, *, initial: bool = True) -> None:
         """See the class."""
+        self.uniform = float(thickness) if isinstance(thickness, int | float) else None
         self._profile = thickness.positive() if isinstance(thickness, Profile) else None
         if isinstance(thickness, Profile):
             if initial:

@@ -1,0 +1,302 @@
+"""The command: `jaxform scenes | simulate | optimize | check`. The one room that knows both jaxform and optimize.
+
+Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
+computed written; 130 interrupted. Heavy imports wait until a command needs them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from jaxform import catalog
+from jaxform.errors import InputError
+
+if TYPE_CHECKING:
+    from jaxform.files import SceneDocument
+    from jaxform.result import Result
+    from jaxform.scene import Scene
+
+DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit status."""
+    try:
+        arguments = _parser().parse_args(argv)
+        return arguments.command(arguments)
+    except InputError as error:
+        print(f"jaxform: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("jaxform: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see `{self.prog} --help`")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="jaxform", description="Blow moulding and thermoforming, simulated and designed.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    scenes = commands.add_parser("scenes", help="list the built-in scenes and studies")
+    scenes.set_defaults(command=_scenes)
+    for name, command, what, words in (
+        ("simulate", _simulate, "SCENE", "simulate a scene"),
+        ("optimize", _optimize, "STUDY", "search for the best design of a study"),
+        ("check", _check, "SCENE", "validate a scene, say what will be simulated, run no step"),
+    ):
+        sub = commands.add_parser(name, help=words, description=words)
+        sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")
+        sub.add_argument("--quiet", action="store_true", help="print errors only")
+        sub.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+        if name != "check":
+            sub.add_argument("--out", metavar="DIR", required=True, type=Path, help="where the results go")
+            sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
+        sub.set_defaults(command=command)
+    return parser
+
+
+def _scenes(_: argparse.Namespace) -> int:
+    for kind, use in (("scene", "simulate"), ("study", "optimize")):
+        for name, words in catalog.descriptions(kind).items():
+            print(f"{name:20} {kind:6} jaxform {use} {name:18}  {words}")
+    return DONE
+
+
+def _prepare(arguments: argparse.Namespace) -> Callable[..., None]:
+    """Sets the precision and the compile cache; returns what prints for people."""
+    import warnings
+
+    import jax
+
+    # Asked for on the command line, so the reminder that Python users get is not needed.
+    warnings.filterwarnings("ignore", message="jaxform computes in float32")
+    jax.config.update("jax_enable_x64", arguments.dtype == "float64")
+    _use_compile_cache()
+    return (lambda *_: None) if arguments.quiet else print
+
+
+def _use_compile_cache() -> None:
+    """Keeps compiled programs between runs in the user's cache folder; does without where that cannot be written."""
+    import jax
+
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = Path(base) / "jaxform" / "compiled"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _open_folder(folder: Path, force: bool) -> None:
+    """Makes the output folder, or refuses before anything is computed."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError("is a file", "name a folder", "--out", str(folder))
+    try:
+        if folder.exists() and any(folder.iterdir()) and not force:
+            raise InputError(
+                "exists and is not empty", "choose another folder or give --force", "--out", str(folder)
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".jaxform-writes"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror})"
+        raise InputError(problem, "choose another folder", "--out", str(folder)) from None
+
+
+@contextlib.contextmanager
+def _progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | None]:
+    """A bar on a terminal, nothing in a pipe: what it gives takes the fraction done and a few words, or is None."""
+    if not (show and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task(words, total=1.0, note="compiling")
+        yield lambda fraction, note: progress.update(task, completed=fraction, note=note)
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    say = _prepare(arguments)
+    from jaxform import files
+    from jaxform.output import Frames
+
+    document = files.read_scene(arguments.source)
+    reference = files.read_reference(document)
+    scene = files.build(document)
+    _open_folder(arguments.out, arguments.force)
+    frames = Frames(arguments.out, document.model.output.frames)
+    result = _run(scene, frames, not arguments.quiet)
+    _write_part(arguments.out, scene, result, reference)
+    frames.finish(scene, result)
+    _tell(say, scene, result, arguments.out)
+    return _exit_status(result)
+
+
+def _run(scene: Scene, frames: Any, show: bool) -> Result:
+    """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed."""
+    from jaxform.simulation import Moment, run
+
+    interrupted = False
+
+    with _progress(show, scene.name) as bar:
+
+        def on_window(moment: Moment) -> bool:
+            nonlocal interrupted
+            try:
+                if bar is not None:
+                    bar(moment.time / moment.end_time, f"{moment.steps} steps")
+                frames.offer(scene, moment)
+            except KeyboardInterrupt:
+                interrupted = True
+            return interrupted
+
+        watched = bar is not None or frames.count > 0
+        return run(scene, on_window=on_window if watched else None)
+
+
+def _write_part(
+    folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None
+) -> None:
+    from jaxform import output, plots
+
+    output.write_result(scene, result, folder)
+    plots.thickness_picture(folder / "thickness.png", scene, result, reference)
+
+
+def _exit_status(result: Result) -> int:
+    from jaxform.result import explain
+
+    if int(result.status):
+        print(f"jaxform: {explain(result)}", file=sys.stderr)
+        return STOPPED
+    return DONE
+
+
+def _tell(say: Callable[..., None], scene: Scene, result: Result, folder: Path) -> None:
+    from jaxform.result import summarize
+
+    summary = summarize(result, scene)
+    wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
+    say(
+        f"{scene.name}: {summary['elements_final']} elements, {summary['steps']} steps in "
+        f"{summary['run_seconds']:.2f} s (compiled in {summary['compile_seconds']:.1f} s)"
+    )
+    say(
+        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, variation "
+        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
+        f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
+    )
+    say(f"status: {summary['status']}; results in {folder}")
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    say = _prepare(arguments)
+    from jaxform import files
+
+    document = files.read_scene(arguments.source)
+    files.read_reference(document)
+    scene = files.build(document)
+    for line in _plan(document, scene):
+        say(line)
+    return DONE
+
+
+def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
+    """What will be simulated and what is skipped, line by line."""
+    from jaxform.scene import STEPS_PER_WINDOW
+    from jaxform.stepping import choose_step, initial_state
+
+    step = float(choose_step(initial_state(scene), scene))
+    parison, law = scene.parison, document.model.material.model
+    yield f"{scene.name}: {len(parison.triangles)} elements, {len(parison.positions)} nodes, {law}"
+    yield (
+        f"to {float(scene.solver.end_time):.4g} s, first step {step:.3g} s, at most "
+        f"{scene.tables.window_count} windows of {STEPS_PER_WINDOW} steps"
+    )
+    if scene.mold is not None:
+        dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
+        yield f"mold: {len(scene.mold.triangles)} triangles{dropped}"
+    skipped = {
+        "contact (no mold)": scene.mold is None,
+        "damping (none given)": scene.solver.damping is None,
+        "the second invariant (the law has none)": law == "neo-hookean",
+        "refinement (none given)": True,
+        "frames (none wanted)": document.model.output.frames == 0,
+    }
+    yield "skipped: " + ", ".join(what for what, skip in skipped.items() if skip)
+
+
+def _optimize(arguments: argparse.Namespace) -> int:
+    say = _prepare(arguments)
+    import optimize
+    from jaxform import files, plots
+
+    study = optimize.load_study(arguments.source)
+    reference = files.read_reference(study.document)
+    folder: Path = arguments.out
+    _open_folder(folder, arguments.force)
+    rows: list[dict[str, Any]] = []
+    with _progress(not arguments.quiet, "designing") as bar:
+
+        def on_evaluation(row: dict[str, Any]) -> None:
+            rows.append(row)
+            # Written anew each time: a search that is killed leaves what it did.
+            optimize.write_history(folder / "history.csv", rows)
+            if bar is not None:
+                note = f"evaluation {row['evaluation']}, deviation {100 * row['thickness_rms_error']:.3g} %"
+                bar(min(row["iteration"] / study.iterations, 1.0), note)
+
+        design = optimize.solve(study, on_evaluation)
+    files.write_scene(study.document, design.changes, folder)
+    _write_part(folder, design.scene, design.result, reference if not _redesigned(design.changes) else None)
+    plots.convergence_picture(folder / "convergence.png", design.history)
+    target = study.objective.uniform
+    before, after = (design.first_scene, design.first_result), (design.scene, design.result)
+    plots.design_picture(folder / "design.png", before, after, target)
+    _tell_design(say, design, folder)
+    return _exit_status(design.result)
+
+
+def _redesigned(changes: dict[str, Any]) -> bool:
+    """Whether an exact solution for the scene's own sheet no longer applies."""
+    return any(key.startswith(("parison.", "material.")) for key in changes)
+
+
+def _tell_design(say: Callable[..., None], design: Any, folder: Path) -> None:
+    from jaxform.result import summarize
+
+    spread = [
+        100 * summarize(result, scene)["thickness"]["cv"]
+        for scene, result in ((design.first_scene, design.first_result), (design.scene, design.result))
+    ]
+    first, best = design.history[0], min(design.history, key=lambda row: row["objective"])
+    say(
+        f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
+        f"{100 * best['thickness_rms_error']:.3g} %, variation of the wall {spread[0]:.3g} % -> {spread[1]:.3g} %"
+    )
+    say(
+        f"{len(design.history)} simulations with gradient (the time of {design.history[-1]['simulations']:.0f} "
+        f"simulations, {design.history[-1]['seconds']:.0f} s); {design.message}; results in {folder}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

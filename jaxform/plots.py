@@ -1,0 +1,287 @@
+"""Pictures: the formed part with its wall, the search, and a design before and after. The only user of matplotlib."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform import sections
+from jaxform.result import Result, explain, summarize
+from jaxform.scene import Scene
+
+Array = NDArray[np.float64]
+Part = tuple[Scene, Result]
+
+_COLORS = "viridis"  # reads the same to all eyes, and in grey
+_BEFORE, _AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
+_DPI = 100
+_LIGHT = np.array([0.35, -0.5, 0.79])
+_MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
+
+
+def thickness_picture(
+    path: str | Path, scene: Scene, result: Result, reference: Mapping[str, Any] | None = None
+) -> None:
+    """The formed part in colours of its wall, and the wall along a meridian or section.
+
+    Args:
+        path: Where the PNG goes.
+        scene: What was simulated.
+        result: The part.
+        reference: An exact solution to dot over it: `initial_radius` [m], `arc` [m] from the axis, `thickness_ratio`.
+    """
+    figure = _figure(16, 7, _title(scene, result))
+    view = figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d")
+    colors = _draw_part(view, scene, result, _scale([result]))
+    bar = figure.add_axes((0.475, 0.2, 0.012, 0.5))
+    figure.colorbar(colors, cax=bar, label="wall thickness [mm]")
+    axes = figure.add_axes((0.58, 0.12, 0.39, 0.74))
+    _draw_wall(axes, scene, result, reference)
+    _save(figure, path)
+
+
+def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
+    """Objective and deviation, and the wall, over the simulations that a search took.
+
+    Args:
+        path: Where the PNG goes.
+        history: Rows of the search, with the columns of history.csv.
+    """
+    figure = _figure(14, 5.5, "")
+    left, right = figure.subplots(1, 2)
+    spent = _column(history, "simulations")
+    error = 100 * _column(history, "thickness_rms_error")
+    left.plot(spent, error, "o", color=_BEFORE, markersize=4, label="each simulation")
+    left.plot(spent, np.fmin.accumulate(error), "-", color=_AFTER, label="best so far")
+    left.set(yscale="log", xlabel="cost in simulations", ylabel="deviation from the target, rms [%]")
+    left.legend(frameon=False)
+    right.plot(spent, 1e3 * _column(history, "wall_mean"), "-", color=_AFTER, label="mean wall [mm]")
+    right.plot(spent, 1e3 * _column(history, "wall_min"), "--", color=_AFTER, label="thinnest wall [mm]")
+    right.set(xlabel="cost in simulations", ylabel="wall thickness [mm]", ylim=(0, None))
+    twin = right.twinx()
+    twin.plot(spent, 100 * _column(history, "wall_cv"), "-", color=_EXACT, label="variation [%]")
+    twin.set(ylabel="variation of the wall [%]", ylim=(0, None))
+    twin.spines["top"].set_visible(False)
+    right.legend(handles=[*right.lines, *twin.lines], frameon=False, loc="center right")
+    figure.tight_layout()
+    _save(figure, path)
+
+
+def design_picture(path: str | Path, before: Part, after: Part, target: float | None = None) -> None:
+    """A design before and after: parts, initial thickness, wall and pressure.
+
+    Args:
+        path: Where the PNG goes.
+        before: Scene and part to begin with.
+        after: Scene and part of the design.
+        target: Wall thickness that is wanted everywhere [m], or None.
+    """
+    figure = _figure(16, 12, "")
+    scale = _scale([before[1], after[1]])
+    for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
+        view = figure.add_axes((place, 0.46, 0.45, 0.47), projection="3d")
+        colors = _draw_part(view, *part, scale)
+        figure.text(place + 0.225, 0.955, _part_words(words, part), ha="center", fontsize=13)
+    figure.colorbar(colors, cax=figure.add_axes((0.925, 0.52, 0.012, 0.34)), label="wall thickness [mm]")
+    same = np.array_equal(before[0].pressure.value, after[0].pressure.value)
+    count = 2 if same else 3
+    width = 0.93 / count
+    places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
+    _draw_initial(figure.add_axes(places[0]), before[0], after[0])
+    _draw_walls(figure.add_axes(places[1]), before, after, target)
+    if not same:
+        _draw_pressures(figure.add_axes(places[2]), before[0], after[0])
+    _save(figure, path)
+
+
+def _figure(width: float, height: float, title: str) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=14)
+    return figure
+
+
+def _save(figure: Any, path: str | Path) -> None:
+    for axes in figure.axes:
+        if axes.name != "3d" and axes.get_label() != "<colorbar>":
+            axes.grid(alpha=0.25)
+            axes.spines["top"].set_visible(False)
+    figure.savefig(path, dpi=_DPI)
+
+
+def _title(scene: Scene, result: Result) -> str:
+    wall = summarize(result, scene)["thickness"]
+    numbers = ", ".join(f"{words} {1e3 * wall[key]:.3g}" for key, words in _STATISTICS)
+    text = f"{scene.name}: wall {numbers} mm (variation {100 * wall['cv']:.3g} %)"
+    status = explain(result)
+    return text if status == "ok" else f"{text}\nnot finished: {status.split(';')[0]}"
+
+
+_STATISTICS = (("min", "least"), ("mean", "mean"), ("max", "largest"))
+
+
+def _part_words(words: str, part: Part) -> str:
+    scene, result = part
+    summary = summarize(result, scene)
+    wall = summary["thickness"]
+    return (
+        f"{words}: variation {100 * wall['cv']:.3g} %, wall {1e3 * wall['min']:.3g} to {1e3 * wall['max']:.3g} mm, "
+        f"{1e3 * summary['mass']:.3g} g"
+    )
+
+
+def _scale(results: Sequence[Result]) -> tuple[float, float]:
+    """Range of the colours [mm], shared by all that are drawn."""
+    walls = np.concatenate([np.asarray(result.element_thickness, float) for result in results])
+    low, high = 1e3 * float(walls.min()), 1e3 * float(walls.max())
+    return (low, high) if high > 1.001 * low else (0.95 * low, 1.05 * high)
+
+
+def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
+    """The points (..., 3) and their images in the symmetry planes, so that the whole part is seen.
+
+    Args:
+        scene: The scene, which knows the planes.
+        points: In the modelled part.
+        open_front: Leave one image out where there are four, for a look inside.
+    """
+    planes = sections.symmetry_planes(scene)
+    images = []
+    for flips in itertools.product((False, True), repeat=len(planes)):
+        image = np.array(points)
+        for (axis, place), flip in zip(planes.items(), flips, strict=True):
+            if flip:
+                image[..., axis] = 2 * place - image[..., axis]
+        images.append(image)
+    return [*images[:2], *images[3:]] if open_front and len(images) == 4 else images
+
+
+def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, float]) -> Any:
+    """The part as shaded triangles; returns what a colour bar needs."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    colors = ScalarMappable(Normalize(*scale), _COLORS)
+    corners = 1e3 * np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)]
+    faces = np.concatenate([1e3 * image for image in mirrored(scene, corners / 1e3, open_front=True)])
+    copies = len(faces) // len(corners)
+    paint = np.asarray(colors.to_rgba(1e3 * np.asarray(result.element_thickness, float)))
+    paint = np.tile(paint, (copies, 1))
+    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    bright = 0.72 + 0.28 * np.abs((normal / np.where(length > 0, length, 1.0)) @ _LIGHT)
+    paint[:, :3] *= bright[:, None]
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=paint, edgecolors=paint, linewidths=0.2))
+    _draw_outline(axes, scene)
+    _set_box(axes, faces.reshape(-1, 3), hangs=_hangs(scene, result))
+    return colors
+
+
+def _hangs(scene: Scene, result: Result) -> bool:
+    """Whether the part is drawn hanging, so that one looks into it: sheets that rose from a plane."""
+    rise = np.asarray(result.positions, float)[:, 2] - np.asarray(scene.parison.positions, float)[:, 2]
+    return bool(np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene))
+
+
+def _draw_outline(axes: Any, scene: Scene) -> None:
+    """The mold's sharp and free edges, thin and grey, behind the modelled part and its images alike."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    if scene.mold is None or len(scene.mold.triangles) > _MOLD_LINES:
+        return
+    edges = feature_edges(np.asarray(scene.mold.vertices, float), np.asarray(scene.mold.triangles))
+    axes.add_collection3d(Line3DCollection(1e3 * edges, colors="#00000030", linewidths=0.6))
+
+
+def feature_edges(vertices: Array, triangles: NDArray[np.int32], angle: float = 20.0) -> Array:
+    """Edges (n, 2, 3) [m] of a surface at which it ends or bends by more than the angle [degrees]."""
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    edge, index, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(index.ravel(), kind="stable")
+    first = np.cumsum(count) - count
+    one, other = owner[order[first]], owner[order[first + np.minimum(count, 2) - 1]]
+    bent = np.abs(np.sum(normal[one] * normal[other], axis=1)) < np.cos(np.deg2rad(angle))
+    return vertices[edge[(count != 2) | bent]]
+
+
+def _set_box(axes: Any, points: Array, hangs: bool) -> None:
+    low, high = points.min(0), points.max(0)
+    size = np.maximum(high - low, 0.02 * (high - low).max())
+    axes.set_box_aspect(size, zoom=1.15)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2] + 1e-9))
+    if hangs:
+        axes.set_zlim(high[2] + 1e-9, low[2])
+    axes.view_init(elev=32 if hangs else 24, azim=-52 if not hangs else -45)
+    axes.tick_params(labelsize=8)
+    axes.locator_params(nbins=4)
+    axes.set_xlabel("x [mm]", fontsize=9)
+    axes.set_ylabel("y [mm]", fontsize=9)
+    axes.set_zlabel("z [mm]", fontsize=9)
+
+
+def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> None:
+    """Wall thickness over arc length; the exact solution as a line of dots."""
+    disc = sections.is_disc(scene)
+    for curve, color in zip(sections.curves(scene, result), (_AFTER, _EXACT), strict=False):
+        style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
+        axes.plot(1e3 * curve.arc, 1e3 * curve.thickness, color=color, label=curve.label, **style)
+    if reference is not None and disc:
+        initial = float(np.asarray(scene.parison.thickness).mean())
+        order = np.argsort(np.asarray(reference["arc"]))
+        arc, ratio = (np.asarray(reference[key], float)[order] for key in ("arc", "thickness_ratio"))
+        axes.plot(1e3 * arc, 1e3 * initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
+    where = "arc length from the axis" if disc else "arc length along the section"
+    axes.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
+    if axes.lines:
+        axes.legend(frameon=False)
+
+
+def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
+    disc = sections.is_disc(before)
+    place = sections.initial_radius(before) if disc else np.asarray(before.parison.positions, float)[:, 0]
+    order = np.argsort(place)
+    for scene, color, words in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+        thickness = np.asarray(scene.parison.thickness, float)[order]
+        axes.plot(1e3 * place[order], 1e3 * thickness, color=color, label=words, linewidth=2)
+    where = "initial radius" if disc else "initial x"
+    axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]", ylim=(0, None))
+    axes.legend(frameon=False)
+
+
+def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> None:
+    for (scene, result), color, words in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+        for curve in sections.curves(scene, result)[:1]:
+            axes.plot(1e3 * curve.arc, 1e3 * curve.thickness, ".", color=color, markersize=4, label=words)
+    if target is not None:
+        axes.axhline(1e3 * target, color=_EXACT, linestyle="--", label="target")
+    axes.set(xlabel="arc length in the part [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
+    axes.legend(frameon=False)
+
+
+def _draw_pressures(axes: Any, before: Scene, after: Scene) -> None:
+    for scene, color, words in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+        time = np.linspace(0.0, float(scene.solver.end_time), 400)
+        axes.plot(time, np.asarray(scene.pressure.at(time)) / 1e3, color=color, label=words, linewidth=2)
+    axes.set(xlabel="time [s]", ylabel="pressure [kPa]")
+    axes.legend(frameon=False)
+
+
+def _column(history: Sequence[Mapping[str, Any]], name: str) -> Array:
+    """A column as numbers, NaN where it is empty or infinite."""
+    values = [row.get(name) for row in history]
+    numbers = np.array([np.nan if value in (None, "") else float(value) for value in values])
+    return np.where(np.isfinite(numbers), numbers, np.nan)

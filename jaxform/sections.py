@@ -1,0 +1,139 @@
+"""Curves across a formed part along which its thickness is drawn: meridians of discs, sections of other sheets."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.result import Result
+from jaxform.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+class Curve(NamedTuple):
+    """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called."""
+
+    arc: Array
+    thickness: Array
+    label: str
+
+
+def is_disc(scene: Scene) -> bool:
+    """Whether the initial sheet is flat and its clamped rim a circle about the z axis."""
+    positions, clamped = np.asarray(scene.parison.positions), np.asarray(scene.parison.clamped)
+    radius = np.hypot(positions[:, 0], positions[:, 1])
+    if not clamped.any():
+        return False
+    size = radius.max()
+    flat = np.ptp(positions[:, 2]) <= 1e-6 * size
+    round_rim = np.ptp(radius[clamped]) <= 1e-3 * size
+    return bool(flat and round_rim and radius[clamped].min() >= (1 - 1e-3) * size)
+
+
+def initial_radius(scene: Scene) -> Array:
+    """Distance of the nodes from the z axis in the initial sheet (n_node,) [m]."""
+    positions = np.asarray(scene.parison.positions, float)
+    return np.hypot(positions[:, 0], positions[:, 1])
+
+
+def meridian_arc(scene: Scene, result: Result) -> Array:
+    """Arc length (n_node,) [m] from the axis, in the formed part, of every node of a disc.
+
+    It is that of the meridian through the nodes on the +x axis, as a function of the initial radius.
+    """
+    start, radius = np.asarray(scene.parison.positions, float), initial_radius(scene)
+    on_axis = np.flatnonzero((np.abs(start[:, 1]) <= 1e-9 * radius.max()) & (start[:, 0] >= 0))
+    if len(on_axis) < 2:
+        on_axis = np.arange(len(start))
+    order = on_axis[np.argsort(radius[on_axis])]
+    path = np.asarray(result.positions, float)[order]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return np.interp(radius, radius[order], arc)
+
+
+def curves(scene: Scene, result: Result) -> list[Curve]:
+    """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet's middle."""
+    if is_disc(scene):
+        arc = meridian_arc(scene, result)
+        order = np.argsort(arc)
+        return [Curve(arc[order], np.asarray(result.thickness, float)[order], "all nodes")]
+    start = np.asarray(scene.parison.positions, float)
+    flat = np.ptp(start[:, 2]) <= 1e-9 * np.ptp(start, axis=0).max()
+    found = []
+    for axis in (1, 0) if flat else (1,):
+        level = _middle(scene, axis)
+        name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
+        found += [Curve(*part, name) for part in section(scene, result, axis, level)[:1]]
+    return found
+
+
+def symmetry_planes(scene: Scene) -> dict[int, float]:
+    """Axis and place [m] of the planes about which the modelled part is symmetric."""
+    free = np.asarray(scene.parison.fixed) & ~np.asarray(scene.parison.clamped)[:, None]
+    start = np.asarray(scene.parison.positions, float)
+    return {k: float(start[free[:, k], k].mean()) for k in range(3) if free[:, k].any()}
+
+
+def _middle(scene: Scene, axis: int) -> float:
+    planes = symmetry_planes(scene)
+    if axis in planes:
+        return planes[axis]
+    along = np.asarray(scene.parison.positions, float)[:, axis]
+    return float(0.5 * (along.min() + along.max()))
+
+
+def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple[Array, Array]]:
+    """Where the plane at `level` [m] across an axis cuts the initial sheet, seen in the formed part.
+
+    Returns:
+        Arc length [m] and thickness [m] of each connected piece, the longest first; a closed one ends where it began.
+    """
+    start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
+    height = start[:, axis] - level
+    # A node in the plane counts as just above it, so that every triangle is cut in two edges or none.
+    height[np.abs(height) <= 1e-9 * np.ptp(start, axis=0).max()] = _just_above(height)
+    triangles = np.asarray(scene.parison.triangles)
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    cut = (height[sides[..., 0]] > 0) != (height[sides[..., 1]] > 0)
+    crossed = cut.sum(1) == 2
+    edge, index = np.unique(sides[crossed][cut[crossed]], axis=0, return_inverse=True)
+    share = height[edge[:, 0]] / (height[edge[:, 0]] - height[edge[:, 1]])
+    place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
+    wall = np.asarray(result.thickness, float)
+    value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
+    pieces = []
+    for path in _chains(index.reshape(-1, 2)):
+        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[path], axis=0), axis=1))])
+        pieces.append((arc, value[path]))
+    return sorted(pieces, key=lambda piece: -piece[0][-1])
+
+
+def _just_above(height: Array) -> float:
+    """A height of the side on which the sheet lies, far below what can be seen."""
+    side = 1.0 if height.max() <= -height.min() * 1e-9 or height.min() < 0 else -1.0
+    return side * 1e-9 * float(np.abs(height).max())
+
+
+def _chains(segments: NDArray[np.int64]) -> list[list[int]]:
+    """Segments (n, 2) of points joined to paths; a closed path ends with its first point."""
+    neighbours: dict[int, list[int]] = {}
+    for a, b in segments.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    ends = [point for point, near in neighbours.items() if len(near) == 1]
+    chains, seen = [], set[int]()
+    for first in [*ends, *neighbours]:
+        if first in seen:
+            continue
+        chain = [first]
+        seen.add(first)
+        while following := [point for point in neighbours[chain[-1]] if point not in seen]:
+            chain.append(following[0])
+            seen.add(following[0])
+        if len(chain) > 2 and first in neighbours[chain[-1]]:
+            chain.append(first)
+        chains.append(chain)
+    return chains
