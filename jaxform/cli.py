@@ -221,10 +221,12 @@ def _check(arguments: argparse.Namespace) -> int:
 
 def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     """What will be simulated and what is skipped, line by line."""
+    import jax
+
     from jaxform.scene import STEPS_PER_WINDOW
     from jaxform.stepping import choose_step, initial_state
 
-    step = float(choose_step(initial_state(scene), scene))
+    step = float(jax.jit(lambda scene: choose_step(initial_state(scene), scene))(scene))
     parison, law = scene.parison, document.model.material.model
     yield f"{scene.name}: {len(parison.triangles)} elements, {len(parison.positions)} nodes, {law}"
     yield (

@@ -60,6 +60,7 @@ def _inverse(g: Metric) -> Metric:
     return g[2] * scale, -g[1] * scale, g[0] * scale
 
 
+@jax.jit
 def reference_metric(positions: jax.Array, triangles: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Inverse metric (3, n_element) [1/m^2] and area (n_element,) [m^2] of the initial mesh."""
     g = metric(*edges(positions, triangles)[1:])
@@ -125,6 +126,7 @@ def sum_to_nodes(values: jax.Array, triangles: jax.Array, node_count: int) -> ja
     return zeros
 
 
+@jax.jit
 def shape_bound(inverse_reference: jax.Array, area: jax.Array) -> jax.Array:
     """Largest eigenvalue (n_element,) [1/m^2] of the gradients of a triangle's shape functions, 3 nodes lumped.
 

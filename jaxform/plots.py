@@ -162,7 +162,8 @@ def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Arra
             if flip:
                 image[..., axis] = 2 * place - image[..., axis]
         images.append(image)
-    return [*images[:2], *images[3:]] if open_front and len(images) == 4 else images
+    # The second of four is the one between the eye and the rest.
+    return [images[0], *images[2:]] if open_front and len(images) == 4 else images
 
 
 def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, float]) -> Any:
@@ -221,11 +222,11 @@ def feature_edges(vertices: Array, triangles: NDArray[np.int32], angle: float = 
 def _set_box(axes: Any, points: Array, hangs: bool) -> None:
     low, high = points.min(0), points.max(0)
     size = np.maximum(high - low, 0.02 * (high - low).max())
-    axes.set_box_aspect(size, zoom=1.15)
+    axes.set_box_aspect(size, zoom=1.0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2] + 1e-9))
     if hangs:
         axes.set_zlim(high[2] + 1e-9, low[2])
-    axes.view_init(elev=32 if hangs else 24, azim=-52 if not hangs else -45)
+    axes.view_init(elev=36 if hangs else 24, azim=-45)
     axes.tick_params(labelsize=8)
     axes.locator_params(nbins=4)
     axes.set_xlabel("x [mm]", fontsize=9)
@@ -234,20 +235,37 @@ def _set_box(axes: Any, points: Array, hangs: bool) -> None:
 
 
 def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> None:
-    """Wall thickness over arc length; the exact solution as a line of dots."""
+    """Wall thickness over arc length, or over the initial radius with the exact solution in dots.
+
+    With an exact solution the place is that in the initial sheet: flat elements cut a sharp corner short, and beyond
+    it the arc lengths of the two would no longer name the same place.
+    """
     disc = sections.is_disc(scene)
+    if reference is not None and disc:
+        _draw_exact(axes, scene, result, reference)
+        return
     for curve, color in zip(sections.curves(scene, result), (_AFTER, _EXACT), strict=False):
         style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
         axes.plot(1e3 * curve.arc, 1e3 * curve.thickness, color=color, label=curve.label, **style)
-    if reference is not None and disc:
-        initial = float(np.asarray(scene.parison.thickness).mean())
-        order = np.argsort(np.asarray(reference["arc"]))
-        arc, ratio = (np.asarray(reference[key], float)[order] for key in ("arc", "thickness_ratio"))
-        axes.plot(1e3 * arc, 1e3 * initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
     where = "arc length from the axis" if disc else "arc length along the section"
     axes.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
     if axes.lines:
         axes.legend(frameon=False)
+
+
+def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any]) -> None:
+    place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
+    axes.plot(place, wall, "o", color=_AFTER, markersize=4, alpha=0.6, label="simulated, all nodes")
+    initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
+    order = np.argsort(np.asarray(reference["initial_radius"]))
+    radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
+    axes.plot(1e3 * radius, initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
+    axes.set(
+        xlabel="place along the meridian: radius in the initial sheet [mm]",
+        ylabel="wall thickness [mm]",
+        ylim=(0, None),
+    )
+    axes.legend(frameon=False)
 
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:

@@ -378,12 +378,7 @@ def _reference_sheet(parison: Parison) -> Sheet:
 
 def _window_count(bound: jax.Array, material: Material, solver: Solver) -> int:
     """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare."""
-    stretch = jnp.linspace(1.0, 6.0, 64)
-    square = jnp.square(stretch)
-    unit = (jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square))
-    strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
-    stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
-    step = solver.safety * 2.0 / jnp.sqrt(3.0 * stiffest * jnp.max(bound) / material.density)
+    step = solver.safety * _stiffest_step(bound, material)
     steps = 1.3 * float(solver.end_time / step)
     if not steps < _MOST_STEPS:
         raise InputError(
@@ -393,6 +388,15 @@ def _window_count(bound: jax.Array, material: Material, solver: Solver) -> int:
             float(solver.end_time),
         )
     return int(np.ceil(steps / STEPS_PER_WINDOW)) + 16
+
+
+@jax.jit
+def _stiffest_step(bound: jax.Array, material: Material) -> jax.Array:
+    square = jnp.square(jnp.linspace(1.0, 6.0, 64))
+    unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
+    strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
+    stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
+    return 2.0 / jnp.sqrt(3.0 * stiffest * jnp.max(bound) / material.density)
 
 
 def _warn_of_float32() -> None:
