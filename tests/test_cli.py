@@ -1,0 +1,294 @@
+"""The command line: what it writes, and that bad input is one clear line and exit status 2."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxform
+from jaxform import cli, files
+
+SCENE = """
+name = "small"
+[parison]
+shape = "disc"
+radius = 0.1
+elements = 40
+symmetry = "quarter"
+thickness = 1.0e-3
+[material]
+model = "mooney-rivlin"
+c = 0.2e6
+alpha = 0.1
+density = 1000.0
+[pressure]
+time = [0.0, 0.2]
+value = [0.0, 2.0e4]
+[mold]
+shape = "revolved"
+profile = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
+segments = 48
+[solver]
+end_time = 0.05
+damping = 100.0
+"""
+
+STUDY = """
+scene = "scene.toml"
+[[variable]]
+kind = "thickness-profile"
+along = "radius"
+knots = 3
+bounds = [5.0e-4, 2.0e-3]
+[[variable]]
+kind = "pressure"
+bounds = [-1.0, 4.0e4]
+increasing = true
+[objective]
+kind = "target"
+thickness = 0.9e-3
+[solver]
+method = "{method}"
+iterations = 2
+"""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_cache() -> Iterator[None]:
+    """The command keeps compiled programs; the tests keep theirs to themselves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "_use_compile_cache", lambda: None)
+        yield
+
+
+def _write(folder: Path, text: str = SCENE, name: str = "scene.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line on standard error of a command that must exit with 2."""
+    assert cli.main(list(arguments)) == 2
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
+    return lines[0]
+
+
+def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    scene_file = _write(tmp_path, SCENE + "[output]\nframes = 3\n")
+    out = tmp_path / "out"
+    assert cli.main(["simulate", str(scene_file), "--out", str(out)]) == 0
+    captured = capfd.readouterr()
+    assert "status: ok" in captured.out
+    assert captured.err == ""
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["status"] == "ok"
+    for key in ("elements_initial", "elements_final", "nodes_final", "steps", "windows", "compile_seconds",
+                "run_seconds", "contact_fraction", "mass"):
+        assert summary[key] >= 0, key
+    assert set(summary["thickness"]) == {"min", "mean", "max", "cv"}
+    assert set(summary["energy"]) == {
+        "strain", "kinetic", "external_work", "damping_loss", "contact_loss", "balance_error"
+    }
+    assert summary["energy"]["balance_error"] < 1e-2
+    part = meshio.read(out / "final.vtu")
+    assert set(part.point_data) == {"reference", "thickness", "initial_thickness", "contact_time"}
+    assert set(part.cell_data) == {"thickness", "stretch_1", "stretch_2", "level"}
+    np.testing.assert_allclose(part.point_data["initial_thickness"], 1e-3)
+    wall, first, second = (part.cell_data[key][0] for key in ("thickness", "stretch_1", "stretch_2"))
+    np.testing.assert_allclose(wall * first * second, 1e-3, rtol=1e-9)
+    rim = np.hypot(*part.point_data["reference"][:, :2].T) > 0.0999
+    np.testing.assert_allclose(part.points[rim], part.point_data["reference"][rim], atol=1e-15)
+    assert np.all(part.point_data["contact_time"][rim] == 0)
+    assert (out / "frames.pvd").read_text().count("<DataSet") == 3
+    assert len(list((out / "frames").glob("*.vtu"))) == 3
+    assert Image.open(out / "thickness.png").size == (1600, 700)
+
+
+def test_quiet_says_nothing_and_force_overwrites(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    scene_file, out = _write(tmp_path), tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("keep")
+    line = _refused(capfd, "simulate", str(scene_file), "--out", str(out))
+    assert "--force" in line and str(out) in line
+    assert cli.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
+    captured = capfd.readouterr()
+    assert captured.out + captured.err == ""
+    assert (out / "mine.txt").read_text() == "keep"
+
+
+def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    blast = SCENE.replace("value = [0.0, 2.0e4]", "value = [1.0e9, 1.0e9]").replace("damping = 100.0\n", "")
+    out = tmp_path / "out"
+    assert cli.main(["simulate", str(_write(tmp_path, blast)), "--out", str(out)]) == 3
+    captured = capfd.readouterr()
+    assert len(captured.err.splitlines()) == 1
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["status"] != "ok" and "at t =" in summary["status"]
+    assert {"final.vtu", "thickness.png"} <= {path.name for path in out.iterdir()}
+
+
+def test_check_runs_no_step_and_names_what_is_skipped(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    free = SCENE[: SCENE.index("[mold]")] + "[solver]\nend_time = 0.05\n"
+    assert cli.main(["check", str(_write(tmp_path, free))]) == 0
+    text = capfd.readouterr().out
+    for words in ("38 elements", "no mold", "damping (none given)", "frames"):
+        assert words in text, text
+    assert list(tmp_path.iterdir()) == [tmp_path / "scene.toml"]
+
+
+def test_scenes_lists_all_and_each_can_be_checked(capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["scenes"]) == 0
+    text = capfd.readouterr().out
+    for name in ("dish", "dish-coarse", "bowl", "dish-uniform-wall"):
+        assert name in text
+    for name in ("dish", "bowl"):
+        assert cli.main(["check", name]) == 0
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "adam"])
+def test_optimize_writes_a_better_scene_that_runs(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], method: str
+) -> None:
+    _write(tmp_path)
+    study, out = _write(tmp_path, STUDY.format(method=method), "study.toml"), tmp_path / "out"
+    assert cli.main(["optimize", str(study), "--out", str(out), "--quiet"]) == 0
+    assert capfd.readouterr().err == ""
+    rows = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
+    assert rows.dtype.names is not None
+    assert set(rows.dtype.names) == {
+        "evaluation", "objective", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv", "mass",
+        "gradient_norm", "iteration", "simulations", "seconds",
+    }
+    assert rows["objective"].min() < 0.7 * rows["objective"][0]
+    assert np.all(np.diff(rows["simulations"]) > 0)
+    best = files.load(out / "best.toml")
+    again = jaxform.run(best)
+    summary = json.loads((out / "summary.json").read_text())
+    np.testing.assert_allclose(float(again.mass), summary["mass"], rtol=1e-12)
+    wall = np.asarray(again.element_thickness)
+    np.testing.assert_allclose(wall.min(), summary["thickness"]["min"], rtol=1e-9)
+    assert np.all(np.diff(np.asarray(best.pressure.value)) >= 0)
+    for picture in ("convergence.png", "thickness.png", "design.png"):
+        assert Image.open(out / picture).size[0] >= 1200
+
+
+BAD = [
+    ("radius = 0.1", "radius = -0.1", "parison.radius"),
+    ("elements = 40", 'elements = "40"', "parison.elements"),
+    ("elements = 40", "elemnts = 40", "elements"),
+    ("thickness = 1.0e-3", "thickness = -1.0e-3", "parison.thickness"),
+    ("thickness = 1.0e-3", "thickness = nan", "parison.thickness"),
+    ("thickness = 1.0e-3", 'thickness = {along="radius", at=[0.0, 0.1], value=[1e-3, -1e-3]}', "parison.thickness"),
+    ("thickness = 1.0e-3", 'thickness = {along="radius", at=[0.1, 0.0], value=[1e-3, 1e-3]}', "parison.thickness"),
+    ("thickness = 1.0e-3", 'thickness = {file="nowhere.vtu", field="h"}', "nowhere.vtu"),
+    ("time = [0.0, 0.2]", "time = [0.2, 0.0]", "pressure.time"),
+    ("time = [0.0, 0.2]", "time = [0.0, 0.1, 0.2]", "pressure"),
+    ('model = "mooney-rivlin"', 'model = "ogden"', "material.model"),
+    ('model = "mooney-rivlin"', 'model = "hookean"', "material.model"),
+    ("alpha = 0.1", "", "alpha"),
+    ('shape = "disc"', 'shape = "tube"', "parison.shape"),
+    ('shape = "revolved"', 'shape = "box-insert"', "mold.shape"),
+    ("[solver]", "[refinement]\nangle = 4.0\n[solver]", "refinement"),
+    ("[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]", "[0.0, 0.02], [0.05, -0.02]", "mold"),
+    ("end_time = 0.05", "end_time = 0.0", "solver.end_time"),
+    ("end_time = 0.05", "end_time = 1.0e9", "solver.end_time"),
+    ("[solver]", "[solver", "TOML"),
+    ("[material]", "[materials]", "material"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), BAD)
+def test_bad_scene_is_one_line_that_names_the_place(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, words: str
+) -> None:
+    assert old in SCENE
+    scene_file = _write(tmp_path, SCENE.replace(old, new, 1))
+    line = _refused(capfd, "check", str(scene_file))
+    assert words in line, line
+    assert "scene.toml" in line, line
+
+
+def _mesh_scene(what: str, path: str) -> str:
+    if what == "mold":
+        return SCENE.replace(SCENE[SCENE.index('shape = "revolved"') : SCENE.index("[solver]")],
+                             f'shape = "file"\npath = "{path}"\n')
+    begin, end = SCENE.index('shape = "disc"'), SCENE.index("[material]")
+    return SCENE.replace(SCENE[begin:end], f'shape = "file"\npath = "{path}"\nthickness = 1e-3\n')
+
+
+@pytest.mark.parametrize("what", ["mold", "parison"])
+@pytest.mark.parametrize("content", [None, b"", b"no mesh at all", bytes(range(256)) * 3])
+def test_a_file_that_is_no_mesh(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], what: str, content: bytes | None
+) -> None:
+    if content is not None:
+        (tmp_path / "part.stl").write_bytes(content)
+    line = _refused(capfd, "check", str(_write(tmp_path, _mesh_scene(what, "part.stl"))))
+    assert f"{what}.path" in line and "part.stl" in line, line
+
+
+@pytest.mark.parametrize(
+    ("triangles", "words"),
+    [
+        ([[0, 1, 2], [1, 2, 3]], "invert"),
+        ([[0, 1, 2], [0, 1, 4]], "degenerate"),
+        ([[0, 1, 2], [1, 3, 2], [1, 2, 5]], ""),
+    ],
+)
+def test_a_parison_file_with_bad_triangles(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], triangles: list[list[int]], words: str
+) -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0, 0], [0.6, 0.6, 1]], float) * 0.1
+    meshio.Mesh(points, [("triangle", np.array(triangles))]).write(tmp_path / "part.vtu")
+    line = _refused(capfd, "check", str(_write(tmp_path, _mesh_scene("parison", "part.vtu"))))
+    assert words in line.lower() and "parison" in line, line
+
+
+def test_an_unclamped_open_parison(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float) * 0.1
+    meshio.Mesh(points, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))]).write(tmp_path / "part.vtu")
+    text = _mesh_scene("parison", "part.vtu").replace("thickness = 1e-3", 'clamp = "none"\nthickness = 1e-3')
+    line = _refused(capfd, "check", str(_write(tmp_path, text)))
+    assert "clamp" in line, line
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulate", "no-such-scene", "--out", "x"],
+        ["simulate", "dish"],
+        ["fly"],
+        [],
+        ["simulate", "dish", "--out", "x", "--dtype", "float16"],
+        ["optimize", "dish", "--out", "x"],
+    ],
+)
+def test_bad_arguments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _refused(capfd, *arguments)
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_output_folder_that_is_a_file_or_cannot_be_made(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scene_file = _write(tmp_path)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert "file" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked))
+    assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked / "below"))
+    assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", "/proc/nowhere")

@@ -1,0 +1,133 @@
+"""The membrane force: it comes from its energy, and its own derivatives are those of its plain formula."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import force, membrane, shapes
+from jaxform.force import Load, Sheet
+from jaxform.materials import Material
+from tests.scenes import mooney, real
+
+LAWS = [
+    jaxform.NeoHookean(real(1.3), real(1.0)),
+    mooney(0.2, 1.3),
+    jaxform.ModifiedMooneyRivlin(real(1.3), real(0.05), real(1.0)),
+]
+
+
+def _case(law: Material, seed: int = 0) -> tuple[Load, Sheet]:
+    disc = shapes.disc(radius=1.0, elements=40, symmetry="quarter")
+    random = np.random.default_rng(seed)
+    start = jnp.asarray(disc.positions.T)
+    triangles = jnp.asarray(disc.triangles.T)
+    inverse, area = membrane.reference_metric(start, triangles)
+    moved = 1.2 * start + 0.05 * random.normal(size=start.shape)
+    thickness = jnp.asarray(0.01 * random.uniform(0.5, 1.5, area.size))
+    return Load(moved, thickness, real(0.3), law), Sheet(triangles, inverse, area, jnp.zeros(3))
+
+
+def _random_like(tree: object, seed: int) -> object:
+    random = np.random.default_rng(seed)
+    return jax.tree.map(lambda leaf: jnp.asarray(random.normal(size=leaf.shape)), tree)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_internal_force_is_minus_the_slope_of_the_energy(law: Material) -> None:
+    load, sheet = _case(law)
+    load = load._replace(pressure=real(0.0))
+
+    def energy(positions: jax.Array) -> jax.Array:
+        volume = sheet.area * load.thickness
+        return membrane.strain_energy(positions, sheet.triangles, sheet.inverse_metric, volume, law)
+
+    expected = -jax.grad(energy)(load.positions)
+    np.testing.assert_allclose(force.force(load, sheet)[0], expected, atol=1e-13 * float(jnp.abs(expected).max()))
+
+
+def test_pressure_force_is_pressure_times_the_slope_of_the_volume_inside() -> None:
+    load, sheet = _case(LAWS[0])
+    soft = load._replace(thickness=0.0 * load.thickness)
+    slope = jax.grad(lambda x: force.force(soft._replace(positions=x), sheet)[1])(load.positions)
+    inner = np.setdiff1d(np.arange(load.positions.shape[1]), _boundary(sheet))
+    assert len(inner) > 5
+    got = force.force(soft, sheet)[0]
+    np.testing.assert_allclose(got[:, inner], load.pressure * slope[:, inner], atol=1e-14)
+
+
+def _boundary(sheet: Sheet) -> np.ndarray:
+    from jaxform import topology
+
+    return topology.boundary_nodes(np.asarray(sheet.triangles.T))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Material) -> None:
+    load, sheet = _case(law)
+    change, weights = _random_like(load, 1), (_random_like(load.positions, 2), real(0.7))
+    own, own_change = jax.jvp(lambda load: force.force(load, sheet), (load,), (change,))
+    plain, plain_change = jax.jvp(lambda load: force._force(load, sheet), (load,), (change,))
+    for got, expected in zip((*own, *own_change), (*plain, *plain_change), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-13)
+    own_pull = jax.vjp(lambda load: force.force(load, sheet), load)[1](weights)
+    plain_pull = jax.vjp(lambda load: force._force(load, sheet), load)[1](weights)
+    for got, expected in zip(jax.tree.leaves(own_pull), jax.tree.leaves(plain_pull), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
+
+
+def test_batches_equal_single_calls() -> None:
+    load, sheet = _case(LAWS[1])
+    batch = jnp.stack([load.positions, 1.1 * load.positions])
+    loss = jax.value_and_grad(lambda x: jnp.sum(jnp.square(force.force(load._replace(positions=x), sheet)[0])))
+    values, slopes = jax.vmap(loss)(batch)
+    for k in range(2):
+        value, slope = loss(batch[k])
+        np.testing.assert_allclose(values[k], value, rtol=1e-13)
+        np.testing.assert_allclose(slopes[k], slope, rtol=1e-11, atol=1e-13)
+
+
+def test_no_derivative_with_respect_to_the_initial_mesh_is_an_error_not_a_zero() -> None:
+    load, sheet = _case(LAWS[0])
+    with pytest.raises(TypeError, match="initial mesh"):
+        jax.grad(lambda area: jnp.sum(force.force(load, sheet._replace(area=area))[0]))(sheet.area)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("stretch", [(1.0, 1.0), (1.5, 1.5), (3.0, 2.0), (1.2, 4.0)])
+def test_tangent_stiffness_is_the_largest_eigenvalue(law: Material, stretch: tuple[float, float]) -> None:
+    def energy(gradient: jax.Array) -> jax.Array:
+        c = gradient.T @ gradient
+        strain = membrane.invariants((c[0, 0], c[0, 1], c[1, 1]), jnp.asarray([1.0, 0.0, 1.0]))
+        return law.energy(strain.i1, strain.i2)
+
+    gradient = jnp.asarray([[stretch[0], 0.0], [0.0, stretch[1]], [0.0, 0.0]])
+    hessian = jax.hessian(energy)(gradient).reshape(6, 6)
+    strain = membrane.invariants(
+        (jnp.asarray(stretch[0] ** 2), jnp.asarray(0.0), jnp.asarray(stretch[1] ** 2)), jnp.asarray([1.0, 0.0, 1.0])
+    )
+    got = membrane.tangent_stiffness(strain, law)
+    np.testing.assert_allclose(got, np.linalg.eigvalsh(hessian).max(), rtol=1e-9)
+
+
+def test_stable_step_bounds_the_true_limit_closely() -> None:
+    """Against the eigenvalues of the assembled tangent: never above the limit, and not far below it."""
+    load, sheet = _case(LAWS[1])
+    start = load.positions * 0 + jnp.asarray(shapes.disc(radius=1.0, elements=40, symmetry="quarter").positions.T)
+    load = load._replace(positions=1.3 * start, pressure=real(0.0), thickness=0.01 + 0.0 * load.thickness)
+    share = sheet.area * load.thickness / 3.0
+    mass = membrane.sum_to_nodes(share, sheet.triangles, start.shape[1])
+    tangent = jax.jacobian(lambda x: force.force(load._replace(positions=x), sheet)[0])(load.positions)
+    size = start.size
+    stiffness = -tangent.reshape(size, size)
+    root = np.tile(1 / np.sqrt(np.asarray(mass)), 3)
+    limit = 2 / np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root[None, :]).max())
+    bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
+    moving = jnp.ones(sheet.area.size, bool)
+    step = membrane.stable_step(
+        load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material
+    )
+    assert 0.6 * limit < float(step) <= limit

@@ -1,0 +1,256 @@
+"""Whole runs: the two loops agree, derivatives equal differences, energy balances, failures say so."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import molds, shapes, stepping
+from jaxform.stepping import Status
+from tests import scenes
+
+simulate = jax.jit(jaxform.simulate)
+
+
+def test_compiled_code_computes_what_eager_code_does() -> None:
+    """A canary: some versions of JAX computed this shape of code wrongly on the CPU, without a word."""
+    matrix = jnp.asarray(np.random.default_rng(0).normal(size=(3, 3)))
+    rows = jnp.asarray(np.random.default_rng(1).normal(size=(16385, 3)))
+
+    def energy(row: jax.Array) -> jax.Array:
+        return jnp.sum(jnp.square(matrix @ row))
+
+    expected = np.sum(np.square(np.asarray(rows) @ np.asarray(matrix).T), axis=1)
+    np.testing.assert_allclose(jax.jit(jax.vmap(energy))(rows), expected, rtol=1e-12)
+
+
+def test_run_and_simulate_give_the_same_numbers() -> None:
+    scene = scenes.cup()
+    seen: list[float] = []
+    whole = simulate(scene)
+    for result in (jaxform.run(scene), jaxform.run(scene, on_window=lambda moment: seen.append(moment.time))):
+        assert jaxform.explain(result) == "ok"
+        np.testing.assert_allclose(result.positions, whole.positions, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(result.thickness, whole.thickness, rtol=1e-10)
+        np.testing.assert_array_equal(result.stuck, whole.stuck)
+        assert int(result.steps) == int(whole.steps)
+    assert seen == sorted(seen)
+    assert len(seen) == int(whole.windows)
+
+
+def test_the_cup_touches_and_nothing_passes_the_wall() -> None:
+    result = simulate(scenes.cup())
+    x, y, z = np.asarray(result.positions).T
+    radius = np.hypot(x, y)
+    assert np.asarray(result.stuck).mean() > 0.5
+    assert z.max() <= 0.5 + 1e-12
+    # Inside the polygon of the wall: at most on the circle that its vertices lie on.
+    assert np.all(radius <= 1.0 - 0.9 * z + 1e-9)
+    touching = np.asarray(result.contact_time) > 0
+    on_wall = np.abs(z - 0.5) < 1e-9
+    on_wall |= radius >= (1.0 - 0.9 * z) * np.cos(np.pi / 48) - 1e-9
+    assert np.all(on_wall[touching])
+    assert float(result.energy.balance_error) < 1e-2
+
+
+def test_a_stuck_node_never_moves_again() -> None:
+    scene = scenes.cup()
+    early = jaxform.run(jaxform.replace(scene, {"solver.end_time": 12.0}))
+    late = jaxform.run(scene)
+    stuck = np.asarray(early.stuck)
+    assert stuck.sum() > 20
+    shared = stuck & (np.asarray(late.contact_time) <= 11.0)
+    np.testing.assert_allclose(np.asarray(early.positions)[shared], np.asarray(late.positions)[shared], atol=2e-3)
+    moments = []
+    jaxform.run(scene, on_window=lambda moment: moments.append(moment.result()))
+    for before, after in zip(moments, moments[1:], strict=False):
+        held = np.asarray(before.stuck)
+        np.testing.assert_array_equal(np.asarray(before.positions)[held], np.asarray(after.positions)[held])
+
+
+def _wall_error(scene: jaxform.Scene, changes: dict[str, jax.Array]) -> jax.Array:
+    result = jaxform.simulate(jaxform.replace(scene, changes))
+    return jnp.mean(jnp.square(result.thickness / 0.005 - 1.0))
+
+
+def _values(scene: jaxform.Scene) -> dict[str, jax.Array]:
+    return {
+        "parison.thickness": scene.parison.thickness,
+        "pressure.value": jnp.asarray([0.001, 0.2]),
+        "material.c": scene.material.c,
+        "material.density": scene.material.density,
+    }
+
+
+def test_gradient_equals_central_differences_through_contact() -> None:
+    """Each of the kinds of leaf along one direction; the best of a few perturbations, as kinks are rare but there."""
+    scene = scenes.cup()
+    values = _values(scene)
+    random = np.random.default_rng(8)
+    slope = jax.jit(jax.grad(lambda values: _wall_error(scene, values)))(values)
+    value = jax.jit(lambda values: _wall_error(scene, values))
+    for name, present in values.items():
+        direction = jnp.asarray(random.uniform(0.5, 1.0, present.shape)) * present
+        along = float(jnp.sum(slope[name] * direction))
+        differences = []
+        for size in (1e-4, 1e-5, 1e-6):
+            up, down = ({**values, name: present + sign * size * direction} for sign in (1, -1))
+            differences.append((float(value(up)) - float(value(down))) / (2 * size))
+        assert along != 0
+        assert min(abs(difference / along - 1) for difference in differences) < 1e-5, name
+
+
+def test_forward_mode_equals_reverse_mode() -> None:
+    scene = scenes.cup()
+    values = _values(scene)
+    change = jax.tree.map(lambda leaf: 0.3 * leaf, values)
+    slope = jax.jit(jax.grad(lambda values: _wall_error(scene, values)))(values)
+    forward = jax.jit(lambda v, c: jax.jvp(lambda values: _wall_error(scene, values), (v,), (c,))[1])(values, change)
+    reverse = sum(float(jnp.sum(slope[name] * change[name])) for name in values)
+    np.testing.assert_allclose(float(forward), reverse, rtol=1e-9)
+
+
+def test_vmap_equals_single_runs() -> None:
+    scene = scenes.cup()
+    factors = jnp.asarray([0.8, 1.0, 1.25])
+
+    def wall(factor: jax.Array) -> jax.Array:
+        return jaxform.simulate(
+            jaxform.replace(scene, {"parison.thickness": factor * scene.parison.thickness})
+        ).thickness
+
+    together = jax.jit(jax.vmap(wall))(factors)
+    for k, factor in enumerate(factors):
+        np.testing.assert_allclose(together[k], jax.jit(wall)(factor), rtol=1e-9)
+
+
+def test_uniform_thickness_cancels_where_pressure_scales_with_it() -> None:
+    scene = scenes.cup()
+    double = {"parison.thickness": 2 * scene.parison.thickness, "pressure.value": 2 * scene.pressure.value}
+    one, two = simulate(scene), simulate(jaxform.replace(scene, double))
+    np.testing.assert_allclose(two.positions, one.positions, atol=1e-9)
+    np.testing.assert_allclose(two.thickness, 2 * one.thickness, rtol=1e-9)
+
+
+@pytest.mark.parametrize("symmetry", ["half", "quarter"])
+def test_a_symmetric_part_equals_the_whole(symmetry: str) -> None:
+    """A rectangle, whose cut meshes are exact parts of the whole mesh."""
+    heights = []
+    for cut in ("none", symmetry):
+        sheet = shapes.rectangle(size=(1.0, 1.0), element_size=0.125, symmetry=cut)
+        scene = jaxform.build_scene(
+            parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+            material=scenes.mooney(0.1),
+            pressure=jaxform.make_pressure([0.0, 5.0], [0.0, 0.05]),
+            solver=jaxform.make_solver(end_time=6.0, damping=1.0),
+        )
+        result = jaxform.run(scene)
+        assert float(result.energy.balance_error) < 1e-3
+        middle = np.argmin(np.linalg.norm(sheet.positions - [0.5, 0.5, 0.0], axis=1))
+        heights.append(float(result.positions[middle, 2]))
+    np.testing.assert_allclose(heights[1], heights[0], rtol=1e-3)
+
+
+def test_energy_is_kept_without_damping() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1), damping=None, end_time=50.0)
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok"
+    assert float(result.energy.damping_loss) == 0.0
+    assert float(result.energy.balance_error) < 1e-2
+
+
+def test_an_unstable_run_stops_and_says_so() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
+    tables = dataclasses.replace(scene.tables, bound=scene.tables.bound / 4)  # twice the stable step
+    result = jaxform.run(dataclasses.replace(scene, tables=tables))
+    assert int(result.status) & (Status.UNSTABLE | Status.NON_FINITE)
+    assert np.all(np.isfinite(result.positions))
+    assert "at t =" in jaxform.explain(result)
+    assert float(result.time) < 60.0
+
+
+def test_running_out_of_windows_is_a_status() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
+    short = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, window_count=3))
+    for result in (simulate(short), jaxform.run(short)):
+        assert int(result.status) == Status.WINDOWS_EXHAUSTED
+        assert int(result.windows) == 3
+
+
+def test_the_caller_can_stop_a_run() -> None:
+    result = jaxform.run(scenes.cup(), on_window=lambda moment: moment.time > 5.0)
+    assert int(result.status) == Status.STOPPED
+    assert 5.0 < float(result.time) < 20.0
+
+
+def test_the_run_ends_when_nothing_can_move() -> None:
+    disc = shapes.disc(radius=1.0, elements=24, symmetry="quarter")
+    wall = molds.revolved(profile=[[0.0, 0.05], [1.2, 0.05]], segments=24)
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(disc.positions, disc.triangles, 0.01, disc.clamped, disc.fixed),
+        material=scenes.mooney(0.0),
+        pressure=jaxform.make_pressure([0.0, 1.0], [0.0, 0.2]),
+        solver=jaxform.make_solver(end_time=50.0, damping=1.0),
+        mold=jaxform.make_mold(wall.vertices, wall.triangles),
+    )
+    result = jaxform.run(scene)
+    assert jaxform.explain(result) == "ok"
+    assert np.all(result.stuck)
+    assert float(result.time) < 25.0
+
+
+def test_no_mold_no_contact_code() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
+    free = str(jax.make_jaxpr(lambda scene: stepping.window(
+        stepping.initial_state(scene), scene, stepping.body(scene)))(scene))
+    with_mold = str(jax.make_jaxpr(lambda scene: stepping.window(
+        stepping.initial_state(scene), scene, stepping.body(scene)))(scenes.cup()))
+    assert "while" not in free
+    assert "while" in with_mold
+
+
+def test_one_compilation_serves_all_numbers() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
+    fresh = jax.jit(lambda scene: jaxform.simulate(scene).thickness)
+    walls = [
+        fresh(jaxform.replace(scene, {"pressure.value": jnp.asarray([0.0, 0.01 * p])})) for p in (1.0, 1.5, 2.0)
+    ]
+    assert fresh._cache_size() == 1
+    assert walls[0].min() > walls[1].min() > walls[2].min()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("parison.thickness", -1.0, "positive"),
+        ("parison.thickness", np.nan, "finite"),
+        ("parison.thickness", np.ones(3), "shape"),
+        ("pressure.values", 1.0, "pressure.value"),
+        ("parison.positions", 1.0, "build a new scene"),
+        ("material.a01", 1.0, "no such number"),
+        ("solver.end_time", 0.0, "positive"),
+    ],
+)
+def test_replace_refuses_what_does_not_fit(path: str, value: object, words: str) -> None:
+    with pytest.raises(jaxform.InputError, match=words) as caught:
+        jaxform.replace(scenes.cup(), {path: value})
+    assert path in str(caught.value)
+
+
+def test_float32_is_close_and_warns_once() -> None:
+    result = simulate(scenes.cup())
+    with jax.enable_x64(False):
+        scenes.cup.cache_clear()
+        with pytest.warns(UserWarning, match="float32"):
+            scene = scenes.cup()
+        scenes.cup.cache_clear()
+        single = jaxform.run(scene)
+        assert single.thickness.dtype == np.float32
+    assert int(single.status) == 0
+    error = np.asarray(single.thickness, float) / np.asarray(result.thickness) - 1
+    assert np.sqrt(np.mean(np.square(error))) < 5e-3
