@@ -127,7 +127,12 @@ def _progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] |
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeElapsedColumn()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task(words, total=1.0, note="compiling")
         yield lambda fraction, note: progress.update(task, completed=fraction, note=note)
@@ -172,9 +177,7 @@ def _run(scene: Scene, frames: Any, show: bool) -> Result:
         return run(scene, on_window=on_window if watched else None)
 
 
-def _write_part(
-    folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None
-) -> None:
+def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> None:
     from jaxform import output, plots
 
     output.write_result(scene, result, folder)
@@ -234,7 +237,9 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
         f"{scene.tables.window_count} windows of {STEPS_PER_WINDOW} steps"
     )
     if scene.mold is not None:
-        dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
+        dropped = (
+            f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
+        )
         yield f"mold: {len(scene.mold.triangles)} triangles{dropped}"
     skipped = {
         "contact (no mold)": scene.mold is None,

@@ -150,7 +150,7 @@ def _dual(edge1: jax.Array, edge2: jax.Array) -> tuple[jax.Array, jax.Array, jax
 def _meet(
     before: jax.Array, after: jax.Array, planes: jax.Array, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
+    """Beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
 
     A node within `touch` of the plane touches it, whichever way it goes; the triangle's edges are inclusive, so that
     no path leaks between two triangles.
@@ -207,7 +207,9 @@ def land(
         chosen = _first_met(*jax.lax.stop_gradient((before, landing.positions)), landing.stuck, near, touch)
         return _landed(before, landing, mass, time, mold, chosen)
 
-    return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
+    return jax.lax.cond(
+        met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold
+    )
 
 
 def _block(

@@ -44,6 +44,7 @@ class InputError(ValueError):
         return " ".join(line.split())
 
 
-def _short(value: Any, limit: int = 80) -> str:
+def _short(value: Any, limit: int = 160) -> str:
+    """The value as it would be typed; of a long one the begin and the end, where a path has its name."""
     text = repr(value)
-    return text if len(text) <= limit else text[: limit - 3] + "..."
+    return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"

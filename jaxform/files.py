@@ -140,7 +140,9 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
                 rows = list(csv.DictReader(stream))
             columns = {key: np.array([float(row[key]) for row in rows]) for key in REFERENCE_COLUMNS}
         except OSError as error:
-            raise InputError(f"cannot be read ({error.strerror})", "correct the path", value=str(path)) from None
+            raise InputError(
+                f"cannot be read ({error.strerror})", "correct the path", value=str(path)
+            ) from None
         except (KeyError, TypeError, ValueError, csv.Error):
             columns = {}
         if not columns or not all(len(x) and np.isfinite(x).all() for x in columns.values()):

@@ -18,7 +18,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from jaxform.materials import Material
-from jaxform.membrane import Metric, cross, dot, edges, gather, metric, stress
+from jaxform.membrane import Metric, cross, dot, edges, metric, stress
 
 
 class Sheet(NamedTuple):

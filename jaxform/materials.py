@@ -40,7 +40,7 @@ class NeoHookean:
         return None
 
     def stiffness(self) -> jax.Array:
-        """c of an equally stiff neo-Hookean sheet in small strain [Pa]."""
+        """C of an equally stiff neo-Hookean sheet in small strain [Pa]."""
         return self.c
 
 
@@ -71,7 +71,7 @@ class MooneyRivlin:
         return None
 
     def stiffness(self) -> jax.Array:
-        """c of an equally stiff neo-Hookean sheet in small strain [Pa]."""
+        """C of an equally stiff neo-Hookean sheet in small strain [Pa]."""
         return self.c * (1.0 + self.alpha)
 
 
@@ -102,7 +102,7 @@ class ModifiedMooneyRivlin:
         return 2.0 * self.a02
 
     def stiffness(self) -> jax.Array:
-        """c of an equally stiff neo-Hookean sheet in small strain [Pa]."""
+        """C of an equally stiff neo-Hookean sheet in small strain [Pa]."""
         return self.a01
 
 

@@ -191,7 +191,9 @@ def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, floa
 def _hangs(scene: Scene, result: Result) -> bool:
     """Whether the part is drawn hanging, so that one looks into it: sheets that rose from a plane."""
     rise = np.asarray(result.positions, float)[:, 2] - np.asarray(scene.parison.positions, float)[:, 2]
-    return bool(np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene))
+    return bool(
+        np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene)
+    )
 
 
 def _draw_outline(axes: Any, scene: Scene) -> None:
@@ -258,7 +260,9 @@ def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str,
     axes.plot(place, wall, "o", color=_AFTER, markersize=4, alpha=0.6, label="simulated, all nodes")
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
     order = np.argsort(np.asarray(reference["initial_radius"]))
-    radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
+    radius, ratio = (
+        np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio")
+    )
     axes.plot(1e3 * radius, initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
     axes.set(
         xlabel="place along the meridian: radius in the initial sheet [mm]",

@@ -283,7 +283,9 @@ class ThicknessProfile(Table):
     def _check(self) -> ThicknessProfile:
         if (self.knots is None) == (self.at is None):
             problem = "is missing" if self.at is None else "is given together with at"
-            raise wrong(problem, "give the number of knots or their places (at), one of them", "knots", self.knots)
+            raise wrong(
+                problem, "give the number of knots or their places (at), one of them", "knots", self.knots
+            )
         check_increasing(self.at or [])
         return self
 

@@ -74,7 +74,9 @@ def disc(
         radii, segments = _graded_rings(radius, element_size, density)
     else:
         _check_resolution(element_size, elements, largest=radius)
-        ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
+        ring_count = grids.whole(
+            radius / element_size if element_size else math.sqrt((elements or 0) / density)
+        )
         if elements and symmetry != "none":
             ring_count = max(2, ring_count)
         _check_count(density * ring_count**2, element_size)

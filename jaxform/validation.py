@@ -7,7 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.errors import InputError
@@ -48,10 +56,14 @@ def wrong(problem: str, mend: str, key: str = "", value: Any = None) -> Pydantic
         key: Where, below the table that is validated.
         value: The offending value, where it is not the one that is validated.
     """
-    return PydanticCustomError("wrong", "wrong", {"problem": problem, "mend": mend, "key": key, "value": value})
+    return PydanticCustomError(
+        "wrong", "wrong", {"problem": problem, "mend": mend, "key": key, "value": value}
+    )
 
 
-def choice(key: str, known: Sequence[str], later: Sequence[str] = ()) -> tuple[Discriminator, BeforeValidator]:
+def choice(
+    key: str, known: Sequence[str], later: Sequence[str] = ()
+) -> tuple[Discriminator, BeforeValidator]:
     """What makes a union of tables one that `key` chooses from; tag each table with `<value of key>`.
 
     Args:

@@ -142,7 +142,9 @@ class _Search:
         (value, report), gradient = self._compute(jnp.asarray(free), self.study.scene)
         point = _Point(free, float(value), np.asarray(gradient, float))
         self.simulations += (time.perf_counter() - began) / self.forward_seconds
-        failed = bool(report.status) or not np.isfinite(point.value) or not np.all(np.isfinite(point.gradient))
+        failed = (
+            bool(report.status) or not np.isfinite(point.value) or not np.all(np.isfinite(point.gradient))
+        )
         if failed:
             point = _Point(free, np.inf, np.zeros_like(free))
         elif self.best is None or point.value < self.best.value:
@@ -212,7 +214,7 @@ def _small(point: _Point, first: _Point, study: Study) -> bool:
 
 
 def _lbfgs(search: _Search, study: Study) -> str:
-    """optax's L-BFGS direction with a weak Wolfe line search that sees every simulation."""
+    """Optax's L-BFGS direction with a weak Wolfe line search that sees every simulation."""
     transform = optax.scale_by_lbfgs(memory_size=_MEMORY)
     point = first = search(search.start)
     if not np.isfinite(first.value):
@@ -257,7 +259,7 @@ def _line_search(search: _Search, point: _Point, direction: np.ndarray) -> _Poin
 
 
 def _adam(search: _Search, study: Study) -> str:
-    """optax's Adam; after a failed simulation from the best design with half the rate."""
+    """Optax's Adam; after a failed simulation from the best design with half the rate."""
     rate = study.learning_rate
     transform = optax.scale_by_adam()
     point = first = search(search.start)

@@ -32,7 +32,9 @@ def free_disc(elements: int, pressure: float, material: Material, **options: obj
     )
 
 
-def sphere(elements: int, pressure: float, material: Material, time: list[float], **options: float) -> jaxform.Scene:
+def sphere(
+    elements: int, pressure: float, material: Material, time: list[float], **options: float
+) -> jaxform.Scene:
     """A quarter of a closed sphere of radius 1 and thickness 0.01; pressure in units of c h0/r."""
     sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
     knots = [0.0, 0.01 * pressure] if len(time) == 2 else [0.01 * pressure]

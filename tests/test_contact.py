@@ -85,7 +85,9 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     for point, number in zip(points, cell, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert float(grid.bound[number]) <= distance.min() + 1e-12
-        missing = np.setdiff1d(np.flatnonzero(distance < float(grid.width)), listed[start[number] : start[number + 1]])
+        missing = np.setdiff1d(
+            np.flatnonzero(distance < float(grid.width)), listed[start[number] : start[number + 1]]
+        )
         assert len(missing) == 0
 
 

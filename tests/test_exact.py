@@ -17,7 +17,9 @@ DISC = [
 ]
 
 
-def _disc_error(elements: int, alpha: float, pressure: float, height: float, ratio: float) -> tuple[float, float]:
+def _disc_error(
+    elements: int, alpha: float, pressure: float, height: float, ratio: float
+) -> tuple[float, float]:
     scene = scenes.free_disc(elements, pressure, scenes.mooney(alpha))
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
@@ -47,7 +49,10 @@ def _mean_stretch(scene: jaxform.Scene, result: jaxform.Result) -> float:
 
 
 def test_static_sphere_of_the_modified_law() -> None:
-    stretch, a02 = 1.2, 0.01  # below the sphere's limit point, beyond which the pressure does not fix the stretch
+    stretch, a02 = (
+        1.2,
+        0.01,
+    )  # below the sphere's limit point, beyond which the pressure does not fix the stretch
     i2 = stretch**4 + 2 / stretch**2
     slope = 4 * stretch - 4 / stretch**5 + 2 * a02 * (i2 - 3) * (4 * stretch**3 - 4 / stretch**3)
     law = jaxform.ModifiedMooneyRivlin(scenes.real(1.0), scenes.real(a02), scenes.real(1.0))

@@ -65,7 +65,9 @@ def test_a_stuck_node_never_moves_again() -> None:
     stuck = np.asarray(early.stuck)
     assert stuck.sum() > 20
     shared = stuck & (np.asarray(late.contact_time) <= 11.0)
-    np.testing.assert_allclose(np.asarray(early.positions)[shared], np.asarray(late.positions)[shared], atol=2e-3)
+    np.testing.assert_allclose(
+        np.asarray(early.positions)[shared], np.asarray(late.positions)[shared], atol=2e-3
+    )
     moments = []
     jaxform.run(scene, on_window=lambda moment: moments.append(moment.result()))
     for before, after in zip(moments, moments[1:], strict=False):
@@ -110,7 +112,9 @@ def test_forward_mode_equals_reverse_mode() -> None:
     values = _values(scene)
     change = jax.tree.map(lambda leaf: 0.3 * leaf, values)
     slope = jax.jit(jax.grad(lambda values: _wall_error(scene, values)))(values)
-    forward = jax.jit(lambda v, c: jax.jvp(lambda values: _wall_error(scene, values), (v,), (c,))[1])(values, change)
+    forward = jax.jit(lambda v, c: jax.jvp(lambda values: _wall_error(scene, values), (v,), (c,))[1])(
+        values, change
+    )
     reverse = sum(float(jnp.sum(slope[name] * change[name])) for name in values)
     np.testing.assert_allclose(float(forward), reverse, rtol=1e-9)
 
@@ -206,10 +210,16 @@ def test_the_run_ends_when_nothing_can_move() -> None:
 
 def test_no_mold_no_contact_code() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
-    free = str(jax.make_jaxpr(lambda scene: stepping.window(
-        stepping.initial_state(scene), scene, stepping.body(scene)))(scene))
-    with_mold = str(jax.make_jaxpr(lambda scene: stepping.window(
-        stepping.initial_state(scene), scene, stepping.body(scene)))(scenes.cup()))
+    free = str(
+        jax.make_jaxpr(
+            lambda scene: stepping.window(stepping.initial_state(scene), scene, stepping.body(scene))
+        )(scene)
+    )
+    with_mold = str(
+        jax.make_jaxpr(
+            lambda scene: stepping.window(stepping.initial_state(scene), scene, stepping.body(scene))
+        )(scenes.cup())
+    )
     assert "while" not in free
     assert "while" in with_mold
 
@@ -218,7 +228,8 @@ def test_one_compilation_serves_all_numbers() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     fresh = jax.jit(lambda scene: jaxform.simulate(scene).thickness)
     walls = [
-        fresh(jaxform.replace(scene, {"pressure.value": jnp.asarray([0.0, 0.01 * p])})) for p in (1.0, 1.5, 2.0)
+        fresh(jaxform.replace(scene, {"pressure.value": jnp.asarray([0.0, 0.01 * p])}))
+        for p in (1.0, 1.5, 2.0)
     ]
     assert fresh._cache_size() == 1
     assert walls[0].min() > walls[1].min() > walls[2].min()
