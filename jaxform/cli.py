@@ -65,7 +65,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _scenes(_: argparse.Namespace) -> int:
-    for kind, use in (("scene", "simulate"), ("study", "optimize")):
+    uses: dict[catalog.Kind, str] = {"scene": "simulate", "study": "optimize"}
+    for kind, use in uses.items():
         for name, words in catalog.descriptions(kind).items():
             print(f"{name:20} {kind:6} jaxform {use} {name:18}  {words}")
     return DONE
@@ -106,9 +107,7 @@ def _open_folder(folder: Path, force: bool) -> None:
         raise InputError("is a file", "name a folder", "--out", str(folder))
     try:
         if folder.exists() and any(folder.iterdir()) and not force:
-            raise InputError(
-                "exists and is not empty", "choose another folder or give --force", "--out", str(folder)
-            )
+            raise InputError("exists and is not empty", "choose another folder or give --force", "--out", str(folder))
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".jaxform-writes"
         probe.touch()
@@ -237,9 +236,7 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
         f"{scene.tables.window_count} windows of {STEPS_PER_WINDOW} steps"
     )
     if scene.mold is not None:
-        dropped = (
-            f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
-        )
+        dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
         yield f"mold: {len(scene.mold.triangles)} triangles{dropped}"
     skipped = {
         "contact (no mold)": scene.mold is None,

@@ -147,9 +147,7 @@ def _dual(edge1: jax.Array, edge2: jax.Array) -> tuple[jax.Array, jax.Array, jax
     return normal / jnp.sqrt(square), cross(edge2, normal) / square, cross(normal, edge1) / square
 
 
-def _meet(
-    before: jax.Array, after: jax.Array, planes: jax.Array, touch: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _meet(before: jax.Array, after: jax.Array, planes: jax.Array, touch: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
 
     A node within `touch` of the plane touches it, whichever way it goes; the triangle's edges are inclusive, so that
@@ -207,9 +205,7 @@ def land(
         chosen = _first_met(*jax.lax.stop_gradient((before, landing.positions)), landing.stuck, near, touch)
         return _landed(before, landing, mass, time, mold, chosen)
 
-    return jax.lax.cond(
-        met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold
-    )
+    return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
 
 
 def _block(
@@ -226,9 +222,7 @@ def _block(
     return node, cut(near.triangle), beta, meets & used & ~stuck[node]
 
 
-def _any_meets(
-    before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
-) -> jax.Array:
+def _any_meets(before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
     """Whether any listed pair meets in this step; looks no further than the first block where one does."""
 
     def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -240,9 +234,7 @@ def _any_meets(
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
 
-def _first_met(
-    before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
-) -> jax.Array:
+def _first_met(before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
     """The triangle (n_node,) that each node meets first in this step, -1 where none.
 
     Of two that are met at once the one with the higher number counts, every time.
@@ -281,9 +273,7 @@ def _landed(
     )
 
 
-def _landing_point(
-    before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array
-) -> jax.Array:
+def _landing_point(before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array) -> jax.Array:
     """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold."""
     d, edge1, edge2 = _corners(mold, triangle)
     normal = cross(edge1, edge2)

@@ -33,11 +33,7 @@ class InputError(ValueError):
     def __str__(self) -> str:
         """The one line for people."""
         named = (
-            self.key
-            if self.value is None
-            else f"{self.key} = {_short(self.value)}"
-            if self.key
-            else _short(self.value)
+            self.key if self.value is None else f"{self.key} = {_short(self.value)}" if self.key else _short(self.value)
         )
         head = ": ".join(part for part in (self.file, named, self.problem) if part)
         line = f"{head}; {self.mend}" if self.mend else head

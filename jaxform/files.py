@@ -140,9 +140,7 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
                 rows = list(csv.DictReader(stream))
             columns = {key: np.array([float(row[key]) for row in rows]) for key in REFERENCE_COLUMNS}
         except OSError as error:
-            raise InputError(
-                f"cannot be read ({error.strerror})", "correct the path", value=str(path)
-            ) from None
+            raise InputError(f"cannot be read ({error.strerror})", "correct the path", value=str(path)) from None
         except (KeyError, TypeError, ValueError, csv.Error):
             columns = {}
         if not columns or not all(len(x) and np.isfinite(x).all() for x in columns.values()):
@@ -187,9 +185,7 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
         )
     size = table.element_size
     local = _profile(size, "parison.element_size") if isinstance(size, schema.Profile) else size
-    return shapes.disc(
-        radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry
-    )
+    return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
 
 
 def _profile(table: schema.Profile, key: str) -> Profile:
@@ -260,7 +256,7 @@ def write_scene(
     for key, value in changes.items():
         if key == "parison.thickness" and np.ndim(value) == 1 and not isinstance(value, str | dict):
             value = _write_field(document, np.asarray(value), folder / f"{Path(name).stem}-thickness.vtu")
-        _put(data, key, value.tolist() if hasattr(value, "tolist") else value)
+        _put(data, key, value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
     path = folder / name
     path.write_text(_toml(data), encoding="utf-8")
     return path

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -72,9 +73,7 @@ def _weighted_stress(g: Metric, sheet: Sheet, thickness: jax.Array, material: Ma
     return weight * s[0], weight * s[1], weight * s[2]
 
 
-def _scatter(
-    first: jax.Array, second: jax.Array, third: jax.Array, triangles: jax.Array, like: jax.Array
-) -> jax.Array:
+def _scatter(first: jax.Array, second: jax.Array, third: jax.Array, triangles: jax.Array, like: jax.Array) -> jax.Array:
     """Sum to the nodes (3, n_node) of the three corners' (3, n_element)."""
     nodal = jnp.zeros_like(like)
     for corner, values in zip(triangles, (first, second, third), strict=True):
@@ -91,9 +90,7 @@ def _force(load: Load, sheet: Sheet) -> tuple[jax.Array, jax.Array]:
     normal = cross(edge1, edge2)
     push = (load.pressure / 6.0) * normal
     internal2, internal3 = s11 * edge1 + s12 * edge2, s12 * edge1 + s22 * edge2
-    nodal = _scatter(
-        push + internal2 + internal3, push - internal2, push - internal3, sheet.triangles, load.positions
-    )
+    nodal = _scatter(push + internal2 + internal3, push - internal2, push - internal3, sheet.triangles, load.positions)
     volume = jnp.sum(dot(first - sheet.origin[:, None], normal)) / 6.0
     return nodal, volume
 
@@ -126,9 +123,7 @@ def _tangent(load: Load, sheet: Sheet, change: Load) -> tuple[jax.Array, jax.Arr
         internal3 = internal3 + d12 * edge1 + d22 * edge2
     if change.pressure is not None:
         push = push + (change.pressure / 6.0) * normal
-    nodal = _scatter(
-        push + internal2 + internal3, push - internal2, push - internal3, sheet.triangles, load.positions
-    )
+    nodal = _scatter(push + internal2 + internal3, push - internal2, push - internal3, sheet.triangles, load.positions)
     return nodal, volume
 
 
@@ -158,9 +153,7 @@ def _flat(tree: Any, structure: Any) -> list[Any]:
     return structure.flatten_up_to(tree)
 
 
-def _cotangent(
-    load: Load, sheet: Sheet, wanted: list[bool], nodal: Any, volume: Any
-) -> list[jax.Array | None]:
+def _cotangent(load: Load, sheet: Sheet, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
     """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
     first, edge1, edge2 = edges(load.positions, sheet.triangles)
     edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
@@ -173,9 +166,7 @@ def _cotangent(
         total = 3.0 * w0 + w1 + w2
         g_change = (2.0 * dot(edge1, w1), dot(edge1, w2) + dot(w1, edge2), 2.0 * dot(edge2, w2))
         if wanted[0]:
-            results.add_positions(
-                *_position_cotangents(load, sheet, (edge1, edge2), (w1, w2, total), g, g_change)
-            )
+            results.add_positions(*_position_cotangents(load, sheet, (edge1, edge2), (w1, w2, total), g, g_change))
         if wanted[2]:
             results.pressure = jnp.sum(dot(normal, total)) / 6.0
         results.add_parameters(load, sheet, g, g_change, wanted)
@@ -194,9 +185,7 @@ def _position_cotangents(
     g_change: Metric,
 ) -> tuple[jax.Array, jax.Array]:
     """Cotangents of the two edges; the internal part is symmetric, since it comes from an energy."""
-    s, s_change = jax.jvp(
-        lambda g: _weighted_stress(g, sheet, load.thickness, load.material), (g,), (g_change,)
-    )
+    s, s_change = jax.jvp(lambda g: _weighted_stress(g, sheet, load.thickness, load.material), (g,), (g_change,))
     s11, s12, s22, d11, d12, d22 = jax.lax.optimization_barrier((*s, *s_change))
     total = (load.pressure / 6.0) * w[2]
     cotangent1 = cross(e[1], total) - (d11 * e[0] + d12 * e[1] + s11 * w[0] + s12 * w[1])
@@ -220,9 +209,7 @@ class _Cotangents:
         self.edge1, self.edge2, self.first = self.edge1 + edge1, self.edge2 + edge2, self.first + first
         self.moved = True
 
-    def add_parameters(
-        self, load: Load, sheet: Sheet, g: Metric, g_change: Metric, wanted: list[bool]
-    ) -> None:
+    def add_parameters(self, load: Load, sheet: Sheet, g: Metric, g_change: Metric, wanted: list[bool]) -> None:
         """Thickness and material: minus half the metric's change against the derivative of the stress."""
         if not any((wanted[1], *wanted[3:])):
             return
@@ -248,9 +235,7 @@ def _force_flat(*leaves: Any, structure: Any, smooth: int) -> tuple[jax.Array, j
     return _force(*jax.tree.unflatten(structure, leaves))
 
 
-def _tangent_flat(
-    *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]
-) -> tuple[jax.Array, jax.Array]:
+def _tangent_flat(*leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]) -> tuple[jax.Array, jax.Array]:
     count = structure.num_leaves
     load, sheet = jax.tree.unflatten(structure, leaves[:count])
     given = iter(leaves[count:])
@@ -299,7 +284,7 @@ def _primitive(name: str, function: Callable[..., Any]) -> Primitive:
 def _abstract(function: Callable[..., Any], leaves: Any, static: dict[str, Any]) -> list[Any]:
     shaped = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
     results = jax.eval_shape(partial(function, **static), *shaped)
-    return [jax.core.ShapedArray(result.shape, result.dtype) for result in results]
+    return [ShapedArray(result.shape, result.dtype) for result in results]
 
 
 _force_p = _primitive("membrane_force", _force_flat)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxform.pytree import pytree
 
-Slope = jax.Array | float | None
+Slope = jax.Array | None
 
 
 @pytree
@@ -31,7 +31,7 @@ class NeoHookean:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""
         return self.c * (i1 - 3.0)
 
-    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[Slope, Slope]:
+    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[jax.Array, Slope]:
         """dW/dI1 and dW/dI2 [Pa]."""
         return self.c, None
 
@@ -62,7 +62,7 @@ class MooneyRivlin:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""
         return self.c * ((i1 - 3.0) + self.alpha * (i2 - 3.0))
 
-    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[Slope, Slope]:
+    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[jax.Array, Slope]:
         """dW/dI1 and dW/dI2 [Pa]."""
         return self.c, self.c * self.alpha
 
@@ -93,7 +93,7 @@ class ModifiedMooneyRivlin:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""
         return self.a01 * (i1 - 3.0) + self.a02 * jnp.square(i2 - 3.0)
 
-    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[Slope, Slope]:
+    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[jax.Array, Slope]:
         """dW/dI1 and dW/dI2 [Pa]."""
         return self.a01, 2.0 * self.a02 * (i2 - 3.0)
 

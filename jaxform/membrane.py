@@ -83,12 +83,9 @@ def stress(g: Metric, inverse_reference: jax.Array, material: Material) -> Metri
     inverse, r = _inverse(g), inverse_reference
     first = [2.0 * slope1 * (r[k] - inverse[k] * flexibility) for k in range(3)]
     if slope2 is None:
-        return tuple(first)
-    second = [
-        2.0 * slope2 * (determinant * inverse[k] + (r[k] - trace * inverse[k]) * flexibility)
-        for k in range(3)
-    ]
-    return tuple(a + b for a, b in zip(first, second, strict=True))
+        return first[0], first[1], first[2]
+    second = [2.0 * slope2 * (determinant * inverse[k] + (r[k] - trace * inverse[k]) * flexibility) for k in range(3)]
+    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
 
 
 def strain_energy(

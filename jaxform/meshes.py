@@ -62,9 +62,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
             triangles of nodes that do not exist.
     """
     if not (np.isreal(scale) and np.isfinite(scale) and scale > 0):
-        raise InputError(
-            "is not a positive number", "give the metres per unit of the file", key="scale", value=scale
-        )
+        raise InputError("is not a positive number", "give the metres per unit of the file", key="scale", value=scale)
     path = Path(path)
     raw = _parse(path, _content(path))
     positions = _coordinates(path, raw.points, float(scale))
@@ -88,12 +86,8 @@ def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
         tolerance = WELD_TOLERANCE * size(mesh.positions)
     # Exact copies first: an STL file has six of each node, and the search below lists pairs.
     unique, first, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
-    pairs = (
-        KDTree(unique).query_pairs(tolerance, output_type="ndarray") if len(unique) else np.zeros((0, 2), int)
-    )
-    graph = coo_array(
-        (np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique))
-    )
+    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray") if len(unique) else np.zeros((0, 2), int)
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
     cluster_count, cluster = connected_components(graph, directed=False) if len(unique) else (0, inverse)
     leader = np.full(cluster_count, len(mesh.positions), dtype=np.int64)
     np.minimum.at(leader, cluster, first)
@@ -247,9 +241,7 @@ def _whole_stl(path: Path, content: bytes) -> str:
 def _obj_faces(path: Path, content: bytes) -> io.StringIO:
     # Positions and faces only: meshio refuses files with more (or fewer) normals than nodes, and most have.
     text = content.decode("utf-8", errors="replace").replace("\\\n", " ")
-    return io.StringIO(
-        "\n".join(line for line in map(str.strip, text.splitlines()) if line[:2] in ("v ", "f "))
-    )
+    return io.StringIO("\n".join(line for line in map(str.strip, text.splitlines()) if line[:2] in ("v ", "f ")))
 
 
 def _ply_header(path: Path, content: bytes) -> io.BytesIO:
@@ -294,9 +286,7 @@ def _surface(path: Path, blocks: Any) -> NDArray[np.int64]:
             corners = np.asarray(block.data, dtype=np.int64)
             fans += [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
         elif block.type.startswith(("triangle", "quad")):
-            raise InputError(
-                f"has curved faces ({block.type})", "export it with straight triangles", value=str(path)
-            )
+            raise InputError(f"has curved faces ({block.type})", "export it with straight triangles", value=str(path))
     triangles = np.concatenate(fans)
     if not len(triangles):
         raise InputError("has no triangles", "export the surface as triangles", value=str(path))
@@ -307,6 +297,4 @@ def _scalars(point_data: Mapping[str, Any], node_count: int) -> dict[str, NDArra
     arrays = {name: np.asarray(value) for name, value in point_data.items()}
     arrays = {name: value.reshape(-1) for name, value in arrays.items() if value.size == node_count}
     with np.errstate(all="ignore"):
-        return {
-            name: value.astype(np.float64) for name, value in arrays.items() if value.dtype.kind in "biuf"
-        }
+        return {name: value.astype(np.float64) for name, value in arrays.items() if value.dtype.kind in "biuf"}

@@ -125,7 +125,8 @@ def _near_pairs(
         keep = distance <= reach
         cell = np.ravel_multi_index(tuple(index[keep].T), shape)
         found.append((cell, triangle[keep], distance[keep]))
-    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+    cells, triangles, distances = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return cells, triangles, distances
 
 
 def _chunks(count: np.ndarray) -> list[np.ndarray]:
@@ -134,9 +135,7 @@ def _chunks(count: np.ndarray) -> list[np.ndarray]:
     return np.split(np.arange(len(count)), np.flatnonzero(np.diff(group)) + 1)
 
 
-def _distance_bound(
-    cell: np.ndarray, distance: np.ndarray, width: float, shape: tuple[int, ...]
-) -> np.ndarray:
+def _distance_bound(cell: np.ndarray, distance: np.ndarray, width: float, shape: tuple[int, ...]) -> np.ndarray:
     """Near the mold from the listed triangles, elsewhere from the distance between cells."""
     half_diagonal = np.sqrt(0.75) * width * (1 + 1e-6)
     nearest = np.full(int(np.prod(shape)), np.inf)
@@ -157,9 +156,7 @@ def point_triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarr
     delta = np.einsum("ij,ij->i", np.cross(edge1, away), normal) / square
     inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
     flat = np.abs(np.einsum("ij,ij->i", away, normal)) / np.sqrt(square)
-    rim = np.min(
-        [_segment_distance(points, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)], axis=0
-    )
+    rim = np.min([_segment_distance(points, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)], axis=0)
     return np.where(inside, flat, rim)
 
 

@@ -51,9 +51,7 @@ def revolved(*, profile: ArrayLike, segments: int) -> MoldShape:
     if isinstance(segments, bool) or not isinstance(segments, int | np.integer) or segments < 3:
         raise InputError("is not a number of facets", "use 3 or more", "mold.segments", segments)
     if 2 * int(segments) * len(points) > MOST_TRIANGLES:
-        raise InputError(
-            "makes too many triangles", f"keep them under {MOST_TRIANGLES}", "mold.segments", segments
-        )
+        raise InputError("makes too many triangles", f"keep them under {MOST_TRIANGLES}", "mold.segments", segments)
     angle = 2 * np.pi * np.arange(segments) / segments
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     circle[np.abs(circle) < 1e-14] = 0.0
@@ -65,9 +63,7 @@ def revolved(*, profile: ArrayLike, segments: int) -> MoldShape:
     return MoldShape(np.concatenate(rings), np.concatenate(bands).astype(np.int32))
 
 
-def from_mesh(
-    mesh: Mesh, *, translate: Sequence[float] = (0, 0, 0), rotate: Sequence[float] = (0, 0, 0)
-) -> MoldShape:
+def from_mesh(mesh: Mesh, *, translate: Sequence[float] = (0, 0, 0), rotate: Sequence[float] = (0, 0, 0)) -> MoldShape:
     """A user's mesh as a mold: welded, degenerate triangles left out, turned, then moved.
 
     Args:
@@ -110,9 +106,7 @@ def _profile_points(profile: ArrayLike) -> NDArray[np.float64]:
 
 def _band(inner: NDArray[np.int64], outer: NDArray[np.int64]) -> NDArray[np.int64]:
     inner_next, outer_next = np.roll(inner, -1), np.roll(outer, -1)
-    halves = np.stack(
-        [np.stack([inner, outer, outer_next], 1), np.stack([inner, outer_next, inner_next], 1)], 1
-    )
+    halves = np.stack([np.stack([inner, outer, outer_next], 1), np.stack([inner, outer_next, inner_next], 1)], 1)
     triangles = halves.reshape(-1, 3)
     ordered = np.sort(triangles, axis=1)
     # At the axis one half of every facet has no area.

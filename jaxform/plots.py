@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform import sections
+from jaxform.pytree import as_real
 from jaxform.result import Result, explain, summarize
 from jaxform.scene import Scene
 
@@ -191,9 +192,7 @@ def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, floa
 def _hangs(scene: Scene, result: Result) -> bool:
     """Whether the part is drawn hanging, so that one looks into it: sheets that rose from a plane."""
     rise = np.asarray(result.positions, float)[:, 2] - np.asarray(scene.parison.positions, float)[:, 2]
-    return bool(
-        np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene)
-    )
+    return bool(np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene))
 
 
 def _draw_outline(axes: Any, scene: Scene) -> None:
@@ -260,9 +259,7 @@ def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str,
     axes.plot(place, wall, "o", color=_AFTER, markersize=4, alpha=0.6, label="simulated, all nodes")
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
     order = np.argsort(np.asarray(reference["initial_radius"]))
-    radius, ratio = (
-        np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio")
-    )
+    radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
     axes.plot(1e3 * radius, initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
     axes.set(
         xlabel="place along the meridian: radius in the initial sheet [mm]",
@@ -297,7 +294,7 @@ def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> N
 def _draw_pressures(axes: Any, before: Scene, after: Scene) -> None:
     for scene, color, words in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
         time = np.linspace(0.0, float(scene.solver.end_time), 400)
-        axes.plot(time, np.asarray(scene.pressure.at(time)) / 1e3, color=color, label=words, linewidth=2)
+        axes.plot(time, np.asarray(scene.pressure.at(as_real(time))) / 1e3, color=color, label=words, linewidth=2)
     axes.set(xlabel="time [s]", ylabel="pressure [kPa]")
     axes.legend(frameon=False)
 

@@ -52,9 +52,7 @@ class Profile:
     def positive(self) -> Profile:
         """Itself, when every value is above zero (a thickness, say); InputError otherwise."""
         if min(self.value) <= 0:
-            raise InputError(
-                "is not positive everywhere", "give values above 0", f"{self.key}.value", self.value
-            )
+            raise InputError("is not positive everywhere", "give values above 0", f"{self.key}.value", self.value)
         return self
 
 

@@ -7,7 +7,7 @@ from typing import Any, dataclass_transform
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
+from numpy.typing import ArrayLike
 
 
 def static(**kwargs: Any) -> Any:

@@ -153,9 +153,7 @@ def explain(result: Result) -> str:
     speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
     node = int(np.argmax(speed))
     place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
-    where = (
-        f"at t = {float(result.time):.6g} s, fastest node {node} at ({place}) m with {speed[node]:.3g} m/s"
-    )
+    where = f"at t = {float(result.time):.6g} s, fastest node {node} at ({place}) m with {speed[node]:.3g} m/s"
     return "; ".join([*what, where, *mend])
 
 

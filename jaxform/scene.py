@@ -16,7 +16,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
+from jax.core import Tracer
+from numpy.typing import ArrayLike
 
 from jaxform import membrane
 from jaxform.errors import InputError
@@ -159,15 +160,11 @@ def make_parison(
     count = len(positions)
     given = np.asarray(thickness, float)
     if given.ndim and given.shape != (count,):
-        raise InputError(
-            f"needs one value per node: {count}, not {given.shape}", "match the mesh", "parison.thickness"
-        )
+        raise InputError(f"needs one value per node: {count}, not {given.shape}", "match the mesh", "parison.thickness")
     bad = ~(np.isfinite(given) & (given > 0))
     if np.any(bad):
         value = float(given[bad].flat[0]) if given.ndim else float(given)
-        raise InputError(
-            "the thickness must be positive and finite", "give metres > 0", "parison.thickness", value
-        )
+        raise InputError("the thickness must be positive and finite", "give metres > 0", "parison.thickness", value)
     return Parison(
         positions=as_real(positions),
         triangles=jnp.asarray(triangles, jnp.int32),
@@ -284,12 +281,8 @@ def _designable(scene: Scene, path: str) -> jax.Array:
     if path in _DESIGNABLE and old is not None:
         return old
     if old is not None:
-        raise InputError(
-            "the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path
-        )
-    known = [
-        p for p in _DESIGNABLE if getattr(getattr(scene, p.split(".")[0]), p.split(".")[1], None) is not None
-    ]
+        raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)
+    known = [p for p in _DESIGNABLE if getattr(getattr(scene, p.split(".")[0]), p.split(".")[1], None) is not None]
     close = difflib.get_close_matches(path, known, n=1)
     mend = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
     raise InputError("this scene has no such number", mend, path)
@@ -302,16 +295,14 @@ def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
     except ValueError:
         raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
     least = _DESIGNABLE[path]
-    if not isinstance(new, jax.core.Tracer):
+    if not isinstance(new, Tracer):
         seen = np.asarray(new)
         if not np.all(np.isfinite(seen)):
             raise InputError("is not finite", "give finite numbers", path)
         if least is not None and np.any(seen <= least):
             raise InputError("must be positive", "give numbers > 0", path, float(seen.min()))
         if path == "pressure.time" and np.any(np.diff(seen) <= 0):
-            raise InputError(
-                "the knots do not increase", "sort the times and drop repeats", path, seen.tolist()
-            )
+            raise InputError("the knots do not increase", "sort the times and drop repeats", path, seen.tolist())
     return new
 
 
@@ -345,9 +336,7 @@ def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) 
         )
     held = np.asarray(parison.clamped)[:, None] | np.asarray(parison.fixed)
     if np.all(held):
-        raise InputError(
-            "nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison"
-        )
+        raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
 
 
 def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid: SearchGrid) -> None:

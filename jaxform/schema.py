@@ -155,7 +155,7 @@ class FileParison(Table):
     scale: Positive = 1.0
     flip: bool = False
     clamp: str = "boundary"
-    planes: list[Literal["x", "y", "z"]] = []
+    planes: list[Literal["x", "y", "z"]] = Field(default_factory=list)
     thickness: Thickness
 
 
@@ -224,8 +224,8 @@ class FileMold(Table):
     shape: Literal["file"]
     path: str
     scale: Positive = 1.0
-    translate: Triple = [0.0, 0.0, 0.0]
-    rotate: Triple = [0.0, 0.0, 0.0]
+    translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 Mold = Annotated[
@@ -283,9 +283,7 @@ class ThicknessProfile(Table):
     def _check(self) -> ThicknessProfile:
         if (self.knots is None) == (self.at is None):
             problem = "is missing" if self.at is None else "is given together with at"
-            raise wrong(
-                problem, "give the number of knots or their places (at), one of them", "knots", self.knots
-            )
+            raise wrong(problem, "give the number of knots or their places (at), one of them", "knots", self.knots)
         check_increasing(self.at or [])
         return self
 

@@ -74,9 +74,7 @@ def disc(
         radii, segments = _graded_rings(radius, element_size, density)
     else:
         _check_resolution(element_size, elements, largest=radius)
-        ring_count = grids.whole(
-            radius / element_size if element_size else math.sqrt((elements or 0) / density)
-        )
+        ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
         if elements and symmetry != "none":
             ring_count = max(2, ring_count)
         _check_count(density * ring_count**2, element_size)
@@ -196,9 +194,7 @@ def sphere(
     return _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
 
 
-def from_mesh(
-    mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()
-) -> Sheet:
+def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()) -> Sheet:
     """A user's mesh as a sheet: welded and checked.
 
     Args:
@@ -229,9 +225,7 @@ def from_mesh(
         node = int(rim[np.isin(part[rim[:, 0]], loose), 0][0])
         where = ", ".join(f"{x:.6g}" for x in positions[node])
         problem = f"unclamped open parison: nothing holds the part with the open edge at ({where}) m"
-        raise InputError(
-            problem, "clamp its boundary, close it, or name its symmetry planes", "parison.clamp", clamp
-        )
+        raise InputError(problem, "clamp its boundary, close it, or name its symmetry planes", "parison.clamp", clamp)
     if clamped.all():
         raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)
     triangles = mesh.triangles[:, [0, 2, 1]] if flip else mesh.triangles
@@ -260,12 +254,8 @@ def _length(key: str, value: Any) -> float:
 
 def _check_resolution(element_size: float | None, elements: int | None, *, largest: float) -> None:
     if (element_size is None) == (elements is None):
-        problem = (
-            "nothing says how fine the mesh is" if elements is None else "is given together with elements"
-        )
-        raise InputError(
-            problem, "give element_size or elements, one of them", "parison.element_size", element_size
-        )
+        problem = "nothing says how fine the mesh is" if elements is None else "is given together with elements"
+        raise InputError(problem, "give element_size or elements, one of them", "parison.element_size", element_size)
     if element_size is not None and _length("parison.element_size", element_size) > largest:
         raise InputError(
             f"is larger than the shape ({largest:.6g} m)",
@@ -303,15 +293,11 @@ def _check_surface(mesh: Mesh) -> None:
     many = topology.nonmanifold_edges(mesh.triangles)
     against = topology.inconsistent_edges(mesh.triangles)
     if bad.size:
-        problem = (
-            f"{bad.size} degenerate triangles (no area, or twice the same), the first is number {bad[0]}"
-        )
+        problem = f"{bad.size} degenerate triangles (no area, or twice the same), the first is number {bad[0]}"
         raise InputError(problem, "remove them from the mesh", key="parison.path")
     if len(many):
         problem = f"{len(many)} edges belong to more than two triangles, the first {_place(mesh, many[0])}"
-        raise InputError(
-            problem, "a parison is one surface: remove inner walls and copies", key="parison.path"
-        )
+        raise InputError(problem, "a parison is one surface: remove inner walls and copies", key="parison.path")
     if len(against):
         problem = f"inverted triangles at {len(against)} edges, the first {_place(mesh, against[0])}"
         raise InputError(problem, "turn the triangles so that all normals agree", key="parison.path")
@@ -321,9 +307,7 @@ def _place(mesh: Mesh, edge: NDArray[np.int64]) -> str:
     return "at (" + ", ".join(f"{x:.6g}" for x in mesh.positions[edge].mean(axis=0)) + ") m"
 
 
-def _snapped(
-    positions: NDArray[np.float64], planes: Sequence[str]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _snapped(positions: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Positions moved exactly onto the planes they are on, and which components those hold."""
     key, positions, fixed = "parison.planes", positions.copy(), np.zeros(positions.shape, dtype=bool)
     tolerance = PLANE_TOLERANCE * meshes.size(positions)
@@ -333,9 +317,7 @@ def _snapped(
         axis = "xyz".index(plane)
         on = np.abs(positions[:, axis]) <= tolerance
         if not on.any():
-            raise InputError(
-                f"no node lies on {plane} = 0", "cut the mesh there or leave the plane out", key, planes
-            )
+            raise InputError(f"no node lies on {plane} = 0", "cut the mesh there or leave the plane out", key, planes)
         if positions[~on, axis].min(initial=0.0) < 0 < positions[~on, axis].max(initial=0.0):
             problem = f"nodes lie on both sides of {plane} = 0"
             raise InputError(problem, "keep the mesh of one side only or leave the plane out", key, planes)
@@ -354,9 +336,7 @@ def _clamped(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.bool_
             known = ", ".join(sorted(mesh.fields)) or "none"
             raise InputError("the mesh has no such field", f"its fields: {known}", key, clamp)
         if not np.isfinite(mesh.fields[name]).all() or not mesh.fields[name].any():
-            raise InputError(
-                "the field marks no node", "set it to 1 where nothing may move, 0 elsewhere", key, clamp
-            )
+            raise InputError("the field marks no node", "set it to 1 where nothing may move, 0 elsewhere", key, clamp)
         clamped = mesh.fields[name] != 0
     elif clamp != "none":
         raise InputError("is no way to clamp", "use boundary, none or field:NAME", key, clamp)

@@ -133,9 +133,7 @@ def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     """Strain energy [J]."""
     sheet = scene.tables.sheet
     volume = sheet.area * sheet_body.thickness
-    return membrane.strain_energy(
-        state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material
-    )
+    return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
 
 def choose_step(state: State, scene: Scene) -> jax.Array:
@@ -144,9 +142,7 @@ def choose_step(state: State, scene: Scene) -> jax.Array:
     It is piecewise constant in the design, so it carries no gradient.
     """
     sheet = scene.tables.sheet
-    moving = ~(
-        state.stuck[sheet.triangles[0]] & state.stuck[sheet.triangles[1]] & state.stuck[sheet.triangles[2]]
-    )
+    moving = ~(state.stuck[sheet.triangles[0]] & state.stuck[sheet.triangles[1]] & state.stuck[sheet.triangles[2]])
     limit = scene.solver.safety * membrane.stable_step(
         state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, moving, scene.material
     )
@@ -240,12 +236,8 @@ def _touch(
 ) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None
-    landing = contact.Landing(
-        moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.contact_loss
-    )
-    landing = contact.land(
-        before.positions, landing, sheet_body.mass, time, near, scene.mold, scene.tables.grid
-    )
+    landing = contact.Landing(moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.contact_loss)
+    landing = contact.land(before.positions, landing, sheet_body.mass, time, near, scene.mold, scene.tables.grid)
     return dataclasses.replace(
         moved,
         positions=landing.positions,

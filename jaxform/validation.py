@@ -1,4 +1,4 @@
-"""How tables of a file are checked: strict types, known keys, and one clear line about the first thing that is wrong."""
+"""How tables of a file are checked: strict types, known keys, and one clear line about the first thing wrong."""
 
 from __future__ import annotations
 
@@ -56,14 +56,10 @@ def wrong(problem: str, mend: str, key: str = "", value: Any = None) -> Pydantic
         key: Where, below the table that is validated.
         value: The offending value, where it is not the one that is validated.
     """
-    return PydanticCustomError(
-        "wrong", "wrong", {"problem": problem, "mend": mend, "key": key, "value": value}
-    )
+    return PydanticCustomError("wrong", "wrong", {"problem": problem, "mend": mend, "key": key, "value": value})
 
 
-def choice(
-    key: str, known: Sequence[str], later: Sequence[str] = ()
-) -> tuple[Discriminator, BeforeValidator]:
+def choice(key: str, known: Sequence[str], later: Sequence[str] = ()) -> tuple[Discriminator, BeforeValidator]:
     """What makes a union of tables one that `key` chooses from; tag each table with `<value of key>`.
 
     Args:

@@ -22,7 +22,7 @@ from jaxform import Result, Scene
 from optimize.objectives import Target, Wall, wall
 from optimize.variables import Variable
 
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "evaluation",
     "objective",
     "thickness_rms_error",
@@ -142,9 +142,7 @@ class _Search:
         (value, report), gradient = self._compute(jnp.asarray(free), self.study.scene)
         point = _Point(free, float(value), np.asarray(gradient, float))
         self.simulations += (time.perf_counter() - began) / self.forward_seconds
-        failed = (
-            bool(report.status) or not np.isfinite(point.value) or not np.all(np.isfinite(point.gradient))
-        )
+        failed = bool(report.status) or not np.isfinite(point.value) or not np.all(np.isfinite(point.gradient))
         if failed:
             point = _Point(free, np.inf, np.zeros_like(free))
         elif self.best is None or point.value < self.best.value:
@@ -166,7 +164,7 @@ class _Search:
             self.simulations,
             time.perf_counter() - self.began,
         )
-        row = dict(zip(COLUMNS, numbers, strict=True))
+        row: dict[str, Any] = dict(zip(COLUMNS, numbers, strict=True))
         self.history.append(row)
         if self.on_evaluation is not None and self.on_evaluation(row):
             self.stopped = True

@@ -76,7 +76,8 @@ class ThicknessProfile:
         positions = np.asarray(scene.parison.positions)
         place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(positions)
         self.along, self.bounds = along, bounds
-        self.at = np.linspace(place.min(), place.max(), knots) if at is None else np.asarray(at, float)
+        evenly = np.linspace(place.min(), place.max(), knots or 2)
+        self.at = evenly if at is None else np.asarray(at, float)
         hats = [np.interp(place, self.at, row) for row in np.eye(len(self.at))]
         self._hats = jnp.asarray(np.stack(hats, axis=1))
         present = np.asarray(scene.parison.thickness)

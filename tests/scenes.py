@@ -20,21 +20,20 @@ def mooney(alpha: float, c: float = 1.0) -> Material:
     return jaxform.MooneyRivlin(real(c), real(alpha), real(1.0))
 
 
-def free_disc(elements: int, pressure: float, material: Material, **options: object) -> jaxform.Scene:
+def free_disc(
+    elements: int, pressure: float, material: Material, damping: float | None = 1.0, end_time: float = 60.0
+) -> jaxform.Scene:
     """A quarter of a free disc of radius 1 and thickness 0.01, inflated slowly; pressure in units of c h0/a."""
     sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
-    settings = {"end_time": 60.0, "damping": 1.0} | options
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
         material=material,
         pressure=jaxform.make_pressure([0.0, 40.0], [0.0, 0.01 * pressure]),
-        solver=jaxform.make_solver(**settings),
+        solver=jaxform.make_solver(end_time=end_time, damping=damping),
     )
 
 
-def sphere(
-    elements: int, pressure: float, material: Material, time: list[float], **options: float
-) -> jaxform.Scene:
+def sphere(elements: int, pressure: float, material: Material, time: list[float], **options: float) -> jaxform.Scene:
     """A quarter of a closed sphere of radius 1 and thickness 0.01; pressure in units of c h0/r."""
     sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
     knots = [0.0, 0.01 * pressure] if len(time) == 2 else [0.01 * pressure]

@@ -146,9 +146,7 @@ def test_quiet_says_nothing_and_force_overwrites(tmp_path: Path, capfd: pytest.C
     assert (out / "mine.txt").read_text() == "keep"
 
 
-def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     blast = SCENE.replace("value = [0.0, 2.0e4]", "value = [1.0e9, 1.0e9]").replace("damping = 100.0\n", "")
     out = tmp_path / "out"
     assert cli.main(["simulate", str(_write(tmp_path, blast)), "--out", str(out)]) == 3
@@ -159,9 +157,7 @@ def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(
     assert {"final.vtu", "thickness.png"} <= {path.name for path in out.iterdir()}
 
 
-def test_check_runs_no_step_and_names_what_is_skipped(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_check_runs_no_step_and_names_what_is_skipped(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     free = SCENE[: SCENE.index("[mold]")] + "[solver]\nend_time = 0.05\n"
     assert cli.main(["check", str(_write(tmp_path, free))]) == 0
     text = capfd.readouterr().out
@@ -324,9 +320,7 @@ def test_bad_arguments(
     assert not (tmp_path / "x").exists()
 
 
-def test_an_output_folder_that_is_a_file_or_cannot_be_made(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_output_folder_that_is_a_file_or_cannot_be_made(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene_file = _write(tmp_path)
     blocked = tmp_path / "file"
     blocked.write_text("")

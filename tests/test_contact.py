@@ -48,9 +48,7 @@ def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: mold.SearchGrid) -
     count = begin.shape[1]
     reach = jnp.sqrt(jnp.sum(jnp.square(end - begin), axis=0)) * (1 + 1e-12)
     near = contact.list_near(begin, jnp.ones(count, bool), reach, wall, grid)
-    flying = contact.Landing(
-        end, end - begin, jnp.zeros(count, bool), jnp.full(count, -1.0), jnp.asarray(0.0)
-    )
+    flying = contact.Landing(end, end - begin, jnp.zeros(count, bool), jnp.full(count, -1.0), jnp.asarray(0.0))
     landed = contact.land(begin, flying, jnp.ones(count), jnp.asarray(1.0), near, wall, grid)
     return landed.positions, landed.stuck, near.overflow, landed.loss
 
@@ -85,9 +83,7 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     for point, number in zip(points, cell, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert float(grid.bound[number]) <= distance.min() + 1e-12
-        missing = np.setdiff1d(
-            np.flatnonzero(distance < float(grid.width)), listed[start[number] : start[number + 1]]
-        )
+        missing = np.setdiff1d(np.flatnonzero(distance < float(grid.width)), listed[start[number] : start[number + 1]])
         assert len(missing) == 0
 
 
@@ -112,7 +108,7 @@ def test_no_path_leaks_through_shared_edges_and_vertices() -> None:
 
 def test_of_two_walls_in_one_step_the_first_counts() -> None:
     near = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
-    wall = jaxform.make_mold(np.concatenate([near, near + [0, 0, 0.01]]), np.array([[3, 4, 5], [0, 2, 1]]))
+    wall = jaxform.make_mold(np.concatenate([near, near + np.array([0, 0, 0.01])]), np.array([[3, 4, 5], [0, 2, 1]]))
     place, stuck = _aimed(wall, np.array([[0.0, 0.0, 0.005]]), np.array([0.0, 0.0, 1.0]), 0.02)
     assert stuck.all()
     np.testing.assert_allclose(place[0], [0, 0, 0], atol=1e-15)

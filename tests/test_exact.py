@@ -17,9 +17,7 @@ DISC = [
 ]
 
 
-def _disc_error(
-    elements: int, alpha: float, pressure: float, height: float, ratio: float
-) -> tuple[float, float]:
+def _disc_error(elements: int, alpha: float, pressure: float, height: float, ratio: float) -> tuple[float, float]:
     scene = scenes.free_disc(elements, pressure, scenes.mooney(alpha))
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"

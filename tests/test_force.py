@@ -46,9 +46,7 @@ def test_internal_force_is_minus_the_slope_of_the_energy(law: Material) -> None:
         return membrane.strain_energy(positions, sheet.triangles, sheet.inverse_metric, volume, law)
 
     expected = -jax.grad(energy)(load.positions)
-    np.testing.assert_allclose(
-        force.force(load, sheet)[0], expected, atol=1e-13 * float(jnp.abs(expected).max())
-    )
+    np.testing.assert_allclose(force.force(load, sheet)[0], expected, atol=1e-13 * float(jnp.abs(expected).max()))
 
 
 def test_pressure_force_is_pressure_times_the_slope_of_the_volume_inside() -> None:
@@ -84,9 +82,7 @@ def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Material) -
 def test_batches_equal_single_calls() -> None:
     load, sheet = _case(LAWS[1])
     batch = jnp.stack([load.positions, 1.1 * load.positions])
-    loss = jax.value_and_grad(
-        lambda x: jnp.sum(jnp.square(force.force(load._replace(positions=x), sheet)[0]))
-    )
+    loss = jax.value_and_grad(lambda x: jnp.sum(jnp.square(force.force(load._replace(positions=x), sheet)[0])))
     values, slopes = jax.vmap(loss)(batch)
     for k in range(2):
         value, slope = loss(batch[k])
@@ -121,9 +117,7 @@ def test_tangent_stiffness_is_the_largest_eigenvalue(law: Material, stretch: tup
 def test_stable_step_bounds_the_true_limit_closely() -> None:
     """Against the eigenvalues of the assembled tangent: never above the limit, and not far below it."""
     load, sheet = _case(LAWS[1])
-    start = load.positions * 0 + jnp.asarray(
-        shapes.disc(radius=1.0, elements=40, symmetry="quarter").positions.T
-    )
+    start = load.positions * 0 + jnp.asarray(shapes.disc(radius=1.0, elements=40, symmetry="quarter").positions.T)
     load = load._replace(positions=1.3 * start, pressure=real(0.0), thickness=0.01 + 0.0 * load.thickness)
     share = sheet.area * load.thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, start.shape[1])
@@ -134,7 +128,5 @@ def test_stable_step_bounds_the_true_limit_closely() -> None:
     limit = 2 / np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root[None, :]).max())
     bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
     moving = jnp.ones(sheet.area.size, bool)
-    step = membrane.stable_step(
-        load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material
-    )
+    step = membrane.stable_step(load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material)
     assert 0.6 * limit < float(step) <= limit

@@ -15,9 +15,7 @@ from jaxform.meshes import Mesh, drop_degenerate, read_mesh, weld, write_pvd, wr
 
 FORMATS = ["stl-ascii", "stl-binary", "obj", "ply-ascii", "ply-binary", "vtu", "msh22-ascii", "msh41-binary"]
 BALL = shapes.sphere(radius=0.05, elements=128)
-SQUARE = Mesh(
-    np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-)
+SQUARE = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
 
 
 def write(folder: Path, kind: str, cells=None, positions=BALL.positions, **data) -> Path:
@@ -95,9 +93,7 @@ def test_obj_of_a_modelling_program(tmp_path):
     # More normals than nodes, texture coordinates, groups, a pentagon: meshio alone refuses it.
     path = tmp_path / "house.obj"
     nodes = "v 0 0 0\nv 1 0 0\nv 1 1 0 \nv 0.5 1.5 0\nv 0 1 0\n"
-    path.write_text(
-        "o house\n" + nodes + "vn 0 0 1\n" * 9 + "vt 0 0\ng wall\ns off\nf 1/1/1 2/1/2 3/1/3 4//4 5//5\n"
-    )
+    path.write_text("o house\n" + nodes + "vn 0 0 1\n" * 9 + "vt 0 0\ng wall\ns off\nf 1/1/1 2/1/2 3/1/3 4//4 5//5\n")
     assert areas(read_mesh(path)).sum() == pytest.approx(1.25)
 
 

@@ -20,9 +20,7 @@ BOX = Mesh(
 
 def area(mold) -> float:
     corner = mold.vertices[mold.triangles]
-    return float(
-        np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2
-    )
+    return float(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2)
 
 
 def characteristic(mold) -> int:
@@ -39,11 +37,7 @@ def test_cup():
     assert mold.vertices.shape == (25, 3) and mold.triangles.shape == (36, 3)
     assert mold.vertices.dtype == np.float64 and mold.triangles.dtype == np.int32 and mold.dropped == 0
     assert characteristic(mold) == 1
-    assert (
-        len(topology.inconsistent_edges(mold.triangles))
-        == 0
-        == len(topology.nonmanifold_edges(mold.triangles))
-    )
+    assert len(topology.inconsistent_edges(mold.triangles)) == 0 == len(topology.nonmanifold_edges(mold.triangles))
     r = np.hypot(mold.vertices[:, 0], mold.vertices[:, 1])
     np.testing.assert_allclose(r, [0, *[0.055] * 12, *[0.1] * 12], rtol=1e-15)
     np.testing.assert_array_equal(mold.vertices[:, 2], [0.05] * 13 + [0.0] * 12)

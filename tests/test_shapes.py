@@ -63,11 +63,7 @@ def check_sound(sheet) -> None:
 def check_cut(sheet, symmetry: str, planes: tuple[float, float]) -> None:
     """Exactly the nodes on the cut planes are fixed, in the normal component alone."""
     for axis in range(3):
-        on = (
-            sheet.positions[:, axis] == planes[axis]
-            if axis in CUTS[symmetry]
-            else np.zeros(len(sheet.fixed), bool)
-        )
+        on = sheet.positions[:, axis] == planes[axis] if axis in CUTS[symmetry] else np.zeros(len(sheet.fixed), bool)
         np.testing.assert_array_equal(sheet.fixed[:, axis], on)
 
 
@@ -120,9 +116,7 @@ def test_disc_area_converges_with_order_two(symmetry):
 def test_disc_parts_have_their_share_of_the_area():
     whole = area(disc(radius=0.1, element_size=0.01))
     assert area(disc(radius=0.1, element_size=0.01, symmetry="half")) == pytest.approx(whole / 2, rel=1e-13)
-    assert area(disc(radius=0.1, element_size=0.01, symmetry="quarter")) == pytest.approx(
-        whole / 4, rel=1e-13
-    )
+    assert area(disc(radius=0.1, element_size=0.01, symmetry="quarter")) == pytest.approx(whole / 4, rel=1e-13)
 
 
 def test_disc_is_symmetric_under_sixth_turns_and_mirrors():
@@ -269,9 +263,7 @@ def test_bad_parameters(make, options, key, value):
 @pytest.mark.parametrize("radius", [0, -0.1, math.nan, math.inf, "wide", None])
 @pytest.mark.parametrize("make", [disc, sphere])
 def test_bad_radius(make, radius):
-    with pytest.raises(
-        InputError, match=r"parison\.radius.* is not a positive length|parison\.radius: is not"
-    ):
+    with pytest.raises(InputError, match=r"parison\.radius.* is not a positive length|parison\.radius: is not"):
         make(radius=radius, elements=50)
 
 
@@ -361,9 +353,7 @@ def test_every_open_part_needs_a_clamp():
             {"grip": np.concatenate([plate.clamped.astype(float), np.zeros(len(other.positions))])},
         )
         if fine:
-            np.testing.assert_array_equal(
-                from_mesh(mesh, clamp="field:grip").clamped, mesh.fields["grip"] == 1
-            )
+            np.testing.assert_array_equal(from_mesh(mesh, clamp="field:grip").clamped, mesh.fields["grip"] == 1)
         else:
             assert "unclamped open" in rejected("parison.clamp", mesh, clamp="field:grip")
         assert from_mesh(mesh).clamped.sum() == plate.clamped.sum() + other.clamped.sum()
