@@ -1,0 +1,122 @@
+"""The geometry under the pictures, and that pictures show something for every kind of sheet."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxform
+from jaxform import plots, sections, shapes, stepping
+from jaxform.result import Result
+from tests import scenes
+
+
+def _at_rest(sheet: shapes.Sheet, end_time: float = 1.0) -> tuple[jaxform.Scene, Result]:
+    """A scene and its part before the first step: the geometry is known exactly."""
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [0.01]),
+        solver=jaxform.make_solver(end_time=end_time),
+    )
+    return scene, _result(scene)
+
+
+def _result(scene: jaxform.Scene) -> Result:
+    from jaxform.result import make_result
+
+    return make_result(stepping.initial_state(scene), scene, stepping.body(scene))
+
+
+SHEETS = {
+    "disc": shapes.disc(radius=1.0, elements=60, symmetry="quarter"),
+    "rectangle": shapes.rectangle(size=(2.0, 1.0), elements=64),
+    "half rectangle": shapes.rectangle(size=(2.0, 1.0), elements=64, symmetry="half"),
+    "sphere": shapes.sphere(radius=1.0, elements=512),
+}
+
+
+def test_the_meridian_of_a_cone_is_its_slant() -> None:
+    scene, result = _at_rest(SHEETS["disc"])
+    start = np.asarray(scene.parison.positions)
+    radius = np.hypot(start[:, 0], start[:, 1])
+    cone = start + np.outer(2.0 * (1.0 - radius), [0.0, 0.0, 1.0])
+    arc = sections.meridian_arc(scene, dataclasses.replace(result, positions=jnp.asarray(cone)))
+    np.testing.assert_allclose(arc, np.sqrt(5.0) * radius, atol=1e-12)
+
+
+def test_the_section_of_a_sphere_closes() -> None:
+    scene, result = _at_rest(SHEETS["sphere"])
+    pieces = sections.section(scene, result, 1, 0.123)
+    assert len(pieces) == 1
+    arc, wall = pieces[0]
+    np.testing.assert_allclose(arc[-1], 2 * np.pi * np.sqrt(1 - 0.123**2), rtol=0.02)
+    np.testing.assert_allclose(wall, 0.01, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["rectangle", "half rectangle"])
+def test_the_sections_of_a_rectangle_have_its_sides_lengths(name: str) -> None:
+    scene, result = _at_rest(SHEETS[name])
+    along_x, along_y = sections.curves(scene, result)
+    np.testing.assert_allclose(along_x.arc[-1], 1.0 if name.startswith("half") else 2.0, rtol=1e-6)
+    np.testing.assert_allclose(along_y.arc[-1], 1.0, rtol=1e-6)
+
+
+def test_images_make_the_part_whole() -> None:
+    scene, _ = _at_rest(SHEETS["disc"])
+    corners = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)]
+    whole = np.concatenate(plots.mirrored(scene, corners))
+    edges = np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0])
+    area = 0.5 * np.linalg.norm(edges, axis=1).sum()
+    assert len(whole) == 4 * len(corners)
+    np.testing.assert_allclose(area, np.pi, rtol=0.02)
+    np.testing.assert_allclose(whole.reshape(-1, 3).mean(0), 0.0, atol=1e-12)
+
+
+def test_feature_edges_of_a_box_are_its_edges() -> None:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    faces = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+        [0, 6, 4],
+    ]
+    edges = plots.feature_edges(corners, np.array(faces, np.int32))
+    assert len(edges) == 12
+    np.testing.assert_allclose(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1), 1.0)
+
+
+def _colors(path: Path) -> int:
+    with Image.open(path) as picture:
+        return len(picture.convert("RGB").getcolors(1 << 24) or [])
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_every_sheet_has_a_picture(name: str, tmp_path: Path) -> None:
+    scene, result = _at_rest(SHEETS[name])
+    stopped = dataclasses.replace(result, status=jnp.int32(stepping.Status.UNSTABLE))
+    plots.thickness_picture(tmp_path / "thickness.png", scene, stopped)
+    assert _colors(tmp_path / "thickness.png") > 50
+
+
+def test_pictures_of_a_search(tmp_path: Path) -> None:
+    scene, result = _at_rest(SHEETS["disc"])
+    other = jaxform.replace(scene, {"parison.thickness": 0.02, "pressure.value": 0.02})
+    plots.design_picture(tmp_path / "design.png", (scene, result), (other, _result(other)), 0.015)
+    assert _colors(tmp_path / "design.png") > 50
+    names = ("simulations", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv")
+    text = [",".join(names), "3,0.5,0.1,0.2,0.4", "6,inf,,0.2,0.4", "9,0.1,0.15,0.2,0.1"]
+    plots.convergence_picture(tmp_path / "convergence.png", list(csv.DictReader(text)))
+    assert _colors(tmp_path / "convergence.png") > 20
