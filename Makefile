@@ -1,12 +1,12 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: demo test lint lock clean environment
+.PHONY: accuracy pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
 	.venv/bin/jaxform optimize dish-uniform-wall --out out/demo --force
 	@echo
-	@echo "Look in out/demo: thickness.png and convergence.png (pictures), summary.json, history.csv,"
+	@echo "Look in out/demo: design.png, thickness.png and convergence.png (pictures), summary.json, history.csv,"
 	@echo "final.vtu (for ParaView), best.toml (run it again with: .venv/bin/jaxform simulate out/demo/best.toml --out out/best)"
 
 test: lint
@@ -20,6 +20,17 @@ lint: environment
 
 lock:
 	@tools/environment.sh lock
+
+# The pictures of the README, drawn from runs.
+pictures: environment
+	.venv/bin/jaxform simulate dish --out out/dish --force
+	.venv/bin/jaxform optimize dish-uniform-wall --out out/demo --force
+	cp out/dish/thickness.png docs/dish.png
+	cp out/demo/design.png docs/design.png
+
+# Figures against exact solutions, of the gradient and of the study; about ten minutes.
+accuracy: environment
+	.venv/bin/python -m benchmarks.accuracy
 
 # Removes what the other targets made, results of other runs under out/ excepted.
 clean:

@@ -1,5 +1,6 @@
 """jaxform: a differentiable simulator of blow moulding and thermoforming."""
 
+from jaxform import molds, shapes
 from jaxform.errors import InputError
 from jaxform.files import load
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
@@ -37,8 +38,10 @@ __all__ = [
     "make_parison",
     "make_pressure",
     "make_solver",
+    "molds",
     "replace",
     "run",
+    "shapes",
     "simulate",
     "summarize",
 ]

@@ -96,8 +96,20 @@ class _Point:
 
 
 @dataclass
-class _Search:
-    """Evaluates designs and remembers them."""
+class Search:
+    """Evaluates designs and remembers them.
+
+    Attributes:
+        study: What is designed.
+        on_evaluation: Called with every row of the history; a true answer stops the search.
+        forward_seconds: What a simulation without gradient takes, the unit of `simulations`.
+        history: Rows so far.
+        simulations: Cost so far in simulations without gradient.
+        iteration: Which step of the search is being tried.
+        began: Clock at the begin [s].
+        best: The best design so far.
+        stopped: Whether the caller wants no more.
+    """
 
     study: Study
     on_evaluation: Callable[[dict[str, Any]], object] | None
@@ -119,15 +131,18 @@ class _Search:
 
     @property
     def start(self) -> np.ndarray:
+        """The scene's own design, as unbounded numbers (n,)."""
         return np.concatenate([variable.start for variable in self.study.variables])
 
     def _parts(self, free: jax.Array) -> list[tuple[Variable, jax.Array]]:
         return list(zip(self.study.variables, jnp.split(free, self._splits), strict=True))
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
+        """What `jaxform.replace` takes."""
         return {path: value for part, own in self._parts(free) for path, value in part.changes(own).items()}
 
     def document(self, free: np.ndarray) -> dict[str, Any]:
+        """The same as dotted keys of a scene file."""
         parts = self._parts(jnp.asarray(free))
         return {key: value for part, own in parts for key, value in part.document(own).items()}
 
@@ -188,7 +203,7 @@ def solve(study: Study, on_evaluation: Callable[[dict[str, Any]], object] | None
     # Once more, for the first run in a process is slower; this is the unit in which simulations are counted.
     again = jaxform.run(study.scene).seconds
     assert again is not None
-    search = _Search(study, on_evaluation, max(again.run, 1e-6))
+    search = Search(study, on_evaluation, max(again.run, 1e-6))
     message = {"lbfgs": _lbfgs, "adam": _adam}[study.method](search, study)
     if search.best is None:
         raise jaxform.InputError(
@@ -211,7 +226,7 @@ def _small(point: _Point, first: _Point, study: Study) -> bool:
     return float(np.linalg.norm(point.gradient)) <= study.tolerance * float(np.linalg.norm(first.gradient))
 
 
-def _lbfgs(search: _Search, study: Study) -> str:
+def _lbfgs(search: Search, study: Study) -> str:
     """Optax's L-BFGS direction with a weak Wolfe line search that sees every simulation."""
     transform = optax.scale_by_lbfgs(memory_size=_MEMORY)
     point = first = search(search.start)
@@ -235,7 +250,7 @@ def _lbfgs(search: _Search, study: Study) -> str:
     return f"{study.iterations} iterations done"
 
 
-def _line_search(search: _Search, point: _Point, direction: np.ndarray) -> _Point | None:
+def _line_search(search: Search, point: _Point, direction: np.ndarray) -> _Point | None:
     """A point that meets the weak Wolfe conditions, by bisection; else the best one that is better, else None."""
     slope = float(direction @ point.gradient)
     short, long, length = 0.0, np.inf, 1.0
@@ -256,7 +271,7 @@ def _line_search(search: _Search, point: _Point, direction: np.ndarray) -> _Poin
     return better
 
 
-def _adam(search: _Search, study: Study) -> str:
+def _adam(search: Search, study: Study) -> str:
     """Optax's Adam; after a failed simulation from the best design with half the rate."""
     rate = study.learning_rate
     transform = optax.scale_by_adam()

@@ -90,7 +90,7 @@ def test_the_search_recovers_a_known_profile() -> None:
 
 
 def test_the_study_s_gradient_equals_central_differences() -> None:
-    search = solvers._Search(_study(), None, 1.0)
+    search = solvers.Search(_study(), None, 1.0)
     free = np.array([0.3, -0.2, 0.1, -0.4])
     slope = search(free).gradient
     for k, direction in enumerate(np.eye(4)):
@@ -105,7 +105,7 @@ def test_the_study_s_gradient_equals_central_differences() -> None:
 def test_a_failed_simulation_is_a_step_to_shorten() -> None:
     """A search that is told that the far half of its first step fails ends with a better design all the same."""
     study = _study(iterations=3)
-    search = solvers._Search(study, None, 1.0)
+    search = solvers.Search(study, None, 1.0)
     first = search(study.variables[0].start)
     honest, calls = search._compute, []
 
