@@ -63,10 +63,10 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
     left.legend(frameon=False)
     right.plot(spent, 1e3 * _column(history, "wall_mean"), "-", color=_AFTER, label="mean wall [mm]")
     right.plot(spent, 1e3 * _column(history, "wall_min"), "--", color=_AFTER, label="thinnest wall [mm]")
-    right.set(xlabel="cost in simulations", ylabel="wall thickness [mm]", ylim=(0, None))
+    right.set(xlabel="cost in simulations", ylabel="wall thickness [mm]")
     twin = right.twinx()
     twin.plot(spent, 100 * _column(history, "wall_cv"), "-", color=_EXACT, label="variation [%]")
-    twin.set(ylabel="variation of the wall [%]", ylim=(0, None))
+    twin.set(ylabel="variation of the wall [%]")
     twin.spines["top"].set_visible(False)
     right.legend(handles=[*right.lines, *twin.lines], frameon=False, loc="center right")
     figure.tight_layout()
@@ -115,6 +115,8 @@ def _save(figure: Any, path: str | Path) -> None:
     for axes in figure.axes:
         if axes.name != "3d" and axes.get_label() != "<colorbar>":
             axes.grid(alpha=0.25)
+            if axes.get_yscale() == "linear" and axes.dataLim.y0 >= 0:
+                axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
             axes.spines["top"].set_visible(False)
     figure.savefig(path, dpi=_DPI)
 
@@ -249,7 +251,7 @@ def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, 
         style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
         axes.plot(1e3 * curve.arc, 1e3 * curve.thickness, color=color, label=curve.label, **style)
     where = "arc length from the axis" if disc else "arc length along the section"
-    axes.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
+    axes.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]")
     if axes.lines:
         axes.legend(frameon=False)
 
@@ -264,7 +266,6 @@ def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str,
     axes.set(
         xlabel="place along the meridian: radius in the initial sheet [mm]",
         ylabel="wall thickness [mm]",
-        ylim=(0, None),
     )
     axes.legend(frameon=False)
 
@@ -277,7 +278,7 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
         thickness = np.asarray(scene.parison.thickness, float)[order]
         axes.plot(1e3 * place[order], 1e3 * thickness, color=color, label=words, linewidth=2)
     where = "initial radius" if disc else "initial x"
-    axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]", ylim=(0, None))
+    axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]")
     axes.legend(frameon=False)
 
 
@@ -287,7 +288,7 @@ def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> N
             axes.plot(1e3 * curve.arc, 1e3 * curve.thickness, ".", color=color, markersize=4, label=words)
     if target is not None:
         axes.axhline(1e3 * target, color=_EXACT, linestyle="--", label="target")
-    axes.set(xlabel="arc length in the part [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
+    axes.set(xlabel="arc length in the part [mm]", ylabel="wall thickness [mm]")
     axes.legend(frameon=False)
 
 

@@ -6,13 +6,14 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import meshio
 import numpy as np
 import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import cli, files
+from jaxform import cli, files, molds
 
 SCENE = """
 name = "small"
@@ -132,6 +133,36 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     assert (out / "frames.pvd").read_text().count("<DataSet") == 3
     assert len(list((out / "frames").glob("*.vtu"))) == 3
     assert _picture_size(out / "thickness.png") == (1600, 700)
+
+
+def test_a_mold_from_an_stl_file_in_mm_with_its_triangles_turned_makes_the_same_part(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shape = molds.revolved(profile=[[0.0, 50.0], [55.0, 50.0], [100.0, 0.0]], segments=48)
+    turned = shape.triangles.copy()
+    turned[::2] = turned[::2, ::-1]
+    mold = meshio.Mesh(shape.vertices, [("triangle", np.concatenate([turned, turned[:1]]))])
+    mold.write(tmp_path / "cup.stl", binary=True)
+    begin, end = SCENE.index('shape = "revolved"'), SCENE.index("[solver]")
+    from_file = SCENE.replace(SCENE[begin:end], 'shape = "file"\npath = "cup.stl"\nscale = 1.0e-3\n')
+    longer = [text.replace("end_time = 0.05", "end_time = 0.2") for text in (SCENE, from_file)]
+    built_in, own = (files.load(_write(tmp_path, text)) for text in longer)
+    assert own.mold is not None and own.mold.dropped == 1
+    one, other = jaxform.run(built_in), jaxform.run(own)
+    assert np.asarray(one.contact_time).max() > 0
+    # STL holds single precision.
+    np.testing.assert_allclose(other.thickness, one.thickness, rtol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_both_precisions_run_the_dish(tmp_path: Path, capfd: pytest.CaptureFixture[str], dtype: str) -> None:
+    try:
+        assert cli.main(["simulate", "dish-coarse", "--out", str(tmp_path), "--dtype", dtype, "--quiet"]) == 0
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    np.testing.assert_allclose(summary["thickness"]["mean"], 9.098e-5, rtol=2e-3)
+    assert summary["contact_fraction"] > 0.9
 
 
 def test_quiet_says_nothing_and_force_overwrites(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
