@@ -1,6 +1,7 @@
 """jaxform: a differentiable simulator of blow moulding and thermoforming."""
 
 from jaxform import molds, shapes
+from jaxform.building import build_scene
 from jaxform.errors import InputError
 from jaxform.files import load
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
@@ -11,7 +12,6 @@ from jaxform.scene import (
     Pressure,
     Scene,
     Solver,
-    build_scene,
     make_parison,
     make_pressure,
     make_solver,

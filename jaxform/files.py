@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform import catalog, fields, materials, meshes, molds, schema, shapes
+from jaxform.building import build_scene
 from jaxform.errors import InputError
 from jaxform.mold import Mold, make_mold
 from jaxform.profiles import Profile
 from jaxform.pytree import as_real
-from jaxform.scene import Parison, Scene, build_scene, make_parison, make_pressure, make_solver
+from jaxform.scene import Parison, Scene, make_parison, make_pressure, make_solver
 from jaxform.validation import validate
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,15 +18,13 @@ import numpy as np
 from jax.core import Tracer
 from numpy.typing import ArrayLike
 
-from jaxform import membrane
 from jaxform.errors import InputError
 from jaxform.force import Sheet
 from jaxform.materials import Material
-from jaxform.mold import Mold, SearchGrid, build_grid, first_crossing
+from jaxform.mold import Mold, SearchGrid
 from jaxform.pytree import as_real, pytree, static
 
 STEPS_PER_WINDOW = 64
-_MOST_STEPS = 20_000_000
 _INTERPOLATIONS = ("linear", "cubic-ramp")
 
 
@@ -124,7 +121,7 @@ class Scene:
 
 
 # What `replace` may put in, and the least value it may have (None: any).
-_DESIGNABLE: dict[str, float | None] = {
+DESIGNABLE: dict[str, float | None] = {
     "parison.thickness": 0.0,
     "pressure.time": None,
     "pressure.value": None,
@@ -207,54 +204,11 @@ def make_solver(*, end_time: float, damping: float | None = None, safety: float 
     Raises:
         InputError: If a number is out of its range.
     """
-    _require(np.isfinite(end_time) and end_time > 0, "must be positive", "solver.end_time", end_time)
+    require(np.isfinite(end_time) and end_time > 0, "must be positive", "solver.end_time", end_time)
     if damping is not None:
-        _require(np.isfinite(damping) and damping >= 0, "must not be negative", "solver.damping", damping)
-    _require(0 < safety <= 1, "must be in (0, 1]", "solver.safety", safety)
+        require(np.isfinite(damping) and damping >= 0, "must not be negative", "solver.damping", damping)
+    require(0 < safety <= 1, "must be in (0, 1]", "solver.safety", safety)
     return Solver(as_real(end_time), None if damping is None else as_real(damping), float(safety))
-
-
-def build_scene(
-    *,
-    parison: Parison,
-    material: Material,
-    pressure: Pressure,
-    solver: Solver,
-    mold: Mold | None = None,
-    name: str = "scene",
-) -> Scene:
-    """Builds a scene: validates it and does all host work.
-
-    Raises:
-        InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
-            the run would take more steps than anyone would wait for.
-    """
-    _warn_of_float32()
-    _check_material(material)
-    positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
-    _check_mesh(positions, triangles, parison)
-    grid = None if mold is None else build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    if mold is not None and grid is not None:
-        _check_start(positions, triangles, mold, grid)
-    sheet = _reference_sheet(parison)
-    bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
-    held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
-    tables = Tables(
-        sheet=sheet,
-        bound=bound,
-        mobility=as_real(~held.T),
-        grid=grid,
-        window_count=_window_count(bound, material, solver),
-    )
-    return Scene(
-        parison=parison,
-        material=material,
-        pressure=pressure,
-        solver=solver,
-        mold=mold,
-        tables=tables,
-        name=name,
-    )
 
 
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
@@ -278,11 +232,11 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
 def _designable(scene: Scene, path: str) -> jax.Array:
     part, _, name = path.partition(".")
     old = getattr(getattr(scene, part, None), name, None)
-    if path in _DESIGNABLE and old is not None:
+    if path in DESIGNABLE and old is not None:
         return old
     if old is not None:
         raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)
-    known = [p for p in _DESIGNABLE if getattr(getattr(scene, p.split(".")[0]), p.split(".")[1], None) is not None]
+    known = [p for p in DESIGNABLE if getattr(getattr(scene, p.split(".")[0]), p.split(".")[1], None) is not None]
     close = difflib.get_close_matches(path, known, n=1)
     mend = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
     raise InputError("this scene has no such number", mend, path)
@@ -294,7 +248,7 @@ def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
         new = jnp.broadcast_to(new, old.shape)
     except ValueError:
         raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
-    least = _DESIGNABLE[path]
+    least = DESIGNABLE[path]
     if not isinstance(new, Tracer):
         seen = np.asarray(new)
         if not np.all(np.isfinite(seen)):
@@ -306,92 +260,7 @@ def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
     return new
 
 
-def _require(good: bool, problem: str, key: str, value: Any) -> None:
+def require(good: bool, problem: str, key: str, value: Any) -> None:
+    """Raises InputError about a number out of its range unless it is good."""
     if not good:
-        raise InputError(problem, "", key, value)
-
-
-def _check_material(material: Material) -> None:
-    for field in dataclasses.fields(material):
-        key, value = f"material.{field.name}", float(getattr(material, field.name))
-        if _DESIGNABLE[key] is None:
-            _require(np.isfinite(value) and value >= 0, "must not be negative", key, value)
-        else:
-            _require(np.isfinite(value) and value > 0, "must be positive", key, value)
-
-
-def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
-    if len(triangles) == 0:
-        raise InputError("the parison has no triangles", "give a surface mesh of triangles", "parison")
-    edge1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
-    edge2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
-    area = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
-    longest = np.maximum(np.square(edge1).sum(1), np.square(edge2).sum(1))
-    bad = np.flatnonzero(~(area > 1e-9 * longest))
-    if len(bad):
-        raise InputError(
-            f"{len(bad)} of its triangles are degenerate, the first is number {bad[0]}",
-            "remesh the parison",
-            "parison",
-        )
-    held = np.asarray(parison.clamped)[:, None] | np.asarray(parison.fixed)
-    if np.all(held):
-        raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
-
-
-def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid: SearchGrid) -> None:
-    sides = np.unique(
-        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
-    )
-    begin, end = positions[sides[:, 0]], positions[sides[:, 1]]
-    crossing = first_crossing(begin, end, mold, grid)
-    if crossing is not None:
-        where = 0.5 * (begin + end)[crossing[0]]
-        place = ", ".join(f"{value:.4g}" for value in where)
-        raise InputError(
-            f"the parison starts through the mold, near ({place}) m, in mold triangle {crossing[1]}",
-            "move the mold (mold.translate) or shrink the parison",
-            "mold",
-        )
-
-
-def _reference_sheet(parison: Parison) -> Sheet:
-    positions, triangles = parison.positions.T, parison.triangles.T
-    inverse, area = membrane.reference_metric(positions, triangles)
-    # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
-    on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
-    places = np.asarray(parison.positions)
-    origin = [places[on_plane[:, k], k].mean() if on_plane[:, k].any() else 0.0 for k in range(3)]
-    return Sheet(triangles, inverse, area, as_real(origin))
-
-
-def _window_count(bound: jax.Array, material: Material, solver: Solver) -> int:
-    """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare."""
-    step = solver.safety * _stiffest_step(bound, material)
-    steps = 1.3 * float(solver.end_time / step)
-    if not steps < _MOST_STEPS:
-        raise InputError(
-            f"the run would take {steps:.2g} steps of {float(step):.2g} s",
-            "shorten it, coarsen the smallest elements or soften the material",
-            "solver.end_time",
-            float(solver.end_time),
-        )
-    return int(np.ceil(steps / STEPS_PER_WINDOW)) + 16
-
-
-@jax.jit
-def _stiffest_step(bound: jax.Array, material: Material) -> jax.Array:
-    square = jnp.square(jnp.linspace(1.0, 6.0, 64))
-    unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
-    strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
-    stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
-    return 2.0 / jnp.sqrt(3.0 * stiffest * jnp.max(bound) / material.density)
-
-
-def _warn_of_float32() -> None:
-    if not jax.config.read("jax_enable_x64"):
-        warnings.warn(
-            "jaxform computes in float32 because JAX's x64 mode is off; "
-            'for full accuracy call jax.config.update("jax_enable_x64", True) first',
-            stacklevel=3,
-        )
+        raise InputError(problem, "give a number in that range", key, value)
