@@ -204,7 +204,12 @@ def solve(study: Study, on_evaluation: Callable[[dict[str, Any]], object] | None
     again = jaxform.run(study.scene).seconds
     assert again is not None
     search = Search(study, on_evaluation, max(again.run, 1e-6))
-    message = {"lbfgs": _lbfgs, "adam": _adam}[study.method](search, study)
+    try:
+        message = {"lbfgs": _lbfgs, "adam": _adam}[study.method](search, study)
+    except KeyboardInterrupt:
+        if search.best is None:
+            raise
+        message = "interrupted"  # what was found is worth keeping
     if search.best is None:
         raise jaxform.InputError(
             "the first design, moved into the bounds, fails", "widen the bounds", "variable.bounds"

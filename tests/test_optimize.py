@@ -123,6 +123,17 @@ def test_a_failed_simulation_is_a_step_to_shorten() -> None:
     assert search.best is not None and search.best.value < 0.5 * first.value
 
 
+def test_an_interrupted_search_keeps_its_best_design() -> None:
+    def interrupt(row: dict[str, float]) -> None:
+        if row["evaluation"] == 2:
+            raise KeyboardInterrupt
+
+    design = optimize.solve(_study(iterations=25), interrupt)
+    assert design.message == "interrupted"
+    assert len(design.history) == 3
+    np.testing.assert_allclose(float(design.result.mass), min(design.history, key=lambda r: r["objective"])["mass"])
+
+
 def test_a_scene_that_fails_is_refused() -> None:
     with pytest.raises(jaxform.InputError, match="fails"):
         import dataclasses
