@@ -118,7 +118,7 @@ def _save(figure: Any, path: str | Path) -> None:
             if axes.get_yscale() == "linear" and axes.dataLim.y0 >= 0:
                 axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
             axes.spines["top"].set_visible(False)
-    figure.savefig(path, dpi=_DPI)
+    figure.savefig(path, dpi=_DPI, metadata={"Software": None})
 
 
 def _title(scene: Scene, result: Result) -> str:
