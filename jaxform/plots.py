@@ -113,7 +113,7 @@ def _figure(width: float, height: float, title: str) -> Any:
 
 def _save(figure: Any, path: str | Path) -> None:
     for axes in figure.axes:
-        if axes.name != "3d" and axes.get_label() != "<colorbar>":
+        if axes.name != "3d" and axes.lines:  # neither a view nor a colour bar
             axes.grid(alpha=0.25)
             if axes.get_yscale() == "linear" and axes.dataLim.y0 >= 0:
                 axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
