@@ -184,6 +184,8 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
             elements=table.elements,
             symmetry=table.symmetry,
         )
+    if isinstance(table, schema.BottleHalfParison):
+        return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness"}))
     size = table.element_size
     local = _profile(size, "parison.element_size") if isinstance(size, schema.Profile) else size
     return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
@@ -224,6 +226,10 @@ def _mold(document: SceneDocument) -> Mold | None:
         return None
     if isinstance(table, schema.RevolvedMold):
         shape = molds.revolved(profile=table.profile, segments=table.segments)
+    elif isinstance(table, schema.BoxInsertMold):
+        shape = molds.box_insert(**table.model_dump(exclude={"shape"}))
+    elif isinstance(table, schema.BottleHalfMold):
+        shape = molds.bottle_half(**table.model_dump(exclude={"shape"}))
     else:
         with _told_of("", "mold.path"):
             mesh = meshes.read_mesh(document.folder / table.path, scale=table.scale)

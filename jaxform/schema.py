@@ -147,6 +147,20 @@ class Sphere(_BuiltIn):
     element_size: Positive | None = None
 
 
+class BottleHalfParison(Table):
+    """Half of a flattened parison, pinched along the outline of a bottle with a handle."""
+
+    shape: Literal["bottle-half"]
+    height: Positive = 0.23
+    radius: Positive = 0.04
+    neck_radius: Positive = 0.014
+    hole: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
+    element_size: Positive = 0.0072
+    swell: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    inset: Positive = 1.0e-3
+    thickness: Thickness
+
+
 class FileParison(Table):
     """A user's mesh; pressure acts along its triangles' normals."""
 
@@ -163,8 +177,9 @@ Parison = Annotated[
     Annotated[Disc, Tag("<disc>")]
     | Annotated[Rectangle, Tag("<rectangle>")]
     | Annotated[Sphere, Tag("<sphere>")]
+    | Annotated[BottleHalfParison, Tag("<bottle-half>")]
     | Annotated[FileParison, Tag("<file>")],
-    *choice("shape", ["disc", "rectangle", "sphere", "file"], later=["tube"]),
+    *choice("shape", ["disc", "rectangle", "sphere", "bottle-half", "file"], later=["tube"]),
 ]
 
 
@@ -218,6 +233,31 @@ class RevolvedMold(Table):
     segments: Annotated[int, Field(ge=3)]
 
 
+class BoxInsertMold(Table):
+    """A box, open at z = 0, with a raised block in the middle of its bottom."""
+
+    shape: Literal["box-insert"]
+    size: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.3, 0.2])
+    depth: Positive = 0.08
+    insert_size: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
+        default_factory=lambda: [0.12, 0.08]
+    )
+    insert_height: Positive = 0.04
+    draft: NotNegative = 0.0
+    divisions: Annotated[int, Field(ge=1)] = 1
+
+
+class BottleHalfMold(Table):
+    """Half of a soap bottle with a handle, z >= 0."""
+
+    shape: Literal["bottle-half"]
+    height: Positive = 0.23
+    radius: Positive = 0.04
+    neck_radius: Positive = 0.014
+    hole: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
+    element_size: Positive = 0.00595
+
+
 class FileMold(Table):
     """A user's mesh: scaled, turned about x, y, z [degrees], then moved [m]."""
 
@@ -229,8 +269,11 @@ class FileMold(Table):
 
 
 Mold = Annotated[
-    Annotated[RevolvedMold, Tag("<revolved>")] | Annotated[FileMold, Tag("<file>")],
-    *choice("shape", ["revolved", "file"], later=["box-insert", "bottle-half"]),
+    Annotated[RevolvedMold, Tag("<revolved>")]
+    | Annotated[BoxInsertMold, Tag("<box-insert>")]
+    | Annotated[BottleHalfMold, Tag("<bottle-half>")]
+    | Annotated[FileMold, Tag("<file>")],
+    *choice("shape", ["revolved", "box-insert", "bottle-half", "file"]),
 ]
 
 

@@ -1,16 +1,16 @@
-"""Sheets on the host: disc, rectangle, sphere, and a user's mesh."""
+"""Sheets on the host: disc, rectangle, sphere, half a bottle's parison, and a user's mesh."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import grids, meshes, topology
+from jaxform import bottle, grids, meshes, topology
 from jaxform.errors import InputError
 from jaxform.meshes import Mesh
 from jaxform.profiles import Profile
@@ -192,6 +192,46 @@ def sphere(
     direction = np.sin(np.pi / 2 * lattice / division)
     positions = radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     return _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
+
+
+def bottle_half(
+    *,
+    height: float = 0.23,
+    radius: float = 0.04,
+    neck_radius: float = 0.014,
+    hole: Sequence[float] = (0.0075, 0.027),
+    element_size: float = 0.0072,
+    swell: float = 0.3,
+    inset: float = 1.0e-3,
+) -> Sheet:
+    """Half of a flattened parison in the mold of half a bottle: pinched along its outline and round the handle's hole.
+
+    Args:
+        height: Of the bottle, from the bottom, y = 0, to the neck [m].
+        radius: Of the bottle's body [m].
+        neck_radius: [m].
+        hole: Half width and half height of the handle's hole [m].
+        element_size: Length of the edges [m] in the plane of the outline, halved in narrow parts.
+        swell: How far it is blown up already: 0 is flat, 1 the bottle.
+        inset: How far inside the bottle's outline it is pinched [m].
+
+    Returns:
+        The sheet, z >= 0, outward normals, clamped all along its edge.
+
+    Raises:
+        InputError: A number is out of range, or the parts do not fit into each other.
+    """
+    if not 0 < swell < 1:
+        raise InputError("is no fraction of the bottle", "give a number between 0 and 1", "parison.swell", swell)
+    if not 0 < inset <= 0.3 * hole[0]:
+        raise InputError("does not fit the bottle", f"use up to {0.3 * hole[0]:.4g} m", "parison.inset", inset)
+    shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
+    try:
+        positions, triangles = bottle.half(shape, element_size, swell=swell, inset=inset)
+    except InputError as error:
+        raise replace(error, key=f"parison.{error.key}") from None
+    clamped = np.isin(np.arange(len(positions)), topology.boundary_nodes(triangles))
+    return Sheet(positions, triangles, clamped, np.zeros(positions.shape, dtype=bool))
 
 
 def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()) -> Sheet:

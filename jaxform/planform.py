@@ -1,0 +1,136 @@
+"""Regular triangles over a plane region with holes. On the host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay, cKDTree
+
+Array = NDArray[np.float64]
+Size = Callable[[Array], Array]
+"""Length of the sides (n,) [m] at points (n, 2) [m]."""
+
+_ROUNDS = 6  # of smoothing; more change little
+_CLEAR = 0.6  # of the size: inner points keep that far from the rim, so that its edges are edges of the mesh
+_MOST_PAIRS = 1_000_000  # of points and sides of the loops looked at together
+_LEVELS = 4  # times that the largest size may be halved
+
+
+def resample(curve: Array, size: Size) -> Array:
+    """Points (k, 2) [m] along an open curve (n, 2) [m] as far apart as the local size, both ends included."""
+    step = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    local = size(0.5 * (curve[1:] + curve[:-1]))
+    rank = np.concatenate([[0.0], np.cumsum(step / local)])
+    places = np.linspace(0.0, rank[-1], max(2, round(rank[-1])) + 1)
+    return np.stack([np.interp(places, rank, curve[:, k]) for k in range(2)], axis=1)
+
+
+def triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.int32]]:
+    """Nearly regular triangles over the inside of closed curves.
+
+    Args:
+        loops: Corners (k, 2) [m] of each closed curve, as far apart as the local size: the rim and the holes.
+        size: Length of the sides.
+
+    Returns:
+        Points (n, 2) [m], those of the loops first and unmoved, and triangles (m, 3), counter-clockwise.
+
+    Raises:
+        ValueError: The curves are too close to each other, or too coarse, for the mesh to follow them.
+    """
+    rim = np.concatenate(loops)
+    inner = _lattice(rim, size)
+    inner = inner[_free(inner, loops, _CLEAR * size(inner))]
+    for _ in range(_ROUNDS):
+        points = np.concatenate([rim, inner])
+        moved = _neighbours_mean(points, _kept(points, loops))[len(rim) :]
+        stays = _free(moved, loops, 0.5 * _CLEAR * size(moved))
+        inner = np.where(stays[:, None], moved, inner)
+    points = np.concatenate([rim, inner])
+    triangles = _kept(points, loops)
+    _check_rim(triangles, loops)
+    return points, triangles.astype(np.int32)
+
+
+def _lattice(rim: Array, size: Size) -> Array:
+    """Nested hexagonal lattices over the rim's bounding box: where the size is smaller, the next finer one."""
+    low, high = rim.min(0), rim.max(0)
+    spacing = float(size(rim).max())
+    chosen = []
+    for level in range(_LEVELS + 1):
+        step = spacing / 2**level
+        x, y = np.meshgrid(np.arange(low[0], high[0] + step, step), np.arange(low[1], high[1] + step, step * _ROW))
+        x[1::2] += 0.5 * step
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        wanted = np.clip(np.round(np.log2(spacing / size(points))), 0, _LEVELS)
+        chosen.append(points[wanted == level])
+    return np.concatenate(chosen)
+
+
+_ROW = np.sqrt(0.75)  # distance of a hexagonal lattice's rows
+
+
+def _free(points: Array, loops: Sequence[Array], clearance: Array) -> NDArray[np.bool_]:
+    """Whether points are inside the loops and that far from them."""
+    return _inside(points, loops) & (_rim_distance(points, loops) > clearance)
+
+
+def _inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
+    """Whether a line from each point to the right crosses the loops an odd number of times."""
+    begin = np.concatenate(loops)
+    end = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    slope = (end[:, 0] - begin[:, 0]) / np.where(begin[:, 1] == end[:, 1], 1.0, end[:, 1] - begin[:, 1])
+    inside = []
+    for part in np.array_split(points, 1 + len(points) * len(begin) // _MOST_PAIRS):
+        x, y = part[:, :1], part[:, 1:]
+        spans = (begin[:, 1] > y) != (end[:, 1] > y)
+        inside.append(np.sum(spans & (x < begin[:, 0] + (y - begin[:, 1]) * slope), axis=1) % 2 == 1)
+    return np.concatenate(inside)
+
+
+def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
+    """Distance to the loops, each side sampled ten times."""
+    share = np.arange(10)[:, None] / 10
+    samples = [(loop[:, None] + share * (np.roll(loop, -1, axis=0) - loop)[:, None]).reshape(-1, 2) for loop in loops]
+    return cKDTree(np.concatenate(samples)).query(points)[0]
+
+
+def _kept(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
+    """The Delaunay triangles inside the loops."""
+    triangles = Delaunay(points).simplices.astype(np.int64)
+    return triangles[_inside(points[triangles].mean(1), loops)]
+
+
+def _neighbours_mean(points: Array, triangles: NDArray[np.int64]) -> Array:
+    total, count = np.zeros_like(points), np.zeros(len(points))
+    for k in range(3):
+        here = triangles[:, k]
+        np.add.at(total, here, points[triangles[:, (k + 1) % 3]] + points[triangles[:, (k + 2) % 3]])
+        np.add.at(count, here, 2.0)
+    return total / np.maximum(count, 1.0)[:, None]
+
+
+def _check_rim(triangles: NDArray[np.int64], loops: Sequence[Array]) -> None:
+    sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    present = set(map(tuple, sides.tolist()))
+    start = 0
+    for loop in loops:
+        number = start + np.arange(len(loop))
+        wanted = np.sort(np.stack([number, np.roll(number, -1)], axis=1), axis=1)
+        if not all(tuple(edge) in present for edge in wanted.tolist()):
+            raise ValueError("the triangles do not follow the curves")
+        start += len(loop)
+
+
+def interpolator(points: Array, values: Array) -> Callable[[Array], Array]:
+    """Linear interpolation of (n, k) values at scattered points (n, 2); outside of them the nearest one's value."""
+    inside, tree = LinearNDInterpolator(points, values), cKDTree(points)
+
+    def at(places: Array) -> Array:
+        found = inside(places)
+        return np.where(np.isnan(found), values[tree.query(places)[1]], found)
+
+    return at
