@@ -160,7 +160,7 @@ def _moved_in(curve: Array, inset: float) -> Array:
 
 @functools.lru_cache(maxsize=8)
 def _lift(shape: Bottle) -> Callable[[Array], Array]:
-    """u and its gradient, (n, 3), at points (n, 2) [m]; solved on a fine mesh of its own, whatever mesh asks."""
+    """U and its gradient, (n, 3), at points (n, 2) [m]; solved on a fine mesh of its own, whatever mesh asks."""
     size = shape.hole[0] / 3
     points, triangles, rim, _ = _meshed(shape, lambda at: np.full(len(at), size), 0.0)
     u = _torsion(points, triangles, rim)
@@ -172,7 +172,7 @@ def _lift(shape: Bottle) -> Callable[[Array], Array]:
 
 
 def _torsion(points: Array, triangles: NDArray, rim: NDArray) -> Array:
-    """u with -div grad u = 1, 0 on the rim, by linear elements."""
+    """U with -div grad u = 1, 0 on the rim, by linear elements."""
     gradient, area = _gradients(points, triangles)
     i, j = (index.ravel() for index in np.meshgrid(range(3), range(3)))
     value = area * np.einsum("knd,knd->kn", gradient[i], gradient[j])

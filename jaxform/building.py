@@ -13,9 +13,11 @@ from jaxform import membrane
 from jaxform.errors import InputError
 from jaxform.force import Sheet
 from jaxform.materials import Material
-from jaxform.mold import Mold, SearchGrid, build_grid, first_crossing
+from jaxform.mold import Mold
+from jaxform.penetration import first_crossing
 from jaxform.pytree import as_real
 from jaxform.scene import DESIGNABLE, STEPS_PER_WINDOW, Parison, Pressure, Scene, Solver, Tables, require
+from jaxform.search import SearchGrid, build_grid
 
 _MOST_STEPS = 20_000_000
 

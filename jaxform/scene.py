@@ -21,8 +21,9 @@ from numpy.typing import ArrayLike
 from jaxform.errors import InputError
 from jaxform.force import Sheet
 from jaxform.materials import Material
-from jaxform.mold import Mold, SearchGrid
+from jaxform.mold import Mold
 from jaxform.pytree import as_real, pytree, static
+from jaxform.search import SearchGrid
 
 STEPS_PER_WINDOW = 64
 _INTERPOLATIONS = ("linear", "cubic-ramp")

@@ -106,7 +106,7 @@ def _advance(state: State, scene: Scene, sheet_body: Body, most: jax.Array) -> t
         return (carry[1] < most) & ~finished(carry[0], scene)
 
     def take(carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
-        return window(carry[0], scene, sheet_body), carry[1] + 1
+        return window(carry[0], scene, sheet_body, differentiable=False), carry[1] + 1
 
     state, _ = jax.lax.while_loop(going, take, (state, jnp.int32(0)))
     return state, finished(state, scene)

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
 from jaxform.force import Load, force
+from jaxform.near import Near, left, list_near, watch
 from jaxform.pytree import as_real, pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 
 _RUNGS_PER_OCTAVE = 8
+_GLANCE = 3.0  # steps before a node leaves the range of its list, the window halts
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 
 
@@ -174,7 +177,7 @@ def step(
     sheet_body: Body,
     begin: jax.Array,
     length: jax.Array,
-    near: contact.Near | None,
+    near: Near | None,
 ) -> _Moving:
     """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
 
@@ -208,7 +211,7 @@ def step(
     )
     if near is None or scene.mold is None or scene.tables.grid is None:
         return moved
-    return _touch(moving, moved, scene, sheet_body, begin + count * length, 2.0 * length, near)
+    return _touch(moving, moved, scene, sheet_body, begin + count * length, near)
 
 
 def _kick(
@@ -231,13 +234,14 @@ def _touch(
     scene: Scene,
     sheet_body: Body,
     time: jax.Array,
-    glance: jax.Array,
-    near: contact.Near,
+    near: Near,
 ) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None
     landing = contact.Landing(moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.contact_loss)
-    landing = contact.land(before.positions, landing, sheet_body.mass, time, near, scene.mold, scene.tables.grid)
+    mold, grid = scene.mold, scene.tables.grid
+    reached, leaving = watch(jax.lax.stop_gradient(moved.positions), moved.stuck, near)
+    landing = contact.land(before.positions, landing, reached, sheet_body.mass, time, near, mold, grid)
     return dataclasses.replace(
         moved,
         positions=landing.positions,
@@ -245,12 +249,15 @@ def _touch(
         stuck=landing.stuck,
         contact_time=landing.contact_time,
         contact_loss=landing.loss,
-        halted=moved.halted | contact.leaving(landing.positions, landing.velocities, glance, near),
+        halted=moved.halted | leaving,
     )
 
 
-def window(state: State, scene: Scene, sheet_body: Body) -> State:
-    """A fixed number of steps with the decisions taken at its border."""
+def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool = True) -> State:
+    """A fixed number of steps with the decisions taken at its border.
+
+    Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
+    """
     length = choose_step(state, scene)
     index = jnp.arange(STEPS_PER_WINDOW)
     times = state.time + index * length
@@ -275,18 +282,31 @@ def window(state: State, scene: Scene, sheet_body: Body) -> State:
         a, b, c = pressures
         return step(moving, (a, b, c), scene, sheet_body, state.time, length, near), None
 
-    moving, _ = jax.lax.scan(advance, moving, (pressure, 0.5 * (before + pressure), kick))
+    steps = pressure, 0.5 * (before + pressure), kick
+    if differentiable:
+        moving, _ = jax.lax.scan(advance, moving, steps)
+    else:
+        moving = _until_halted(
+            lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving
+        )
     return _close(state, moving, scene, sheet_body, length, near)
 
 
-def _list_near(state: State, scene: Scene, length: jax.Array) -> contact.Near | None:
+def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving) -> _Moving:
+    def going(moving: _Moving) -> jax.Array:
+        return (moving.count < STEPS_PER_WINDOW) & ~moving.halted
+
+    return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
+
+
+def _list_near(state: State, scene: Scene, length: jax.Array) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
-    positions, velocities, mold, grid, length = jax.lax.stop_gradient(
-        (state.positions, state.velocities, scene.mold, scene.tables.grid, length)
+    positions, velocities, grid, length = jax.lax.stop_gradient(
+        (state.positions, state.velocities, scene.tables.grid, length)
     )
-    travel = contact.expected_travel(velocities, length * STEPS_PER_WINDOW, grid)
-    return contact.list_near(positions, ~state.stuck, travel, mold, grid)
+    duration = length * STEPS_PER_WINDOW
+    return list_near(positions, velocities, ~state.stuck, duration, _GLANCE * length, grid)
 
 
 def _close(
@@ -295,7 +315,7 @@ def _close(
     scene: Scene,
     sheet_body: Body,
     length: jax.Array,
-    near: contact.Near | None,
+    near: Near | None,
 ) -> State:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
     new = dataclasses.replace(
@@ -318,7 +338,7 @@ def _close(
     status = _health(new, scene, sheet_body) | state.status
     if near is not None:
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-        status |= jnp.where(contact.left(moving.positions, near), Status.CONTACT_MISSED, 0)
+        status |= jnp.where(left(moving.positions, near), Status.CONTACT_MISSED, 0)
     bad = (status & Status.NON_FINITE) != 0
     kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
     return dataclasses.replace(kept, status=status.astype(jnp.int32))

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import contact, mold, molds
-from jaxform.mold import Mold, build_grid, point_triangle_distance
+from jaxform import contact, molds
+from jaxform import near as nearness
+from jaxform.mold import Mold
+from jaxform.penetration import point_triangle_distance
+from jaxform.search import SearchGrid, build_grid
 
 
 def _shape(name: str) -> Mold:
@@ -43,14 +46,15 @@ def _oracle(begin: np.ndarray, end: np.ndarray, wall: Mold) -> np.ndarray:
 
 
 @jax.jit
-def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: mold.SearchGrid) -> tuple[jax.Array, ...]:
+def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, ...]:
     """One step of all nodes from begin to end, (3, n), as the simulation takes it."""
     count = begin.shape[1]
-    reach = jnp.sqrt(jnp.sum(jnp.square(end - begin), axis=0)) * (1 + 1e-12)
-    near = contact.list_near(begin, jnp.ones(count, bool), reach, wall, grid)
-    flying = contact.Landing(end, end - begin, jnp.zeros(count, bool), jnp.full(count, -1.0), jnp.asarray(0.0))
-    landed = contact.land(begin, flying, jnp.ones(count), jnp.asarray(1.0), near, wall, grid)
-    return landed.positions, landed.stuck, near.overflow, landed.loss
+    free = jnp.zeros(count, bool)
+    near = nearness.list_near(begin, end - begin, ~free, jnp.asarray(1.0), jnp.asarray(0.0), grid)
+    reached, _ = nearness.watch(end, free, near)
+    flying = contact.Landing(end, end - begin, free, jnp.full(count, -1.0), jnp.asarray(0.0))
+    landed = contact.land(begin, flying, reached, jnp.ones(count), jnp.asarray(1.0), near, wall, grid)
+    return landed.positions, landed.stuck, near.overflow | nearness.left(end, near), landed.loss
 
 
 @pytest.mark.parametrize("name", ["cup", "ribs", "box"])
@@ -61,12 +65,12 @@ def test_random_paths_land_where_brute_force_says(name: str) -> None:
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     share = random.dirichlet([1.0, 1.0, 1.0], 3000)
     on_wall = np.einsum("ij,ijk->ik", share, corners[random.integers(len(corners), size=3000)])
-    begin = on_wall + 0.4 * float(grid.width) * random.uniform(-1, 1, (3000, 3))
+    begin = on_wall + 0.4 * float(grid.reach) * random.uniform(-1, 1, (3000, 3))
     path = random.normal(size=begin.shape)
-    path *= float(grid.width) * random.uniform(0, 1, (3000, 1)) / np.linalg.norm(path, axis=1, keepdims=True)
-    place, stuck, overflow, loss = _walk(jnp.asarray(begin.T), jnp.asarray((begin + path).T), wall, grid)
+    path *= float(grid.reach) * random.uniform(0, 1, (3000, 1)) / np.linalg.norm(path, axis=1, keepdims=True)
+    place, stuck, lost, loss = _walk(jnp.asarray(begin.T), jnp.asarray((begin + path).T), wall, grid)
     least = _oracle(begin, begin + path, wall)
-    assert not overflow
+    assert not lost
     assert 500 < np.isfinite(least).sum() < 2500
     np.testing.assert_array_equal(np.asarray(stuck), np.isfinite(least))
     expected = begin + np.where(np.isfinite(least), least, 1.0)[:, None] * path
@@ -81,12 +85,12 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    cell = np.asarray(contact._cells(jnp.asarray(points.T), grid))
-    start, listed = np.asarray(grid.start), np.asarray(grid.listed)
+    cell = np.asarray(nearness._cells(jnp.asarray(points.T), grid))
+    start, listed = np.asarray(grid.start), np.asarray(grid.number)[np.asarray(grid.listed)]
     for point, number in zip(points, cell, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert float(grid.bound[number]) <= distance.min() + 1e-12
-        missing = np.setdiff1d(np.flatnonzero(distance < float(grid.width)), listed[start[number] : start[number + 1]])
+        missing = np.setdiff1d(np.flatnonzero(distance < float(grid.reach)), listed[start[number] : start[number + 1]])
         assert len(missing) == 0
 
 

@@ -1,0 +1,297 @@
+"""Which nodes can meet which triangles of the mold within a window, found at its border.
+
+Each node gets a ball in which it is expected to stay: about the middle of its expected path. The pairs of node and
+triangle that can meet in such a ball are listed, and with each node how far it can go before it touches anything. A
+node that is about to leave its ball halts the window: the next border gives it another.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.membrane import dot, gather
+from jaxform.pytree import pytree
+from jaxform.search import SearchGrid
+
+# Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
+# the room for them, and nothing is compiled twice. No derivative goes through these loops.
+TEST_BLOCK = 128
+_LANES, _DEPTH = 64, 8  # nodes, and triangles of each, that are looked at together
+_ROOM_PER_NODE, _LEAST_ROOM = 2, 4096  # pairs that a window can hold
+_MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
+_ALARM = 0.1  # of a ball's radius, that a node must not pass in one step
+_MOST_HALVINGS = 10  # of the balls, until the pairs find room
+
+
+@pytree
+class Near:
+    """What a window knows of the mold.
+
+    Attributes:
+        node, triangle: The pairs (room,) that can meet.
+        planes: Geometry of the pairs' triangles (room, 12).
+        count: How many pairs there are.
+        start: Positions (3, n_node) [m] at the border.
+        clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
+        center: Of the balls (3, n_node) [m].
+        limit: Radius (n_node,) [m] of the balls: inside, no triangle but the listed can be met.
+        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts, a few steps
+            before the limit.
+        overflow: Whether pairs were lost, so that the window must not be trusted.
+    """
+
+    node: jax.Array
+    triangle: jax.Array
+    planes: jax.Array
+    count: jax.Array
+    start: jax.Array
+    clear_square: jax.Array
+    center: jax.Array
+    limit: jax.Array
+    alarm_square: jax.Array
+    overflow: jax.Array
+
+
+@pytree
+class _Balls:
+    """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m], their cells, and who is near."""
+
+    center: jax.Array
+    radius: jax.Array
+    cell: jax.Array
+    near: jax.Array
+
+
+@pytree
+class _Pairs:
+    """Pairs of node and triangle (room + block, 2), and how many there are; beyond the room they are only counted."""
+
+    pairs: jax.Array
+    count: jax.Array
+
+
+def _no_pairs(room: int, block: int) -> _Pairs:
+    """An empty list; whole blocks are written, so it has a margin."""
+    return _Pairs(jnp.zeros((room + block, 2), jnp.int32), jnp.int32(0))
+
+
+def _packed(keep: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Where the entries (n,) to be kept are, one after the other, then anything; and how many they are.
+
+    Bisection of the running count and a gather take two thirds of the time of a scatter.
+    """
+    running = jnp.cumsum(keep, dtype=jnp.int32)
+    place = jnp.searchsorted(running, jnp.arange(1, keep.size + 1, dtype=jnp.int32))
+    return jnp.minimum(place, keep.size - 1), running[-1]
+
+
+def _written(block: jax.Array, rows: jax.Array, count: jax.Array) -> jax.Array:
+    """The rows (room + n, k) with a block (n, k) after the first `count`; what finds no room is lost."""
+    return jax.lax.dynamic_update_slice_in_dim(rows, block, count, axis=0)
+
+
+_REACHED, _LEAVING = 1, 2
+
+
+def watch(positions: jax.Array, stuck: jax.Array, near: Near) -> tuple[jax.Array, jax.Array]:
+    """Whether any free node has gone far enough to touch a listed triangle, and whether one may soon leave its ball.
+
+    Args:
+        positions: After a step (3, n_node) [m].
+        stuck: Nodes (n_node,) that do not move any more.
+        near: The window's list.
+    """
+    way, gap = positions - near.start, positions - near.center
+    reached = jnp.where(dot(way, way) >= near.clear_square, _REACHED, 0)
+    leaving = jnp.where(dot(gap, gap) > near.alarm_square, _LEAVING, 0)
+    # One pass over the nodes for both answers.
+    found = jax.lax.reduce_or(jnp.where(stuck, 0, reached | leaving).astype(jnp.int32), axes=(0,))
+    return (found & _REACHED) != 0, (found & _LEAVING) != 0
+
+
+def left(positions: jax.Array, near: Near) -> jax.Array:
+    """Whether any node has left its ball, so that it may have missed the mold."""
+    gap = positions - near.center
+    return jnp.any(dot(gap, gap) > jnp.square(near.limit))
+
+
+def list_near(
+    positions: jax.Array,
+    velocities: jax.Array,
+    free: jax.Array,
+    duration: jax.Array,
+    glance: jax.Array,
+    grid: SearchGrid,
+) -> Near:
+    """Lists the pairs of free nodes and triangles that may meet.
+
+    Args:
+        positions: (3, n_node) [m].
+        velocities: (3, n_node) [m/s].
+        free: Nodes (n_node,) that can still move.
+        duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
+        glance: How long before a node leaves its ball the window is halted [s].
+        grid: Its search structure.
+    """
+    room = -(-max(_ROOM_PER_NODE * free.size, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
+
+    # Where there are too many pairs the balls shrink, and the window will halt the sooner.
+    def too_many(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+        return (carry[0] == 0) | (carry[1].count > room) & (carry[0] < _MOST_HALVINGS)
+
+    def attempt(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+        balls = _balls(positions, velocities, free, duration, 0.5 ** carry[0], grid)
+        return carry[0] + 1, _candidates(balls, room, grid)
+
+    tries, candidates = jax.lax.while_loop(too_many, attempt, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))
+    balls = _balls(positions, velocities, free, duration, 0.5 ** (tries - 1), grid)
+    kept, planes, clear = _examined(candidates, positions, balls, room, grid)
+    limit = jnp.where(free, jnp.where(balls.near, balls.radius, grid.bound[balls.cell]), jnp.inf)
+    speed = jnp.sqrt(dot(velocities, velocities))
+    alarm = jnp.maximum(limit - jnp.maximum(glance * speed, _ALARM * balls.radius), 0.0)
+    return Near(
+        node=kept.pairs[:, 0],
+        triangle=kept.pairs[:, 1],
+        planes=planes,
+        count=jnp.minimum(kept.count, room),
+        start=positions,
+        clear_square=jnp.where(balls.near, jnp.square(clear), jnp.inf),
+        center=balls.center,
+        limit=limit,
+        alarm_square=jnp.square(alarm),
+        overflow=candidates.count > room,
+    )
+
+
+def _balls(
+    positions: jax.Array,
+    velocities: jax.Array,
+    free: jax.Array,
+    duration: jax.Array,
+    scale: jax.Array,
+    grid: SearchGrid,
+) -> _Balls:
+    path = duration * velocities
+    half = 0.5 * jnp.sqrt(dot(path, path))
+    # The longest path covers what neighbours hand on, the reach's share the start from rest.
+    radius = half + _MARGIN * (half + 2 * jnp.max(half) + grid.reach)
+    scale = scale * jnp.minimum(1.0, grid.reach / radius)
+    center, radius = positions + 0.5 * scale * path, scale * radius
+    cell = _cells(center, grid)
+    return _Balls(center, radius, cell, free & (grid.bound[cell] < radius))
+
+
+def _cells(positions: jax.Array, grid: SearchGrid) -> jax.Array:
+    """Cell numbers (n_node,); a node outside the grid takes the nearest cell, whose bound holds for it too."""
+    shape = jnp.asarray(grid.shape)
+    index = jnp.floor((positions - grid.corner[:, None]) / grid.width).astype(jnp.int32)
+    i, j, k = jnp.clip(index, 0, shape[:, None] - 1)
+    return (i * grid.shape[1] + j) * grid.shape[2] + k
+
+
+def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
+    """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
+    node_count = balls.near.size
+    rank = jnp.cumsum(balls.near) - 1
+    padded = -(-node_count // _LANES) * _LANES
+    member = jnp.zeros(padded, jnp.int32)
+    member = member.at[jnp.where(balls.near, rank, padded)].set(jnp.arange(node_count, dtype=jnp.int32), mode="drop")
+    total = rank[-1] + 1
+
+    def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+        return carry[0] < total
+
+    def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+        first, found = carry
+        node = jax.lax.dynamic_slice_in_dim(member, first, _LANES)
+        center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
+        begin = grid.start[cell]
+        end = jnp.where(radius <= 0.25 * grid.reach, grid.middle[cell], grid.start[cell + 1])
+        length = jnp.where(first + jnp.arange(_LANES) < total, end - begin, 0)
+        nodes = jnp.broadcast_to(node[:, None], (_LANES, _DEPTH)).ravel()
+
+        def more_triangles(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+            return carry[0] < jnp.max(length)
+
+        def list_triangles(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+            level, found = carry
+            slot = level + jnp.arange(_DEPTH, dtype=jnp.int32)
+            used = slot < length[:, None]
+            triangle = grid.listed.at[jnp.where(used, begin[:, None] + slot, 0)].get(mode="promise_in_bounds")
+            keep = used & (_distance_bound(center, triangle, grid) <= radius[:, None])
+            # The barrier keeps the distances from being worked out again for each use of what they decide.
+            keep, new = jax.lax.optimization_barrier((keep.ravel(), jnp.stack([nodes, triangle.ravel()], axis=1)))
+            place, more = _packed(keep)
+            return level + _DEPTH, _Pairs(_written(new[place], found.pairs, found.count), found.count + more)
+
+        _, found = jax.lax.while_loop(more_triangles, list_triangles, (jnp.int32(0), found))
+        return first + _LANES, found
+
+    return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))[1]
+
+
+def _distance_bound(points: jax.Array, triangle: jax.Array, grid: SearchGrid) -> jax.Array:
+    """Lower bound (n, k) [m] on the distance of points (3, n) from triangles (n, k): their spheres and planes."""
+    # Whole rows at once, and once: they are far apart in memory.
+    rows = jax.lax.optimization_barrier(grid.outlines.at[triangle].get(mode="promise_in_bounds"))
+    x, y, z = points[:, :, None]
+    a, b, c = x - rows[..., 0], y - rows[..., 1], z - rows[..., 2]
+    outside = jnp.sqrt(a * a + b * b + c * c) - rows[..., 3]
+    height = x * rows[..., 4] + y * rows[..., 5] + z * rows[..., 6] - rows[..., 7]
+    return jnp.maximum(outside, jnp.abs(height)) - touch_distance(grid)
+
+
+def _examined(
+    candidates: _Pairs, start: jax.Array, balls: _Balls, room: int, grid: SearchGrid
+) -> tuple[_Pairs, jax.Array, jax.Array]:
+    """Those of the candidates that truly cut the balls, their planes (room, 12), and the nodes' clear distance."""
+    last, touch = jnp.minimum(candidates.count, room), touch_distance(grid)
+
+    def more(carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]) -> jax.Array:
+        return carry[0] < last
+
+    def examine(
+        carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]],
+    ) -> tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]:
+        first, (kept, planes, clear) = carry
+        node, triangle = jax.lax.dynamic_slice_in_dim(candidates.pairs, first, TEST_BLOCK).T
+        # The barriers keep things from being worked out, and fetched from afar, again for each use.
+        frame = jax.lax.optimization_barrier(grid.frames.at[triangle].get(mode="promise_in_bounds"))
+        used = first + jnp.arange(TEST_BLOCK) < last
+        keep = used & (_distance(gather(balls.center, node), frame) <= balls.radius[node] + touch)
+        # A node touches a plane from as far as the contact's tolerance.
+        free_way = _distance(gather(start, node), frame) - 2 * touch
+        keep, free_way = jax.lax.optimization_barrier((keep, free_way))
+        place, more = _packed(keep)
+        pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
+        planes = _written(frame[place, :12], planes, kept.count)
+        clear = clear.at[node].min(jnp.where(keep, jnp.maximum(free_way, 0.0), jnp.inf))
+        return first + TEST_BLOCK, (_Pairs(pairs, kept.count + more), planes, clear)
+
+    planes = jnp.zeros((room + TEST_BLOCK, 12), start.dtype)
+    nothing = _no_pairs(room, TEST_BLOCK), planes, jnp.full(balls.near.shape, jnp.inf, start.dtype)
+    return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]
+
+
+def _distance(points: jax.Array, frame: jax.Array) -> jax.Array:
+    """Distance (n,) [m] of points (3, n) from triangles of frames (n, 18), pair by pair."""
+    d, normal, dual1, dual2, edge1, edge2 = frame.T.reshape(6, 3, -1)
+    away = points - d
+    gamma, delta = dot(away, dual1), dot(away, dual2)
+    inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
+    rim = jnp.minimum(_to_segment(away, edge1), _to_segment(away, edge2))
+    rim = jnp.minimum(rim, _to_segment(away - edge1, edge2 - edge1))
+    return jnp.where(inside, jnp.abs(dot(away, normal)), jnp.sqrt(rim))
+
+
+def _to_segment(away: jax.Array, along: jax.Array) -> jax.Array:
+    """Squared distance (n,) [m^2] from segments to points, both from the segments' begin."""
+    t = jnp.clip(dot(away, along) / dot(along, along), 0.0, 1.0)
+    gap = away - t * along
+    return dot(gap, gap)
+
+
+def touch_distance(grid: SearchGrid) -> jax.Array:
+    """How near [m] to a plane a node touches it: rounding, in the size of the mold."""
+    return 64 * jnp.finfo(grid.size.dtype).eps * grid.size

@@ -1,0 +1,227 @@
+"""Where the mold's triangles are: a uniform grid, built once on the host, for the mold does not move.
+
+Space is cut into cubes. Each cell near the mold lists every triangle within a certain distance (the *reach*) of it,
+and every cell holds a lower bound on the distance from anywhere inside it to the mold. A node far away is then
+dismissed by one look-up, and a near one is compared with the few triangles of its cell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from jaxform.pytree import as_real, pytree, static
+
+Array = NDArray[np.float64]
+
+_MOST_CELLS = 2_000_000
+_COARSEST, _FINEST = 96, 256  # cells along the longest side of a mold
+_REACH = {"coarse": 1.5, "fine": 0.75}  # in cells; a coarse mold's lists are short and may reach further
+_CHUNK = 1_000_000  # pairs of cell and triangle looked at together, to bound the memory
+_SLACK = 1e-6  # relative to a cell, for rounding
+_HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
+
+
+@pytree
+class SearchGrid:
+    """The search structure of a mold.
+
+    Attributes:
+        corner: Lowest corner (3,) [m].
+        width: Side of a cell [m].
+        reach: Distance [m] from a cell within which it lists all triangles.
+        size: Largest side of the mold's bounding box [m].
+        bound: Lower bound (n_cell,) [m] on the distance to the mold from anywhere in the cell.
+        start: Where each cell's list begins (n_cell + 1,) in `listed`.
+        middle: Where the triangles that are within a quarter of the reach, which come first, end (n_cell,).
+        listed: Rows of the tables below, cell by cell; rows are in an order in which neighbours are close.
+        number: Of the mold's triangle in each row (n_triangle,).
+        outlines: Of each triangle (n_triangle, 8) its middle and the largest distance from it [m], its unit normal
+            and the place of its plane along it [m].
+        frames: Of each triangle (n_triangle, 18) its first vertex D [m], unit normal, the vectors [1/m] whose products
+            with a point's offset from D are its gamma and delta (Eq. 10), and its edges DE and DF [m].
+        shape: Number of cells along x, y, z.
+    """
+
+    corner: jax.Array
+    width: jax.Array
+    reach: jax.Array
+    size: jax.Array
+    bound: jax.Array
+    start: jax.Array
+    middle: jax.Array
+    listed: jax.Array
+    number: jax.Array
+    outlines: jax.Array
+    frames: jax.Array
+    shape: tuple[int, int, int] = static()
+
+
+class _Frame(NamedTuple):
+    """The cells: lowest corner (3,) [m], width [m], reach [m], number along x, y, z (3,)."""
+
+    corner: Array
+    width: float
+    reach: float
+    shape: NDArray[np.int64]
+
+
+def build_grid(vertices: Array, triangles: NDArray[np.integer]) -> SearchGrid:
+    """The search structure of a mold of vertices (n_vertex, 3) [m] and triangles (n_triangle, 3)."""
+    corners = np.asarray(vertices, float)[np.asarray(triangles)]
+    frame = _frame(corners)
+    number = _along_a_curve(corners.mean(1), frame)
+    corners = corners[number]
+    cell, triangle, distance, far = _near_pairs(corners, frame)
+    cells = np.arange(int(np.prod(frame.shape)))
+    return SearchGrid(
+        corner=as_real(frame.corner),
+        width=as_real(frame.width),
+        reach=as_real(frame.reach),
+        size=as_real(np.ptp(corners, axis=(0, 1)).max()),
+        bound=as_real(_distance_bound(cell, distance, frame)),
+        start=jnp.asarray(np.searchsorted(cell, np.append(cells, len(cells))), jnp.int32),
+        middle=jnp.asarray(np.searchsorted(2 * cell + far, 2 * cells + 1), jnp.int32),
+        listed=jnp.asarray(triangle, jnp.int32),
+        number=jnp.asarray(number, jnp.int32),
+        outlines=as_real(np.hstack([_spheres(corners), _planes(corners)])),
+        frames=as_real(_frames(corners)),
+        shape=(int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])),
+    )
+
+
+def _frame(corners: Array) -> _Frame:
+    """Cells about twice as wide as a typical triangle, within what memory and the mold's own size allow."""
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    size = float((high - low).max())
+    edge = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+    width = min(max(1.2 * edge, size / _FINEST), size / _COARSEST)
+    while np.prod(np.ceil((high - low) / width) + 2) > _MOST_CELLS:
+        width *= 1.1
+    shape = np.ceil((high - low) / width).astype(int) + 2
+    reach = _REACH["coarse" if edge > width else "fine"] * width
+    return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
+
+
+def _along_a_curve(places: Array, frame: _Frame) -> NDArray[np.int64]:
+    """An order of places (n, 3) in which neighbours are close: that of the bits of their cells, interleaved."""
+    index = np.clip((places - frame.corner) / frame.width, 0, frame.shape - 1).astype(np.int64)
+    code = np.zeros(len(places), np.int64)
+    for bit in range(int(frame.shape.max()).bit_length()):
+        for axis in range(3):
+            code |= (index[:, axis] >> bit & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _frames(corners: Array) -> Array:
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge1, edge2)
+    square = np.einsum("ij,ij->i", normal, normal)[:, None]
+    duals = np.cross(edge2, normal) / square, np.cross(normal, edge1) / square
+    return np.hstack([corners[:, 0], normal / np.sqrt(square), *duals, edge1, edge2])
+
+
+def _spheres(corners: Array) -> Array:
+    middle = corners.mean(1)
+    radius = np.linalg.norm(corners - middle[:, None], axis=2).max(1)
+    return np.column_stack([middle, radius * (1 + _SLACK)])
+
+
+def _planes(corners: Array) -> Array:
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])
+
+
+def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.bool_]]:
+    """All (cell, triangle) closer than the reach, cell by cell, those within a quarter of the reach first.
+
+    The triangles are taken in pieces no longer than a cell: a large one is then near few cells that it does not
+    touch, and its pieces' spheres and its plane bound the distance well.
+
+    Returns:
+        Cells, triangles, a lower bound on the distance from the cell's centre [m], and whether it is beyond a
+        quarter of the reach.
+    """
+    pieces, owner = _cut(corners, frame.width)
+    spheres, planes = _spheres(pieces), _planes(corners)
+    # Wide enough for the reach, half a cell's diagonal and the largest piece.
+    stencil = np.arange(-3, 4)
+    block = max(1, _CHUNK // len(stencil) ** 3)
+    keys, distances = [], []
+    for first in range(0, len(pieces), block):
+        part = slice(first, first + block)
+        cell, piece, distance = _stencil_pairs(spheres[part], planes[owner[part]], stencil, frame)
+        keys.append(cell * len(corners) + owner[part][piece])
+        distances.append(distance)
+    key, distance = np.concatenate(keys), np.concatenate(distances)
+    if len(pieces) > len(corners):
+        # Of a triangle's pieces near one cell, the nearest.
+        order = np.argsort(key, kind="stable")
+        begin = np.flatnonzero(np.diff(key[order], prepend=-1))
+        key, distance = key[order][begin], np.minimum.reduceat(distance[order], begin)
+    cell, triangle = np.divmod(key, len(corners))
+    far = distance > _nearer(frame)
+    order = np.argsort(2 * cell + far, kind="stable")
+    return cell[order], triangle[order], distance[order], far[order]
+
+
+def _nearer(frame: _Frame) -> float:
+    """Distance [m] from a cell's centre within a quarter of the reach of the cell."""
+    return 0.25 * frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK)
+
+
+def _cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
+    """Triangles (n, 3, 3) halved at their longest sides until none is longer, and the triangle each is part of."""
+    owner = np.arange(len(corners))
+    done, owners = [], []
+    while len(corners):
+        side = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
+        small = side.max(1) <= longest
+        done.append(corners[small])
+        owners.append(owner[small])
+        corners, owner, side = corners[~small], owner[~small], side[~small]
+        turn = (np.argmax(side, axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(corners, turn[..., None], axis=1), 1, 0)
+        middle = 0.5 * (a + b)
+        corners = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        owner = np.concatenate([owner, owner])
+    return np.concatenate(done), np.concatenate(owners)
+
+
+def _stencil_pairs(
+    spheres: Array, planes: Array, stencil: NDArray[np.int64], frame: _Frame
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Cells around pieces (n, 4) that are in reach: cell number, piece, lower bound on the centre's distance [m]."""
+    reach = frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK)
+    index = np.floor((spheres[:, :3] - frame.corner) / frame.width).astype(int)[:, None] + stencil[:, None]
+    valid = (index >= 0) & (index < frame.shape)
+    away = frame.corner + (index + 0.5) * frame.width - spheres[:, None, :3]
+    square = np.where(valid, np.square(away), np.inf)
+    total = square[:, :, None, None, 0] + square[:, None, :, None, 1] + square[:, None, None, :, 2]
+    near = np.nonzero(total <= np.square(reach + spheres[:, 3])[:, None, None, None])
+    piece = near[0]
+    places = [away[piece, near[1 + k], k] for k in range(3)]
+    numbers = [index[piece, near[1 + k], k] for k in range(3)]
+    height = sum(planes[piece, k] * (places[k] + spheres[piece, k]) for k in range(3)) - planes[piece, 3]
+    gap = np.maximum(np.sqrt(total[near]) - spheres[piece, 3], np.abs(height))
+    kept = gap <= reach
+    cell = (numbers[0] * frame.shape[1] + numbers[1]) * frame.shape[2] + numbers[2]
+    return cell[kept], piece[kept], gap[kept]
+
+
+def _distance_bound(cell: NDArray[np.int64], distance: Array, frame: _Frame) -> Array:
+    """Near the mold from the listed triangles, elsewhere from the distance between cells."""
+    half_diagonal = _HALF_DIAGONAL * frame.width * (1 + _SLACK)
+    nearest = np.full(int(np.prod(frame.shape)), np.inf)
+    begin = np.flatnonzero(np.diff(cell, prepend=-1))
+    nearest[cell[begin]] = np.minimum.reduceat(distance, begin)
+    touched = (nearest <= half_diagonal).reshape(frame.shape)
+    apart = np.asarray(ndimage.distance_transform_edt(~touched)).ravel()
+    far = np.maximum(frame.reach, (apart - np.sqrt(3.0)) * frame.width)
+    return np.where(np.isfinite(nearest), np.maximum(nearest - half_diagonal, 0.0), far)
