@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: accuracy pictures demo test lint lock clean environment
+.PHONY: accuracy contact pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -31,6 +31,10 @@ pictures: environment
 # Figures against exact solutions, of the gradient and of the study; about ten minutes.
 accuracy: environment
 	.venv/bin/python -m benchmarks.accuracy
+
+# Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
+contact: environment
+	.venv/bin/python -m benchmarks.contact
 
 # Removes what the other targets made, results of other runs under out/ excepted.
 clean:

@@ -148,9 +148,9 @@ def _simulate(arguments: argparse.Namespace) -> int:
     _open_folder(arguments.out, arguments.force)
     frames = Frames(arguments.out, document.model.output.frames)
     result = _run(scene, frames, not arguments.quiet)
-    _write_part(arguments.out, scene, result, reference)
+    summary = _write_part(arguments.out, scene, result, reference)
     frames.finish(scene, result)
-    _tell(say, scene, result, arguments.out)
+    _tell(say, summary, arguments.out)
     return _exit_status(result)
 
 
@@ -176,11 +176,12 @@ def _run(scene: Scene, frames: Any, show: bool) -> Result:
         return run(scene, on_window=on_window if watched else None)
 
 
-def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> None:
+def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> dict[str, Any]:
     from jaxform import output, plots
 
-    output.write_result(scene, result, folder)
+    summary = output.write_result(scene, result, folder)
     plots.thickness_picture(folder / "thickness.png", scene, result, reference)
+    return summary
 
 
 def _exit_status(result: Result) -> int:
@@ -192,13 +193,10 @@ def _exit_status(result: Result) -> int:
     return DONE
 
 
-def _tell(say: Callable[..., None], scene: Scene, result: Result, folder: Path) -> None:
-    from jaxform.result import summarize
-
-    summary = summarize(result, scene)
+def _tell(say: Callable[..., None], summary: dict[str, Any], folder: Path) -> None:
     wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
     say(
-        f"{scene.name}: {summary['elements_final']} elements, {summary['steps']} steps in "
+        f"{summary['scene']}: {summary['elements_final']} elements, {summary['steps']} steps in "
         f"{summary['run_seconds']:.2f} s (compiled in {summary['compile_seconds']:.1f} s)"
     )
     say(
@@ -206,6 +204,12 @@ def _tell(say: Callable[..., None], scene: Scene, result: Result, folder: Path) 
         f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
         f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
+    if summary["penetration_max"] > summary["thickness"]["mean"]:
+        place = ", ".join(f"{value:.4g}" for value in summary["penetration_place"])
+        say(
+            f"an element cuts an edge of the mold, {1e3 * summary['penetration_max']:.3g} mm deep at ({place}) m: "
+            "smaller elements would follow it"
+        )
     say(f"status: {summary['status']}; results in {folder}")
 
 
@@ -285,10 +289,10 @@ def _redesigned(changes: dict[str, Any]) -> bool:
 
 
 def _tell_design(say: Callable[..., None], design: Any, folder: Path) -> None:
-    from jaxform.result import summarize
+    from jaxform.result import wall_statistics
 
     spread = [
-        100 * summarize(result, scene)["thickness"]["cv"]
+        100 * wall_statistics(result, scene)["cv"]
         for scene, result in ((design.first_scene, design.first_result), (design.scene, design.result))
     ]
     first, best = design.history[0], min(design.history, key=lambda row: row["objective"])

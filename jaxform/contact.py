@@ -40,12 +40,16 @@ def _meet(before: jax.Array, after: jax.Array, planes: jax.Array, touch: jax.Arr
 
 
 class Landing(NamedTuple):
-    """Where the nodes are after contact: positions and velocities (3, n_node), stuck, contact_time (n_node,)."""
+    """Where the nodes are after contact.
+
+    Positions and velocities (3, n_node); stuck, contact_time and wall (n_node,); the kinetic energy lost so far [J].
+    """
 
     positions: jax.Array
     velocities: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
+    wall: jax.Array
     loss: jax.Array
 
 
@@ -136,19 +140,24 @@ def _landed(
 ) -> Landing:
     """The landing on the chosen triangles (n_node,); differentiable."""
     lands = chosen >= 0
-    point = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
+    point, fall = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
+    # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
+    wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
     kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
     return Landing(
         positions=jnp.where(lands, point, landing.positions),
         velocities=jnp.where(lands, 0.0, landing.velocities),
         stuck=landing.stuck | lands,
         contact_time=jnp.where(lands, time, landing.contact_time),
+        wall=jnp.where(lands, wall, landing.wall),
         loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
     )
 
 
-def _landing_point(before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array) -> jax.Array:
-    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold."""
+def _landing_point(
+    before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold; and the fall [m] (n_node,)."""
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     edge1, edge2 = e - d, f - d
     normal = cross(edge1, edge2)
@@ -158,4 +167,4 @@ def _landing_point(before: jax.Array, after: jax.Array, mold: Mold, triangle: ja
     crosses = lands & (fall != 0.0)
     ratio = height / jnp.where(crosses, fall, 1.0)
     beta = jnp.where(crosses, jnp.clip(ratio, 0.0, 1.0), 0.0)
-    return before + beta * (after - before)
+    return before + beta * (after - before), fall

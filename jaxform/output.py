@@ -16,12 +16,14 @@ from jaxform.scene import Scene
 from jaxform.simulation import Moment
 
 
-def write_result(scene: Scene, result: Result, folder: str | Path) -> None:
-    """Writes summary.json and final.vtu into a folder that exists."""
+def write_result(scene: Scene, result: Result, folder: str | Path) -> dict[str, Any]:
+    """Writes summary.json and final.vtu into a folder that exists; returns the summary."""
     folder = Path(folder)
-    text = json.dumps(_valid(summarize(result, scene)), indent=2, allow_nan=False)
+    summary = summarize(result, scene)
+    text = json.dumps(_valid(summary), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     write_part(scene, result, folder / "final.vtu")
+    return summary
 
 
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:

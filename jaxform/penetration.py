@@ -1,15 +1,145 @@
-"""Whether and how far a sheet is through the mold. On the host."""
+"""Whether a sheet is through the mold, and how far. On the host.
+
+Nodes never pass the mold, but an element can span a convex edge of it and cut it. How deep, is measured at points all
+over the elements: their distance to the mold, where they are on its far side. The mold's triangles need not all turn
+the same way, so the near side is the one from which the nodes came that stick to it.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from jaxform import topology
 from jaxform.mold import Mold
-from jaxform.search import SearchGrid
+from jaxform.search import SearchGrid, cut
+
+Array = NDArray[np.float64]
+
+_DIVISIONS = 6  # of an element's sides
+_TIE = 1e-9  # of the mold's size: triangles as near as that are equally near
+_CHUNK = 200_000  # pairs of point and triangle looked at together
 
 
-def point_triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Distances (n,) [m] from points (n, 3) to triangles (n, 3, 3), pair by pair."""
+class Penetration(NamedTuple):
+    """How far a sheet is beyond the mold [m]: its nodes, its elements, and where these are deepest (3,) [m]."""
+
+    nodes: float
+    elements: float
+    place: Array
+
+
+def penetration(positions: Array, triangles: NDArray[np.integer], wall: NDArray[np.integer], mold: Mold) -> Penetration:
+    """How far a sheet is beyond the mold.
+
+    Args:
+        positions: Of the nodes (n_node, 3) [m].
+        triangles: Their elements (n_element, 3).
+        wall: What each node sticks to (n_node,), see `Result.wall`.
+        mold: The mold.
+    """
+    walls = _Walls(mold, wall)
+    share = _lattice(_DIVISIONS)
+    corners = positions[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
+    points = np.einsum("pc,tck->tpk", share, corners).reshape(-1, 3)
+    depth = -walls.heights(np.concatenate([positions, points]), longest)
+    of_nodes, of_points = np.split(depth, [len(positions)])
+    place = points[np.argmax(of_points)] if len(points) else np.zeros(3)
+    return Penetration(max(float(of_nodes.max(initial=0)), 0.0), max(float(of_points.max(initial=0)), 0.0), place)
+
+
+def _lattice(divisions: int) -> Array:
+    """Barycentric points (n, 3) all over a triangle."""
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(divisions + 1), np.arange(divisions + 1)))
+    kept = i + j <= divisions
+    return np.stack([divisions - i - j, i, j], axis=1)[kept] / divisions
+
+
+class _Walls:
+    """The mold's triangles with their near sides."""
+
+    def __init__(self, mold: Mold, wall: NDArray[np.integer]) -> None:
+        triangles = np.asarray(mold.triangles)
+        self.corners = np.asarray(mold.vertices, float)[triangles]
+        self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
+        normal = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        self.normal = normal * _near_sides(triangles, wall)[:, None]
+        open_edge = topology.boundary_edges(triangles)
+        key = open_edge @ [len(mold.vertices), 1]
+        side = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+        self.open_side = np.isin(side @ [len(mold.vertices), 1], key)
+        self.open_corner = np.isin(triangles, open_edge)
+
+    def heights(self, points: Array, farthest: float) -> Array:
+        """Distance (n,) [m] of points (n, 3) from the mold, negative on its far side.
+
+        Zero where it is more than `farthest`, where nothing is known of the sides, or where the nearest place is on
+        the rim of an open mold, beyond which there is no wall.
+        """
+        point, triangle = self._pairs(points, farthest)
+        if not len(point):
+            return np.zeros(len(points))
+        parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
+        found = [self._examine(points[point[part]], triangle[part]) for part in parts]
+        distance, height, at_rim = (np.concatenate(values) for values in zip(*found, strict=True))
+        nearest = np.full(len(points), np.inf)
+        np.minimum.at(nearest, point, distance)
+        # At an edge or corner, the triangle that looks at the point most squarely tells the side.
+        tied = distance <= nearest[point] + _TIE * self.size
+        order = np.flatnonzero(tied)[np.argsort(np.abs(height[tied]), kind="stable")]
+        result = np.zeros(len(points))
+        result[point[order]] = np.sign(height[order]) * distance[order]
+        rim = np.zeros(len(points), bool)
+        rim[point[tied & at_rim]] = True
+        return np.where(rim | (nearest > farthest), 0.0, result)
+
+    def _pairs(self, points: Array, farthest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Points and the triangles that may be nearest to them."""
+        longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
+        pieces, owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / 200))
+        middle = pieces.mean(1)
+        radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
+        tree = cKDTree(middle)
+        reach = tree.query(points, distance_upper_bound=farthest + radius)[0] + radius
+        near = np.flatnonzero(np.isfinite(reach))
+        lists = tree.query_ball_point(points[near], reach[near])
+        point = np.repeat(near, [len(found) for found in lists])
+        triangle = owner[np.concatenate([np.zeros(0, int), *map(np.asarray, lists)]).astype(int)]
+        key = np.unique(point * len(self.corners) + triangle)
+        return key // len(self.corners), key % len(self.corners)
+
+    def _examine(self, points: Array, triangle: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Distance, height over the plane, and whether the nearest place is on an open rim, pair by pair."""
+        corners = self.corners[triangle]
+        height = np.einsum("ij,ij->i", self.normal[triangle], points - corners[:, 0])
+        distance, side, end = _nearest(points, corners)
+        row = np.arange(len(points))
+        on_corner = np.where(end == 0, side, (side + 1) % 3)
+        at_rim = (side >= 0) & self.open_side[triangle, side]
+        at_rim |= (side >= 0) & (end >= 0) & self.open_corner[triangle, on_corner][row]
+        return distance, height, at_rim
+
+
+def _near_sides(triangles: NDArray[np.integer], wall: NDArray[np.integer]) -> Array:
+    """1 where a triangle's normal points to the side from which the nodes came, -1 where away, 0 where unknown."""
+    part, sign = topology.orientations(triangles)
+    touching = wall[wall != 0]
+    touched = np.abs(touching) - 1
+    votes = np.bincount(part[touched], np.sign(touching) * sign[touched], minlength=part.max() + 1)
+    return sign * np.sign(votes)[part]
+
+
+def _nearest(points: Array, corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Distances of points (n, 3) from triangles (n, 3, 3), pair by pair, and where the nearest place is.
+
+    Returns:
+        The distance; the side that it is on, -1 inside; the end of that side (0 or 1), -1 between.
+    """
     d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge1, edge2)
     square = np.einsum("ij,ij->i", normal, normal)
@@ -18,14 +148,26 @@ def point_triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarr
     delta = np.einsum("ij,ij->i", np.cross(edge1, away), normal) / square
     inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
     flat = np.abs(np.einsum("ij,ij->i", away, normal)) / np.sqrt(square)
-    rim = np.min([_segment_distance(points, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)], axis=0)
-    return np.where(inside, flat, rim)
+    sides = [_segment(points, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)]
+    distances, places = (np.stack(values) for values in zip(*sides, strict=True))
+    side = np.argmin(distances, axis=0)
+    row = np.arange(len(points))
+    place = places[side, row]
+    end = np.select([place <= 0, place >= 1], [0, 1], -1)
+    distance = np.where(inside, flat, distances[side, row])
+    return distance, np.where(inside, -1, side), np.where(inside, -1, end)
 
 
-def _segment_distance(points: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _segment(points: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+    """Distance of points from segments and where on them the nearest place is, 0 to 1; pair by pair."""
     along, away = end - begin, points - begin
     t = np.clip(np.einsum("ij,ij->i", away, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
-    return np.linalg.norm(away - t[:, None] * along, axis=1)
+    return np.linalg.norm(away - t[:, None] * along, axis=1), t
+
+
+def point_triangle_distance(points: Array, corners: Array) -> Array:
+    """Distances (n,) [m] from points (n, 3) to triangles (n, 3, 3), pair by pair."""
+    return _nearest(points, corners)[0]
 
 
 def first_crossing(
@@ -69,5 +211,7 @@ def _segment_pairs(begin: np.ndarray, end: np.ndarray, grid: SearchGrid) -> tupl
     start = np.asarray(grid.start)
     count = start[cell + 1] - start[cell]
     flat = np.repeat(start[cell] - np.cumsum(count) + count, count) + np.arange(count.sum())
-    pairs = np.unique(np.stack([np.repeat(segment[kept], count), np.asarray(grid.number)[np.asarray(grid.listed)[flat]]], 1), axis=0)
+    pairs = np.unique(
+        np.stack([np.repeat(segment[kept], count), np.asarray(grid.number)[np.asarray(grid.listed)[flat]]], 1), axis=0
+    )
     return pairs[:, 0], pairs[:, 1]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jaxform import sections
 from jaxform.pytree import as_real
-from jaxform.result import Result, explain, summarize
+from jaxform.result import Result, explain, wall_statistics
 from jaxform.scene import Scene
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ def _save(figure: Any, path: str | Path) -> None:
 
 
 def _title(scene: Scene, result: Result) -> str:
-    wall = summarize(result, scene)["thickness"]
+    wall = wall_statistics(result, scene)
     numbers = ", ".join(f"{words} {1e3 * wall[key]:.3g}" for key, words in _STATISTICS)
     text = f"{scene.name}: wall {numbers} mm (variation {100 * wall['cv']:.3g} %)"
     status = explain(result)
@@ -134,11 +134,10 @@ _STATISTICS = (("min", "least"), ("mean", "mean"), ("max", "largest"))
 
 def _part_words(words: str, part: Part) -> str:
     scene, result = part
-    summary = summarize(result, scene)
-    wall = summary["thickness"]
+    wall = wall_statistics(result, scene)
     return (
         f"{words}: variation {100 * wall['cv']:.3g} %, wall {1e3 * wall['min']:.3g} to {1e3 * wall['max']:.3g} mm, "
-        f"{1e3 * summary['mass']:.3g} g"
+        f"{1e3 * float(result.mass):.3g} g"
     )
 
 

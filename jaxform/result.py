@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import membrane
+from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
 from jaxform.stepping import Body, State, Status, kinetic_energy, strain_energy
@@ -59,6 +60,8 @@ class Result:
         active: Nodes that exist at the end (n_node,).
         stuck: Nodes that do not move any more (n_node,).
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
+            came from the far side of its normal; 0 where it does not touch the mold.
         element_thickness: Final thickness of the elements (n_element,) [m].
         stretches: Larger and smaller principal stretch of the elements (n_element, 2).
         velocities: Final node velocities (n_node, 3) [m/s].
@@ -75,6 +78,7 @@ class Result:
     active: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
+    wall: jax.Array
     element_thickness: jax.Array
     stretches: jax.Array
     velocities: jax.Array
@@ -107,6 +111,7 @@ def make_result(state: State, scene: Scene, sheet_body: Body) -> Result:
         active=jnp.ones(node_count, bool),
         stuck=state.stuck,
         contact_time=state.contact_time,
+        wall=state.wall,
         element_thickness=sheet_body.thickness * ratio,
         stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
         velocities=state.velocities.T,
@@ -163,13 +168,20 @@ def formed_areas(result: Result, scene: Scene) -> np.ndarray:
     return np.asarray(scene.tables.sheet.area) * initial / np.asarray(result.element_thickness)
 
 
-def summarize(result: Result, scene: Scene) -> dict[str, Any]:
-    """The contents of summary.json as plain numbers and words."""
+def wall_statistics(result: Result, scene: Scene) -> dict[str, float]:
+    """Least, mean and largest thickness [m] of the elements and its coefficient of variation, by formed area."""
     area, wall = formed_areas(result, scene), np.asarray(result.element_thickness, float)
     mean = float(np.average(wall, weights=area))
     spread = float(np.sqrt(np.average(np.square(wall - mean), weights=area)))
+    return {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean}
+
+
+def summarize(result: Result, scene: Scene) -> dict[str, Any]:
+    """The contents of summary.json as plain numbers and words."""
+    area = formed_areas(result, scene)
     seconds = result.seconds or Seconds(0.0, 0.0)
     energy = {name: float(getattr(result.energy, name)) for name in Energy.__dataclass_fields__}
+    beyond = penetrated(result, scene)
     return {
         "scene": scene.name,
         "status": explain(result),
@@ -182,11 +194,21 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "windows_shortened": int(result.shortened),
         "compile_seconds": seconds.compile,
         "run_seconds": seconds.run,
-        "thickness": {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean},
+        "thickness": wall_statistics(result, scene),
         "contact_fraction": float(area[_touching(result, scene)].sum() / area.sum()),
         "mass": float(result.mass),
+        "penetration_max": beyond.elements,
+        "penetration_place": beyond.place.tolist(),
         "energy": energy | {"balance_error": float(result.energy.balance_error)},
     }
+
+
+def penetrated(result: Result, scene: Scene) -> Penetration:
+    """How far the formed part is beyond the mold; nowhere, where there is no mold."""
+    positions = np.asarray(result.positions, float)
+    if scene.mold is None or not np.isfinite(positions).all():
+        return Penetration(0.0, 0.0, np.zeros(3))
+    return penetration(positions, np.asarray(scene.parison.triangles), np.asarray(result.wall), scene.mold)
 
 
 def _touching(result: Result, scene: Scene) -> np.ndarray:

@@ -148,7 +148,7 @@ def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArr
         Cells, triangles, a lower bound on the distance from the cell's centre [m], and whether it is beyond a
         quarter of the reach.
     """
-    pieces, owner = _cut(corners, frame.width)
+    pieces, owner = cut(corners, frame.width)
     spheres, planes = _spheres(pieces), _planes(corners)
     # Wide enough for the reach, half a cell's diagonal and the largest piece.
     stencil = np.arange(-3, 4)
@@ -176,8 +176,8 @@ def _nearer(frame: _Frame) -> float:
     return 0.25 * frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK)
 
 
-def _cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
-    """Triangles (n, 3, 3) halved at their longest sides until none is longer, and the triangle each is part of."""
+def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
+    """Triangles (n, 3, 3) [m] halved at their longest sides until none is longer, and the triangle each is part of."""
     owner = np.arange(len(corners))
     done, owners = [], []
     while len(corners):

@@ -45,6 +45,8 @@ class State:
         velocities: (3, n_node) [m/s], half a step behind the positions.
         stuck: Nodes (n_node,) that do not move any more: on the mold, or clamped.
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
+            came from the far side of its normal; 0 where it does not touch the mold.
         time: [s].
         step_length: Of the last step [s]; 0 before the first.
         volume: Enclosed before the last step [m^3].
@@ -58,6 +60,7 @@ class State:
     velocities: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
+    wall: jax.Array
     time: jax.Array
     step_length: jax.Array
     volume: jax.Array
@@ -107,6 +110,7 @@ def initial_state(scene: Scene) -> State:
         velocities=jnp.zeros_like(positions),
         stuck=held,
         contact_time=jnp.where(held, zero, -1.0),
+        wall=jnp.zeros(held.size, jnp.int32),
         time=zero,
         step_length=zero,
         volume=jnp.sum(membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0,
@@ -162,6 +166,7 @@ class _Moving:
     velocities: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
+    wall: jax.Array
     volume: jax.Array
     external_work: jax.Array
     damping_loss: jax.Array
@@ -238,7 +243,9 @@ def _touch(
 ) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None
-    landing = contact.Landing(moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.contact_loss)
+    landing = contact.Landing(
+        moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.wall, moved.contact_loss
+    )
     mold, grid = scene.mold, scene.tables.grid
     reached, leaving = watch(jax.lax.stop_gradient(moved.positions), moved.stuck, near)
     landing = contact.land(before.positions, landing, reached, sheet_body.mass, time, near, mold, grid)
@@ -248,6 +255,7 @@ def _touch(
         velocities=landing.velocities,
         stuck=landing.stuck,
         contact_time=landing.contact_time,
+        wall=landing.wall,
         contact_loss=landing.loss,
         halted=moved.halted | leaving,
     )
@@ -270,6 +278,7 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
         velocities=state.velocities,
         stuck=state.stuck,
         contact_time=state.contact_time,
+        wall=state.wall,
         volume=state.volume,
         external_work=state.external_work,
         damping_loss=state.damping_loss,
@@ -324,6 +333,7 @@ def _close(
         velocities=moving.velocities,
         stuck=moving.stuck,
         contact_time=moving.contact_time,
+        wall=moving.wall,
         time=state.time + moving.count * length,
         step_length=length,
         volume=moving.volume,

@@ -49,6 +49,36 @@ def inconsistent_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     return _counted(np.sort(directed[count > 1], axis=1))[0]
 
 
+def orientations(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Which triangles turn the same way.
+
+    Returns:
+        For each triangle the number of the part that edges of exactly two triangles hold together, and 1 or -1:
+        triangles of one part with the same sign turn the same way round. Shape (m,) each.
+    """
+    count = len(triangles)
+    side, owner = _sides(triangles), np.repeat(np.arange(count), 3)
+    base = int(side.max(initial=0)) + 1
+    key = np.sort(side, axis=1) @ [base, 1]
+    order = np.argsort(key, kind="stable")
+    begin = np.flatnonzero(np.diff(key[order], prepend=-1))
+    pair = begin[np.diff(begin, append=len(key)) == 2]
+    first, second = order[pair], order[pair + 1]
+    # Neighbours agree when they run along their common edge in opposite directions.
+    agree = side[first, 0] != side[second, 0]
+    a, b = owner[first], owner[second]
+    # A part of the doubled graph is one triangle's side together with the sides of others that go with it.
+    link = np.where(agree, b, b + count), np.where(agree, b + count, b)
+    rows, columns = np.concatenate([a, a + count]), np.concatenate(link)
+    doubled = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count, 2 * count))
+    sheet = connected_components(doubled, directed=False)[1]
+    single = coo_array((np.ones(len(a), bool), (a, b)), shape=(count, count))
+    part = connected_components(single, directed=False)[1]
+    # The side that is in the same sheet as the part's first triangle.
+    leader = np.unique(part, return_index=True)[1]
+    return part, np.where(sheet[:count] == sheet[leader][part], 1, -1)
+
+
 def components(triangles: NDArray[np.integer], node_count: int) -> NDArray[np.int32]:
     """Number of the connected part that each of `node_count` nodes belongs to, shape (n,)."""
     side = _sides(triangles)

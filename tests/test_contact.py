@@ -52,7 +52,9 @@ def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tup
     free = jnp.zeros(count, bool)
     near = nearness.list_near(begin, end - begin, ~free, jnp.asarray(1.0), jnp.asarray(0.0), grid)
     reached, _ = nearness.watch(end, free, near)
-    flying = contact.Landing(end, end - begin, free, jnp.full(count, -1.0), jnp.asarray(0.0))
+    flying = contact.Landing(
+        end, end - begin, free, jnp.full(count, -1.0), jnp.zeros(count, jnp.int32), jnp.asarray(0.0)
+    )
     landed = contact.land(begin, flying, reached, jnp.ones(count), jnp.asarray(1.0), near, wall, grid)
     return landed.positions, landed.stuck, near.overflow | nearness.left(end, near), landed.loss
 

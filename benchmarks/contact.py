@@ -1,0 +1,297 @@
+"""Figures of contact: hits against brute force, what a step and the search structure cost, gradients, penetration.
+
+Run it with `make contact`; it prints one line per figure. Nothing here decides a test; the tests import what they check
+from here.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+
+import jaxform
+from jaxform import contact, molds, near, shapes, simulation
+from jaxform.mold import Mold
+from jaxform.result import penetrated
+from jaxform.scene import Scene
+from jaxform.search import SearchGrid, build_grid
+
+BATCH = 128  # paths that are looked at together: few, so that all their pairs find room
+
+
+def real(value: float) -> jax.Array:
+    """A number as a leaf of a scene."""
+    return jnp.asarray(value, float)
+
+
+def mold_of(shape: molds.MoldShape) -> Mold:
+    """The shape as a mold."""
+    return jaxform.make_mold(shape.vertices, shape.triangles)
+
+
+def library_mold(mesh: trimesh.Trimesh) -> Mold:
+    """A mesh of the mesh library as a mold."""
+    return jaxform.make_mold(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+MOLDS: dict[str, Callable[[], Mold]] = {
+    "box-insert": lambda: mold_of(molds.box_insert()),
+    "bottle-half": lambda: mold_of(molds.bottle_half()),
+    "ribs": lambda: mold_of(
+        molds.revolved(
+            profile=[[0, 1], [0.3, 1], [0.31, 0.6], [0.4, 0.6], [0.41, 1.0], [0.9, 1.0], [1.0, 0.0]], segments=40
+        )
+    ),
+    "icosphere": lambda: library_mold(trimesh.creation.icosphere(subdivisions=3)),
+    "annulus": lambda: library_mold(trimesh.creation.annulus(r_min=0.3, r_max=1.0, height=0.2, sections=250)),
+    "torus": lambda: library_mold(trimesh.creation.torus(1.0, 0.3, major_sections=400, minor_sections=250)),
+}
+
+
+class Paths(NamedTuple):
+    """How random paths fared against brute force."""
+
+    triangles: int
+    paths: int
+    hits: int
+    missed: int
+    invented: int
+    worst_beta: float
+    worst_place: float
+
+
+def random_paths(wall: Mold, grid: SearchGrid, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Begin and end (count, 3) of paths near the wall, about as many across it as not."""
+    random = np.random.default_rng(seed)
+    corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
+    on_wall = np.einsum(
+        "ij,ijk->ik", random.dirichlet([1.0, 1.0, 1.0], count), corners[random.integers(len(corners), size=count)]
+    )
+    reach = float(grid.reach)
+    begin = on_wall + 0.4 * reach * random.uniform(-1, 1, (count, 3))
+    path = random.normal(size=begin.shape)
+    path *= reach * random.uniform(0.01, 1, (count, 1)) / np.linalg.norm(path, axis=1, keepdims=True)
+    return begin, begin + path
+
+
+@jax.jit
+def walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """One step of all nodes from begin to end (3, n), as a simulation takes it: where they are, stuck, all well."""
+    free = jnp.zeros(begin.shape[1], bool)
+    window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), jnp.asarray(0.0), grid)
+    reached, _ = near.watch(end, free, window)
+    flying = contact.Landing(
+        end, end - begin, free, jnp.full(free.size, -1.0), jnp.zeros(free.size, jnp.int32), jnp.asarray(0.0)
+    )
+    landed = contact.land(begin, flying, reached, jnp.ones(free.size), jnp.asarray(1.0), window, wall, grid)
+    return landed.positions, landed.stuck, ~(window.overflow | near.left(end, window))
+
+
+@jax.jit
+def brute_force(begin: jax.Array, end: jax.Array, corners: jax.Array) -> jax.Array:
+    """Least beta (n,) of paths (n, 3) over all triangles (m, 3, 3), infinite where none is met: Eqs 11 and 12."""
+    path = end - begin
+
+    def nearer(least: jax.Array, corner: jax.Array) -> tuple[jax.Array, None]:
+        # Cramer's rule on beta NN' + gamma DE + delta DF = DN' of one triangle with all paths.
+        d, e, f = corner
+        first, second, third, right = -path, e - d, f - d, begin - d
+        across = jnp.cross(second, third)
+        determinant = first @ across
+        flat = determinant == 0.0
+        scale = 1.0 / jnp.where(flat, 1.0, determinant)
+        beta = (right @ across) * scale
+        gamma = jnp.sum(first * jnp.cross(right, third), axis=1) * scale
+        delta = jnp.sum(first * jnp.cross(second, right), axis=1) * scale
+        hit = ~flat & (beta >= 0) & (beta <= 1) & (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
+        return jnp.minimum(least, jnp.where(hit, beta, jnp.inf)), None
+
+    return jax.lax.scan(nearer, jnp.full(len(begin), jnp.inf), corners)[0]
+
+
+def compare(wall: Mold, count: int, seed: int = 0) -> Paths:
+    """Random paths through the search structure and by brute force."""
+    grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
+    begin, end = random_paths(wall, grid, -(-count // BATCH) * BATCH, seed)
+    landed, stuck = np.empty_like(begin), np.empty(len(begin), bool)
+    for first in range(0, len(begin), BATCH):
+        part = slice(first, first + BATCH)
+        place, hit, well = walk(jnp.asarray(begin[part].T), jnp.asarray(end[part].T), wall, grid)
+        assert well, "the pairs did not find room"
+        landed[part], stuck[part] = np.asarray(place).T, hit
+    corners = wall.vertices[wall.triangles]
+    least = np.concatenate(
+        [
+            np.asarray(brute_force(b, e, corners))
+            for b, e in zip(*(np.array_split(x, 8) for x in (begin, end)), strict=True)
+        ]
+    )
+    met, path = np.isfinite(least), end - begin
+    both = met & stuck
+    beta = np.einsum("ij,ij->i", landed - begin, path)[both] / np.einsum("ij,ij->i", path, path)[both]
+    gap = np.linalg.norm(landed[both] - (begin + least[:, None] * path)[both], axis=1) / float(grid.size)
+    worst = float(np.abs(beta - least[both]).max()), float(gap.max())
+    return Paths(
+        len(wall.triangles), len(begin), int(met.sum()), int((met & ~stuck).sum()), int((stuck & ~met).sum()), *worst
+    )
+
+
+def show_paths() -> None:
+    """Hits of random paths, mold by mold."""
+    for name, make in MOLDS.items():
+        wall = make()
+        found = compare(wall, 1_000_000 if len(wall.triangles) <= 2100 else 10_000)
+        print(
+            f"{name:12} {found.triangles:7} triangles, {found.paths:8} paths, {found.hits:7} hits: "
+            f"{found.missed} missed, {found.invented} invented, beta within {found.worst_beta:.1e}, "
+            f"place within {found.worst_place:.1e} of the size",
+            flush=True,
+        )
+
+
+def bottle(mold: Mold | None, element_size: float = 0.0071) -> Scene:
+    """Half a bottle's parison blown into a mold, or freely."""
+    sheet = shapes.bottle_half(element_size=element_size)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 2.25e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(real(0.2e6), real(0.5), real(1350.0)),
+        pressure=jaxform.make_pressure([0.0, 0.1], [0.0, 2.0e5]),
+        solver=jaxform.make_solver(end_time=0.12, damping=200.0),
+        mold=mold,
+        name="bottle",
+    )
+
+
+def box(mold: Mold | None, elements: int = 300) -> Scene:
+    """A quarter of a sheet drawn over the box with an insert."""
+    sheet = shapes.rectangle(size=[0.3, 0.2], elements=elements, symmetry="quarter")
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 2.0e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(real(0.2e6), real(0.1), real(1000.0)),
+        pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 2.0e4]),
+        solver=jaxform.make_solver(end_time=0.24, damping=100.0),
+        mold=mold,
+        name="box",
+    )
+
+
+def step_times(scenes: dict[str, Scene], rounds: int = 7) -> dict[str, float]:
+    """Microseconds per step of whole runs, compiled, the best of so many rounds; the scenes take turns."""
+    ready = {}
+    for name, scene in scenes.items():
+        state, body = jax.jit(simulation._begin)(scene)
+        ready[name] = simulation._compiled(state, scene, body), state, scene, body
+    best = dict.fromkeys(scenes, np.inf)
+    for _ in range(rounds):
+        for name, (advance, state, scene, body) in ready.items():
+            began = time.perf_counter()
+            end, _ = advance(state, scene, body, np.int32(10**6))
+            seconds = time.perf_counter() - began if end.steps.block_until_ready() > 0 else 0.0
+            best[name] = min(best[name], 1e6 * seconds / int(end.steps))
+    return best
+
+
+def show_costs() -> None:
+    """Time per step without mold, with the bottle's and with it in 200 000 triangles, and the builds."""
+    shape = molds.bottle_half()
+    fine = molds.divided(shape, 13)
+    began = time.perf_counter()
+    build_grid(fine.vertices, fine.triangles)
+    print(f"search structure of {len(fine.triangles)} triangles: {time.perf_counter() - began:.1f} s")
+    coarse_name, fine_name = (str(len(s.triangles)) for s in (shape, fine))
+    scenes = {"none": bottle(None), coarse_name: bottle(mold_of(shape)), fine_name: bottle(mold_of(fine))}
+    times = step_times(scenes)
+    print(
+        f"time per step, {len(scenes['none'].parison.triangles)} elements: {times['none']:.1f} us without mold, "
+        f"{times[coarse_name]:.1f} us with {coarse_name} triangles ({times[coarse_name] / times['none']:.2f} x), "
+        f"{times[fine_name]:.1f} us with {fine_name} ({times[fine_name] / times[coarse_name]:.2f} x that)",
+        flush=True,
+    )
+
+
+def wall_gradient(scene: Scene, seed: int = 0) -> tuple[float, list[float]]:
+    """Derivative of a smooth measure of the wall along a random thickness direction, and its differences' deviations.
+
+    The deviations, relative, are of central differences over 1e-4 to 1e-8 of the thickness.
+    """
+    thickness = scene.parison.thickness
+    direction = thickness * np.random.default_rng(seed).uniform(0.5, 1.0, thickness.shape)
+
+    def measure(thickness: jax.Array) -> jax.Array:
+        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}))
+        return jnp.mean(jnp.square(result.thickness / jnp.mean(scene.parison.thickness)))
+
+    slope = float(jnp.vdot(jax.jit(jax.grad(measure))(thickness), direction))
+    value = jax.jit(measure)
+    deviations = []
+    for size in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
+        up, down = (float(value(thickness + sign * size * direction)) for sign in (1, -1))
+        deviations.append(abs((up - down) / (2 * size) / slope - 1))
+    return slope, deviations
+
+
+def show_gradients() -> None:
+    """Gradients through contact on the box and on the bottle against central differences."""
+    for scene in (box(mold_of(molds.box_insert())), bottle(mold_of(molds.bottle_half()))):
+        slope, deviations = wall_gradient(scene)
+        words = ", ".join(f"{deviation:.1e}" for deviation in deviations)
+        print(f"{scene.name}: gradient {slope:.6g}, differences over 1e-4 ... 1e-8 deviate by {words}", flush=True)
+
+
+def show_penetration() -> None:
+    """How far nodes and elements are beyond the mold in each scene."""
+    scenes = [jaxform.load(name) for name in ("bowl", "dish-coarse", "dish")]
+    scenes += [box(mold_of(molds.box_insert()), elements) for elements in (150, 600, 2400)]
+    scenes += [bottle(mold_of(molds.bottle_half()), size) for size in (0.0071, 0.004)]
+    for scene in scenes:
+        result = jaxform.run(scene)
+        assert scene.tables.grid is not None
+        beyond = penetrated(result, scene)
+        print(
+            f"{scene.name}: {len(scene.parison.triangles)} elements, {jaxform.explain(result)}: nodes beyond the mold "
+            f"by {beyond.nodes / float(scene.tables.grid.size):.1e} of its size, "
+            f"elements by {1e3 * beyond.elements:.3g} mm",
+            flush=True,
+        )
+
+
+def same_part(scene: Callable[[Mold], Scene], coarse: molds.MoldShape, fine: molds.MoldShape) -> float:
+    """Largest difference of the wall, relative, between runs with two meshes of one mold."""
+    walls = [np.asarray(jaxform.run(scene(mold_of(shape))).thickness) for shape in (coarse, fine)]
+    return float(np.abs(walls[1] / walls[0] - 1).max())
+
+
+def show_finer_molds() -> None:
+    """The same part against a mold meshed twice as fine, with the same surface and with a rounder one."""
+    block, half = molds.box_insert(), molds.bottle_half()
+    finer = molds.bottle_half(element_size=0.5 * 0.00595)
+    print(f"box, flat facets divided: wall within {same_part(box, block, molds.divided(block, 2)):.1e}")
+    print(f"bottle, flat facets divided: wall within {same_part(bottle, half, molds.divided(half, 2)):.1e}")
+    walls = [np.asarray(jaxform.run(bottle(mold_of(shape))).thickness) for shape in (half, finer)]
+    spread = np.sqrt(np.mean(np.square(walls[1] / walls[0] - 1)))
+    print(
+        f"bottle, {len(half.triangles)} and {len(finer.triangles)} triangles on the round shape: rms {spread:.1e}",
+        flush=True,
+    )
+
+
+def main() -> int:
+    """Prints all figures."""
+    jax.config.update("jax_enable_x64", True)
+    show_costs()
+    show_paths()
+    show_gradients()
+    show_penetration()
+    show_finer_molds()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
