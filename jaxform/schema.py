@@ -155,7 +155,7 @@ class BottleHalfParison(Table):
     radius: Positive = 0.04
     neck_radius: Positive = 0.014
     hole: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
-    element_size: Positive = 0.0072
+    element_size: Positive = 0.0071
     swell: Annotated[float, Field(gt=0, lt=1)] = 0.3
     inset: Positive = 1.0e-3
     thickness: Thickness

@@ -101,11 +101,16 @@ def _frame(corners: Array) -> _Frame:
     size = float((high - low).max())
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     width = min(max(1.2 * edge, size / _FINEST), size / _COARSEST)
-    while np.prod(np.ceil((high - low) / width) + 2) > _MOST_CELLS:
+    while np.prod(_cell_counts(low, high, width)) > _MOST_CELLS:
         width *= 1.1
-    shape = np.ceil((high - low) / width).astype(int) + 2
+    shape = _cell_counts(low, high, width)
     reach = _REACH["coarse" if edge > width else "fine"] * width
     return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
+
+
+def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:
+    """One cell more on each side than the mold needs; a rounding error more or less changes nothing."""
+    return np.ceil((high - low) / width - 1e-3).astype(int) + 2
 
 
 def _along_a_curve(places: Array, frame: _Frame) -> NDArray[np.int64]:

@@ -200,7 +200,7 @@ def bottle_half(
     radius: float = 0.04,
     neck_radius: float = 0.014,
     hole: Sequence[float] = (0.0075, 0.027),
-    element_size: float = 0.0072,
+    element_size: float = 0.0071,
     swell: float = 0.3,
     inset: float = 1.0e-3,
 ) -> Sheet:

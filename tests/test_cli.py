@@ -265,7 +265,7 @@ BAD = [
     ('model = "mooney-rivlin"', 'model = "hookean"', "material.model"),
     ("alpha = 0.1", "", "alpha"),
     ('shape = "disc"', 'shape = "tube"', "parison.shape"),
-    ('shape = "revolved"', 'shape = "box-insert"', "mold.shape"),
+    ('shape = "revolved"', 'shape = "box-insert"', "mold.profile"),
     ("[solver]", "[refinement]\nangle = 4.0\n[solver]", "refinement"),
     ("[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]", "[0.0, 0.02], [0.05, -0.02]", "mold"),
     ("end_time = 0.05", "end_time = 0.0", "solver.end_time"),

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 
 import jaxform
-from jaxform import contact, molds
+from benchmarks import contact as figures
+from jaxform import molds, shapes, simulation, stepping
 from jaxform import near as nearness
 from jaxform.mold import Mold
-from jaxform.penetration import point_triangle_distance
+from jaxform.penetration import penetration, point_triangle_distance
+from jaxform.result import penetrated
 from jaxform.search import SearchGrid, build_grid
+from tests import scenes
 
 
 def _shape(name: str) -> Mold:
@@ -30,55 +36,49 @@ def _shape(name: str) -> Mold:
     return jaxform.make_mold(shape.vertices, shape.triangles)
 
 
-def _oracle(begin: np.ndarray, end: np.ndarray, wall: Mold) -> np.ndarray:
-    """Least beta (n,) over all triangles, infinite where none is met."""
-    corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
-    d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    least = np.full(len(begin), np.inf)
-    for k in range(len(begin)):
-        # Eq. 11: beta NN' + gamma DE + delta DF = DN', with N' the begin and N the end.
-        matrix = np.stack([np.broadcast_to(begin[k] - end[k], d.shape), edge1, edge2], axis=2)
-        solvable = np.abs(np.linalg.det(matrix)) > 1e-14
-        beta, gamma, delta = np.linalg.solve(matrix[solvable], (begin[k] - d[solvable])[..., None])[..., 0].T
-        hit = (beta >= 0) & (beta <= 1) & (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
-        least[k] = beta[hit].min(initial=np.inf)
-    return least
+def _mixed() -> Mold:
+    """Two huge triangles, and on them a ball of tiny ones."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.01)
+    plane = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    vertices = np.concatenate([plane, np.asarray(ball.vertices) + np.array([0.2, 0.1, 0.005])])
+    return jaxform.make_mold(vertices, np.concatenate([[[0, 1, 2], [0, 2, 3]], np.asarray(ball.faces) + 4]))
 
 
-@jax.jit
-def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, ...]:
-    """One step of all nodes from begin to end, (3, n), as the simulation takes it."""
-    count = begin.shape[1]
-    free = jnp.zeros(count, bool)
-    near = nearness.list_near(begin, end - begin, ~free, jnp.asarray(1.0), jnp.asarray(0.0), grid)
-    reached, _ = nearness.watch(end, free, near)
-    flying = contact.Landing(
-        end, end - begin, free, jnp.full(count, -1.0), jnp.zeros(count, jnp.int32), jnp.asarray(0.0)
-    )
-    landed = contact.land(begin, flying, reached, jnp.ones(count), jnp.asarray(1.0), near, wall, grid)
-    return landed.positions, landed.stuck, near.overflow | nearness.left(end, near), landed.loss
+def _tangled() -> Mold:
+    """The open cup with a fin on its bottom (three triangles to an edge), copies, and every other triangle turned."""
+    cup = molds.revolved(profile=[[0.0, 1.0], [0.7, 1.0], [1.0, 0.0]], segments=24)
+    triangles = cup.triangles.copy()
+    triangles[::2] = triangles[::2, ::-1]
+    fin = np.array([[0, 1, len(cup.vertices)]])
+    vertices = np.concatenate([cup.vertices, [[0.4, 0.1, 0.7]]])
+    wall = jaxform.make_mold(vertices, np.concatenate([triangles, fin, triangles[:7]]))
+    assert wall.dropped == 7
+    return wall
 
 
-@pytest.mark.parametrize("name", ["cup", "ribs", "box"])
+_MOLDS = {
+    "mixed": _mixed,
+    "tangled": _tangled,
+    "fine torus": lambda: figures.library_mold(
+        trimesh.creation.torus(1.0, 0.3, major_sections=200, minor_sections=100)
+    ),
+    **{name: figures.MOLDS[name] for name in ("box-insert", "bottle-half", "ribs", "icosphere")},
+}
+
+
+@pytest.mark.parametrize("name", list(_MOLDS))
 def test_random_paths_land_where_brute_force_says(name: str) -> None:
-    wall = _shape(name)
-    grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
-    random = np.random.default_rng(3)
-    corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
-    share = random.dirichlet([1.0, 1.0, 1.0], 3000)
-    on_wall = np.einsum("ij,ijk->ik", share, corners[random.integers(len(corners), size=3000)])
-    begin = on_wall + 0.4 * float(grid.reach) * random.uniform(-1, 1, (3000, 3))
-    path = random.normal(size=begin.shape)
-    path *= float(grid.reach) * random.uniform(0, 1, (3000, 1)) / np.linalg.norm(path, axis=1, keepdims=True)
-    place, stuck, lost, loss = _walk(jnp.asarray(begin.T), jnp.asarray((begin + path).T), wall, grid)
-    least = _oracle(begin, begin + path, wall)
-    assert not lost
-    assert 500 < np.isfinite(least).sum() < 2500
-    np.testing.assert_array_equal(np.asarray(stuck), np.isfinite(least))
-    expected = begin + np.where(np.isfinite(least), least, 1.0)[:, None] * path
-    np.testing.assert_allclose(np.asarray(place).T, expected, atol=1e-12)
-    hit = np.isfinite(least)
-    np.testing.assert_allclose(float(loss), 0.5 * np.sum(np.square(path[hit])), rtol=1e-12)
+    found = figures.compare(_MOLDS[name](), 4096, seed=3)
+    assert 0.1 < found.hits / found.paths < 0.9
+    assert found.missed == found.invented == 0
+    assert found.worst_beta < 1e-12
+    assert found.worst_place < 1e-14
+
+
+def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
+    place, stuck, well = figures.walk(begin, end, wall, grid)
+    assert well
+    return place, stuck
 
 
 @pytest.mark.parametrize("name", ["cup", "ribs", "box"])
@@ -99,7 +99,7 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
 def _aimed(wall: Mold, targets: np.ndarray, normal: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     begin, end = targets - half * normal, targets + half * normal
-    place, stuck, *_ = _walk(jnp.asarray(begin.T), jnp.asarray(end.T), wall, grid)
+    place, stuck = _walk(jnp.asarray(begin.T), jnp.asarray(end.T), wall, grid)
     return np.asarray(place).T, np.asarray(stuck)
 
 
@@ -125,7 +125,7 @@ def test_of_two_walls_in_one_step_the_first_counts() -> None:
 
 def test_a_node_that_starts_on_the_wall_stays_there() -> None:
     wall = _shape("cup")
-    place, stuck = _aimed(wall, np.array([[0.2, 0.1, 0.97]]), np.array([0.0, 0.0, 1.0]), -0.03)
+    place, stuck = _aimed(wall, np.array([[0.2, 0.1, 0.99]]), np.array([0.0, 0.0, 1.0]), -0.01)
     assert stuck.all()
     np.testing.assert_allclose(place[0], [0.2, 0.1, 1.0], atol=1e-14)
 
@@ -149,3 +149,170 @@ def test_the_mold_s_orientation_does_not_matter() -> None:
         results.append(_walk(jnp.asarray(begin.T), jnp.asarray(end.T), one, grid))
     np.testing.assert_array_equal(results[0][1], results[1][1])
     np.testing.assert_allclose(results[0][0], results[1][0], atol=1e-13)
+
+
+def test_a_path_that_hardly_leaves_the_plane_lands_where_it_crosses() -> None:
+    wall = _shape("cup")
+    grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
+    begin, end = np.array([[0.2, 0.1, 1.0 - 1e-7]]), np.array([[0.203, 0.1, 1.0 + 2e-7]])
+    place, stuck = _walk(jnp.asarray(begin.T), jnp.asarray(end.T), wall, grid)
+    assert stuck.all()
+    np.testing.assert_allclose(np.asarray(place).T, [[0.201, 0.1, 1.0]], atol=1e-11)
+
+
+def _with_mold(mold: Mold) -> jaxform.Scene:
+    """The cup's sheet before another mold."""
+    scene = scenes.cup()
+    grid = build_grid(np.asarray(mold.vertices), np.asarray(mold.triangles))
+    return dataclasses.replace(scene, mold=mold, tables=dataclasses.replace(scene.tables, grid=grid))
+
+
+def test_a_sheet_whose_rim_lies_on_the_mold_s_flange_comes_off_it() -> None:
+    """The flange is in the sheet's plane; only the clamped rim may count as touching it at the start."""
+    bare = jaxform.run(scenes.cup())
+    flange = molds.revolved(profile=[[0.0, 0.5], [0.55, 0.5], [1.0, 0.0], [1.3, 0.0]], segments=48)
+    flanged = jaxform.run(_with_mold(figures.mold_of(flange)))
+    assert jaxform.explain(flanged) == "ok"
+    np.testing.assert_allclose(flanged.thickness, bare.thickness, rtol=1e-3)
+    touched = np.asarray(flanged.contact_time) > 0
+    assert np.asarray(flanged.contact_time)[touched].min() > 1.0
+
+
+def test_inverted_copied_and_open_triangles_make_the_same_part() -> None:
+    mold = scenes.cup().mold
+    assert mold is not None
+    triangles = np.asarray(mold.triangles).copy()
+    triangles[::3] = triangles[::3, [0, 2, 1]]
+    untidy = jaxform.make_mold(np.asarray(mold.vertices), np.concatenate([triangles, triangles[:5]]))
+    assert untidy.dropped == 5
+    result = jaxform.run(_with_mold(untidy))
+    expected = jaxform.run(scenes.cup())
+    np.testing.assert_allclose(result.positions, expected.positions, atol=1e-12)
+
+
+def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scenes.cup()
+    watch = nearness.watch
+
+    def windows() -> stepping.State:
+        state, body = simulation._begin(scene)
+        advance = jax.jit(lambda state: stepping.window(state, scene, body))
+        for _ in range(25):
+            state = advance(state)
+        return state
+
+    skipping = windows()
+    monkeypatch.setattr(stepping, "watch", lambda *args: (jnp.asarray(True), watch(*args)[1]))
+    always = windows()
+    assert 0 < int((skipping.wall != 0).sum())
+    np.testing.assert_array_equal(skipping.positions, always.positions)
+    np.testing.assert_array_equal(skipping.wall, always.wall)
+
+
+def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = scenes.cup(elements=600, end_time=14.0)
+    roomy = jaxform.run(scene)
+    monkeypatch.setattr(nearness, "_ROOM_PER_NODE", 0)
+    monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
+    jax.clear_caches()
+    tight = jaxform.run(scene)
+    jax.clear_caches()
+    assert jaxform.explain(tight) == "ok"
+    assert int(tight.shortened) > int(roomy.shortened)
+    assert penetrated(tight, scene).nodes < 1e-12
+    np.testing.assert_allclose(tight.thickness, roomy.thickness, rtol=2e-2)
+
+
+def _roof(slope: float) -> Mold:
+    """Two half planes that meet along the y axis at z = 0, `slope` up on both sides."""
+    vertices = np.array([[x, y, slope * abs(x)] for y in (-3, 3) for x in (-3, 0, 3)], float)
+    return jaxform.make_mold(vertices, np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]]))
+
+
+@pytest.mark.parametrize("slope, depth", [(-1.0, np.sqrt(0.5)), (1.0, 0.0)])
+@pytest.mark.parametrize("turned", [False, True])
+def test_an_element_over_a_convex_edge_is_seen_and_one_in_a_corner_is_not(
+    slope: float, depth: float, turned: bool
+) -> None:
+    wall = _roof(slope)
+    if turned:
+        wall = dataclasses.replace(wall, triangles=wall.triangles.at[1].set(wall.triangles[1, ::-1]))
+    # A flat strip from slope to slope, whose nodes came from above.
+    nodes = np.array([[-1.0, 0, slope], [1, 0, slope], [1, 2, slope], [-1, 2, slope]])
+    corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    on = np.array([0, 2, 2, 0])
+    stuck_to = np.where(up[on] > 0, 1, -1) * (on + 1)
+    beyond = penetration(nodes, np.array([[0, 1, 2], [0, 2, 3]]), stuck_to, wall)
+    assert beyond.nodes < 1e-14
+    np.testing.assert_allclose(beyond.elements, depth, atol=1e-12)
+    if depth:
+        np.testing.assert_allclose(beyond.place[[0, 2]], [0.0, slope], atol=1e-12)
+
+
+def test_beyond_the_rim_of_an_open_mold_there_is_no_wall() -> None:
+    wall = _roof(0.0)
+    nodes = np.array([[2.0, 0, 0], [4, 0, -0.5], [4, 1, -0.5]])
+    beyond = penetration(nodes, np.array([[0, 1, 2]]), np.array([3, 0, 0]), wall)
+    assert beyond.elements < 0.3  # where it passes below the plate, not its end 0.5 below and beside it
+
+
+def test_no_node_passes_the_box_or_the_bottle() -> None:
+    for scene in (
+        figures.box(figures.mold_of(molds.box_insert()), 150),
+        figures.bottle(figures.mold_of(molds.bottle_half()), 0.012),
+    ):
+        result = jaxform.run(scene)
+        assert jaxform.explain(result) == "ok"
+        assert (np.asarray(result.wall) != 0).sum() > 10
+        assert scene.tables.grid is not None
+        assert penetrated(result, scene).nodes < 1e-12 * float(scene.tables.grid.size)
+
+
+def test_the_same_surface_in_more_triangles_makes_the_same_part() -> None:
+    block = molds.box_insert()
+    assert figures.same_part(lambda mold: figures.box(mold, 150), block, molds.divided(block, 2)) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["box", "bottle"])
+def test_gradient_through_contact_equals_central_differences(name: str) -> None:
+    if name == "box":
+        scene = figures.box(figures.mold_of(molds.box_insert(draft=5.0)), 100)
+    else:
+        scene = figures.bottle(figures.mold_of(molds.bottle_half()), 0.011)
+    slope, deviations = figures.wall_gradient(scene)
+    assert slope != 0
+    assert min(deviations) < 1e-5
+
+
+def test_gradient_with_respect_to_the_mold_s_vertices() -> None:
+    """The whole mold is stretched along its depth; the differences rebuild the scene."""
+    scene = scenes.cup()
+    mold = scene.mold
+    assert mold is not None
+    stretch = mold.vertices * jnp.asarray([0.0, 0.0, 1.0])
+    random = jnp.asarray(np.random.default_rng(2).uniform(0.5, 1.0, scene.parison.thickness.shape))
+
+    def measure(vertices: jax.Array, scene: jaxform.Scene = scene) -> jax.Array:
+        moved = dataclasses.replace(scene, mold=dataclasses.replace(mold, vertices=vertices))
+        return jnp.vdot(random, jaxform.simulate(moved).thickness)
+
+    slope = float(jnp.vdot(jax.jit(jax.grad(measure))(mold.vertices), stretch))
+
+    def rebuilt(by: float) -> float:
+        wall = jaxform.make_mold(np.asarray(mold.vertices + by * stretch), np.asarray(mold.triangles))
+        scene = _with_mold(wall)
+        return float(jax.jit(measure)(wall.vertices, scene))
+
+    deviations = [abs((rebuilt(h) - rebuilt(-h)) / (2 * h) / slope - 1) for h in (1e-5, 1e-6, 1e-7)]
+    assert slope < 0  # deeper is thinner
+    assert min(deviations) < 1e-5
+
+
+def test_a_half_parison_lies_in_its_mold() -> None:
+    sheet = shapes.bottle_half()
+    assert 780 <= len(sheet.triangles) <= 820
+    scene = figures.bottle(figures.mold_of(molds.bottle_half()), 0.0071)
+    assert np.asarray(scene.parison.clamped).sum() > 50
