@@ -85,7 +85,7 @@ def random_paths(wall: Mold, grid: SearchGrid, count: int, seed: int) -> tuple[n
 def walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, jax.Array, jax.Array]:
     """One step of all nodes from begin to end (3, n), as a simulation takes it: where they are, stuck, all well."""
     free = jnp.zeros(begin.shape[1], bool)
-    window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), jnp.asarray(0.0), grid)
+    window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), grid)
     reached, _ = near.watch(end, free, window)
     flying = contact.Landing(
         end, end - begin, free, jnp.full(free.size, -1.0), jnp.zeros(free.size, jnp.int32), jnp.asarray(0.0)

@@ -180,7 +180,7 @@ def _torsion(points: Array, triangles: NDArray, rim: NDArray) -> Array:
     load = np.bincount(triangles.ravel(), np.repeat(area / 3, 3))
     u = np.zeros(len(points))
     free = np.flatnonzero(~rim)
-    u[free] = spsolve(matrix[free][:, free], load[free])
+    u[free] = np.asarray(spsolve(matrix[free][:, free], load[free]))
     return u
 
 

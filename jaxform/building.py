@@ -41,7 +41,7 @@ def build_scene(
     _check_material(material)
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
-    grid = None if mold is None else build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    grid = None if mold is None else _search_grid(mold, positions, triangles)
     if mold is not None and grid is not None:
         _check_start(positions, triangles, mold, grid)
     sheet = _reference_sheet(parison)
@@ -52,7 +52,7 @@ def build_scene(
         bound=bound,
         mobility=as_real(~held.T),
         grid=grid,
-        window_count=_window_count(bound, material, solver),
+        window_count=_window_count(bound, material, solver, grid),
     )
     return Scene(
         parison=parison,
@@ -119,8 +119,18 @@ def _reference_sheet(parison: Parison) -> Sheet:
     return Sheet(triangles, inverse, area, as_real(origin))
 
 
-def _window_count(bound: jax.Array, material: Material, solver: Solver) -> int:
-    """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare."""
+def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray) -> SearchGrid:
+    """Made for nodes that move a quarter of an element's side within a window: a tenth of the speed of sound."""
+    corners = positions[triangles]
+    side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+    return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side)
+
+
+def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: SearchGrid | None) -> int:
+    """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare.
+
+    Among these are some that contact cuts short when nodes fly through the mold.
+    """
     step = solver.safety * _stiffest_step(bound, material)
     steps = 1.3 * float(solver.end_time / step)
     if not steps < _MOST_STEPS:
@@ -130,7 +140,8 @@ def _window_count(bound: jax.Array, material: Material, solver: Solver) -> int:
             "solver.end_time",
             float(solver.end_time),
         )
-    return int(np.ceil(steps / STEPS_PER_WINDOW)) + 16
+    spare = 16 if grid is None else 16 + round(2 * float(grid.size / grid.reach))
+    return int(np.ceil(steps / STEPS_PER_WINDOW)) + spare
 
 
 @jax.jit

@@ -20,7 +20,8 @@ TEST_BLOCK = 128
 _LANES, _DEPTH = 64, 8  # nodes, and triangles of each, that are looked at together
 _ROOM_PER_NODE, _LEAST_ROOM = 2, 4096  # pairs that a window can hold
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
-_ALARM = 0.1  # of a ball's radius, that a node must not pass in one step
+# How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
+_GLANCE, _ALARM = 0.05, 0.1
 _MOST_HALVINGS = 10  # of the balls, until the pairs find room
 
 
@@ -35,8 +36,8 @@ class Near:
         start: Positions (3, n_node) [m] at the border.
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
         center: Of the balls (3, n_node) [m].
-        limit: Radius (n_node,) [m] of the balls: inside, no triangle but the listed can be met.
-        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts, a few steps
+        limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
+        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts: a few steps
             before the limit.
         overflow: Whether pairs were lost, so that the window must not be trusted.
     """
@@ -48,18 +49,22 @@ class Near:
     start: jax.Array
     clear_square: jax.Array
     center: jax.Array
-    limit: jax.Array
+    limit_square: jax.Array
     alarm_square: jax.Array
     overflow: jax.Array
 
 
 @pytree
 class _Balls:
-    """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m], their cells, and who is near."""
+    """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
+
+    Each with its cell, a lower bound on its center's distance to the mold [m], and whether the mold may be in it.
+    """
 
     center: jax.Array
     radius: jax.Array
     cell: jax.Array
+    bound: jax.Array
     near: jax.Array
 
 
@@ -113,7 +118,7 @@ def watch(positions: jax.Array, stuck: jax.Array, near: Near) -> tuple[jax.Array
 def left(positions: jax.Array, near: Near) -> jax.Array:
     """Whether any node has left its ball, so that it may have missed the mold."""
     gap = positions - near.center
-    return jnp.any(dot(gap, gap) > jnp.square(near.limit))
+    return jnp.any(dot(gap, gap) > near.limit_square)
 
 
 def list_near(
@@ -121,7 +126,6 @@ def list_near(
     velocities: jax.Array,
     free: jax.Array,
     duration: jax.Array,
-    glance: jax.Array,
     grid: SearchGrid,
 ) -> Near:
     """Lists the pairs of free nodes and triangles that may meet.
@@ -131,7 +135,6 @@ def list_near(
         velocities: (3, n_node) [m/s].
         free: Nodes (n_node,) that can still move.
         duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
-        glance: How long before a node leaves its ball the window is halted [s].
         grid: Its search structure.
     """
     room = -(-max(_ROOM_PER_NODE * free.size, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
@@ -147,9 +150,9 @@ def list_near(
     tries, candidates = jax.lax.while_loop(too_many, attempt, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))
     balls = _balls(positions, velocities, free, duration, 0.5 ** (tries - 1), grid)
     kept, planes, clear = _examined(candidates, positions, balls, room, grid)
-    limit = jnp.where(free, jnp.where(balls.near, balls.radius, grid.bound[balls.cell]), jnp.inf)
-    speed = jnp.sqrt(dot(velocities, velocities))
-    alarm = jnp.maximum(limit - jnp.maximum(glance * speed, _ALARM * balls.radius), 0.0)
+    limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
+    path = duration * jnp.sqrt(dot(velocities, velocities))
+    alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * balls.radius), 0.0)
     return Near(
         node=kept.pairs[:, 0],
         triangle=kept.pairs[:, 1],
@@ -158,7 +161,7 @@ def list_near(
         start=positions,
         clear_square=jnp.where(balls.near, jnp.square(clear), jnp.inf),
         center=balls.center,
-        limit=limit,
+        limit_square=jnp.square(limit),
         alarm_square=jnp.square(alarm),
         overflow=candidates.count > room,
     )
@@ -178,16 +181,21 @@ def _balls(
     radius = half + _MARGIN * (half + 2 * jnp.max(half) + grid.reach)
     scale = scale * jnp.minimum(1.0, grid.reach / radius)
     center, radius = positions + 0.5 * scale * path, scale * radius
-    cell = _cells(center, grid)
-    return _Balls(center, radius, cell, free & (grid.bound[cell] < radius))
+    cell, bound = _looked_up(center, grid)
+    return _Balls(center, radius, cell, bound, free & (bound < radius))
 
 
-def _cells(positions: jax.Array, grid: SearchGrid) -> jax.Array:
-    """Cell numbers (n_node,); a node outside the grid takes the nearest cell, whose bound holds for it too."""
-    shape = jnp.asarray(grid.shape)
-    index = jnp.floor((positions - grid.corner[:, None]) / grid.width).astype(jnp.int32)
-    i, j, k = jnp.clip(index, 0, shape[:, None] - 1)
-    return (i * grid.shape[1] + j) * grid.shape[2] + k
+def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
+    """Cell numbers and lower bounds on the distance to the mold [m], each (n_node,).
+
+    A node outside the grid takes the nearest cell, whose bound and list hold for it too.
+    """
+    last = jnp.asarray(grid.shape)[:, None] - 1
+    place = (positions - grid.corner[:, None]) / grid.width
+    i, j, k = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, last)
+    cell = (i * grid.shape[1] + j) * grid.shape[2] + k
+    outside = place - jnp.clip(place, 0.0, last + 1.0)
+    return cell, jnp.maximum(grid.bound[cell], grid.width * jnp.sqrt(dot(outside, outside)))
 
 
 def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:

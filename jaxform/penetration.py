@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxform import topology
 from jaxform.mold import Mold
@@ -46,10 +46,10 @@ def penetration(positions: Array, triangles: NDArray[np.integer], wall: NDArray[
     corners = positions[triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
     points = np.einsum("pc,tck->tpk", share, corners).reshape(-1, 3)
-    depth = -walls.heights(np.concatenate([positions, points]), longest)
+    depth = np.maximum(-walls.heights(np.concatenate([positions, points]), longest), 0.0)
     of_nodes, of_points = np.split(depth, [len(positions)])
     place = points[np.argmax(of_points)] if len(points) else np.zeros(3)
-    return Penetration(max(float(of_nodes.max(initial=0)), 0.0), max(float(of_points.max(initial=0)), 0.0), place)
+    return Penetration(float(of_nodes.max(initial=0.0)), float(of_points.max(initial=0.0)), place)
 
 
 def _lattice(divisions: int) -> Array:
@@ -104,7 +104,7 @@ class _Walls:
         pieces, owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / 200))
         middle = pieces.mean(1)
         radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
-        tree = cKDTree(middle)
+        tree = KDTree(middle)
         reach = tree.query(points, distance_upper_bound=farthest + radius)[0] + radius
         near = np.flatnonzero(np.isfinite(reach))
         lists = tree.query_ball_point(points[near], reach[near])
@@ -131,7 +131,7 @@ def _near_sides(triangles: NDArray[np.integer], wall: NDArray[np.integer]) -> Ar
     touching = wall[wall != 0]
     touched = np.abs(touching) - 1
     votes = np.bincount(part[touched], np.sign(touching) * sign[touched], minlength=part.max() + 1)
-    return sign * np.sign(votes)[part]
+    return (sign * np.sign(votes)[part]).astype(float)
 
 
 def _nearest(points: Array, corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:

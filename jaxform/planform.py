@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay, KDTree
 
 Array = NDArray[np.float64]
 Size = Callable[[Array], Array]
@@ -95,7 +95,7 @@ def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
     """Distance to the loops, each side sampled ten times."""
     share = np.arange(10)[:, None] / 10
     samples = [(loop[:, None] + share * (np.roll(loop, -1, axis=0) - loop)[:, None]).reshape(-1, 2) for loop in loops]
-    return cKDTree(np.concatenate(samples)).query(points)[0]
+    return KDTree(np.concatenate(samples)).query(points)[0]
 
 
 def _kept(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
@@ -127,7 +127,7 @@ def _check_rim(triangles: NDArray[np.int64], loops: Sequence[Array]) -> None:
 
 def interpolator(points: Array, values: Array) -> Callable[[Array], Array]:
     """Linear interpolation of (n, k) values at scattered points (n, 2); outside of them the nearest one's value."""
-    inside, tree = LinearNDInterpolator(points, values), cKDTree(points)
+    inside, tree = LinearNDInterpolator(points, values), KDTree(points)
 
     def at(places: Array) -> Array:
         found = inside(places)

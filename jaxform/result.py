@@ -12,7 +12,7 @@ from jaxform import membrane
 from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
-from jaxform.stepping import Body, State, Status, kinetic_energy, strain_energy
+from jaxform.stepping import Body, State, Status, kinetic_energy, last_work, strain_energy
 
 
 @pytree
@@ -95,16 +95,12 @@ class Result:
 def make_result(state: State, scene: Scene, sheet_body: Body) -> Result:
     """The result of a state; pure, so it can be traced."""
     sheet = scene.tables.sheet
-    first, edge1, edge2 = membrane.edges(state.positions, sheet.triangles)
+    _, edge1, edge2 = membrane.edges(state.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     ratio = 1.0 / jnp.sqrt(strain.determinant)
     node_count = scene.parison.thickness.size
     weight = membrane.sum_to_nodes(sheet.area, sheet.triangles, node_count)
     nodal_ratio = membrane.sum_to_nodes(sheet.area * ratio, sheet.triangles, node_count) / weight
-    volume = jnp.sum(membrane.dot(first - sheet.origin[:, None], membrane.cross(edge1, edge2))) / 6.0
-    # The account inside the loop lags one step, for the volume is known when the next force is.
-    pressures = scene.pressure.at(jnp.stack([state.time - state.step_length, state.time]))
-    last_work = jnp.mean(pressures) * (volume - state.volume)
     return Result(
         positions=state.positions.T,
         thickness=nodal_ratio * scene.parison.thickness,
@@ -119,7 +115,7 @@ def make_result(state: State, scene: Scene, sheet_body: Body) -> Result:
         energy=Energy(
             strain=strain_energy(state, scene, sheet_body),
             kinetic=kinetic_energy(state, sheet_body.mass),
-            external_work=state.external_work + last_work,
+            external_work=state.external_work + last_work(state, scene),
             damping_loss=state.damping_loss,
             contact_loss=state.contact_loss,
         ),

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 _MOST_CELLS = 2_000_000
 _COARSEST, _FINEST = 96, 256  # cells along the longest side of a mold
+_FEWEST = 16  # where a coarse sheet moves far in a window
 _REACH = {"coarse": 1.5, "fine": 0.75}  # in cells; a coarse mold's lists are short and may reach further
 _CHUNK = 1_000_000  # pairs of cell and triangle looked at together, to bound the memory
 _SLACK = 1e-6  # relative to a cell, for rounding
@@ -71,10 +72,16 @@ class _Frame(NamedTuple):
     shape: NDArray[np.int64]
 
 
-def build_grid(vertices: Array, triangles: NDArray[np.integer]) -> SearchGrid:
-    """The search structure of a mold of vertices (n_vertex, 3) [m] and triangles (n_triangle, 3)."""
+def build_grid(vertices: Array, triangles: NDArray[np.integer], travel: float = 0.0) -> SearchGrid:
+    """The search structure of a mold.
+
+    Args:
+        vertices: (n_vertex, 3) [m].
+        triangles: Vertex numbers (n_triangle, 3).
+        travel: How far the sheet's nodes may well move within a window [m]; a coarse mold's grid is made for it.
+    """
     corners = np.asarray(vertices, float)[np.asarray(triangles)]
-    frame = _frame(corners)
+    frame = _frame(corners, travel)
     number = _along_a_curve(corners.mean(1), frame)
     corners = corners[number]
     cell, triangle, distance, far = _near_pairs(corners, frame)
@@ -95,16 +102,19 @@ def build_grid(vertices: Array, triangles: NDArray[np.integer]) -> SearchGrid:
     )
 
 
-def _frame(corners: Array) -> _Frame:
+def _frame(corners: Array, travel: float) -> _Frame:
     """Cells about twice as wide as a typical triangle, within what memory and the mold's own size allow."""
     low, high = corners.min((0, 1)), corners.max((0, 1))
     size = float((high - low).max())
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     width = min(max(1.2 * edge, size / _FINEST), size / _COARSEST)
+    coarse = edge > width
+    if coarse:
+        width = min(max(width, travel / _REACH["coarse"]), size / _FEWEST)
     while np.prod(_cell_counts(low, high, width)) > _MOST_CELLS:
         width *= 1.1
     shape = _cell_counts(low, high, width)
-    reach = _REACH["coarse" if edge > width else "fine"] * width
+    reach = _REACH["coarse" if coarse else "fine"] * width
     return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
 
 

@@ -21,7 +21,8 @@ from jaxform.pytree import as_real, pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 
 _RUNGS_PER_OCTAVE = 8
-_GLANCE = 3.0  # steps before a node leaves the range of its list, the window halts
+_MOST_RETRIES = 12
+_RANGE_PER_STEP = 0.1  # of the search grid's reach
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 
 
@@ -52,6 +53,7 @@ class State:
         volume: Enclosed before the last step [m^3].
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
+        retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
     """
@@ -68,6 +70,7 @@ class State:
     damping_loss: jax.Array
     contact_loss: jax.Array
     peak_work: jax.Array
+    retries: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
@@ -102,8 +105,6 @@ def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
     positions = scene.parison.positions.T
     zero, none = as_real(0.0), jnp.int32(0)
-    first, edge1, edge2 = membrane.edges(positions, scene.tables.sheet.triangles)
-    arm = first - scene.tables.sheet.origin[:, None]
     held = jnp.all(scene.tables.mobility == 0.0, axis=0)
     return State(
         positions=positions,
@@ -113,11 +114,12 @@ def initial_state(scene: Scene) -> State:
         wall=jnp.zeros(held.size, jnp.int32),
         time=zero,
         step_length=zero,
-        volume=jnp.sum(membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0,
+        volume=enclosed_volume(positions, scene),
         external_work=zero,
         damping_loss=zero,
         contact_loss=zero,
         peak_work=zero,
+        retries=none,
         steps=none,
         windows=none,
         shortened=none,
@@ -153,7 +155,12 @@ def choose_step(state: State, scene: Scene) -> jax.Array:
     limit = scene.solver.safety * membrane.stable_step(
         state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, moving, scene.material
     )
+    if scene.tables.grid is not None:
+        # No node passes more of the range of its list in one step than can be watched.
+        fastest = jnp.sqrt(jnp.max(membrane.dot(state.velocities, state.velocities)))
+        limit = jnp.minimum(limit, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(limit) * _RUNGS_PER_OCTAVE) / _RUNGS_PER_OCTAVE)
+    rung = rung * jnp.exp2(-state.retries)
     rest = (scene.solver.end_time - state.time) / STEPS_PER_WINDOW
     return jax.lax.stop_gradient(jnp.minimum(rung, rest))
 
@@ -315,7 +322,7 @@ def _list_near(state: State, scene: Scene, length: jax.Array) -> Near | None:
         (state.positions, state.velocities, scene.tables.grid, length)
     )
     duration = length * STEPS_PER_WINDOW
-    return list_near(positions, velocities, ~state.stuck, duration, _GLANCE * length, grid)
+    return list_near(positions, velocities, ~state.stuck, duration, grid)
 
 
 def _close(
@@ -346,21 +353,41 @@ def _close(
         shortened=state.shortened + moving.halted,
     )
     status = _health(new, scene, sheet_body) | state.status
+    bad, retries = (status & Status.NON_FINITE) != 0, state.retries
     if near is not None:
+        # A node that flew out of its ball may have missed the mold: the window is taken anew with smaller steps.
+        missed = left(moving.positions, near)
+        hopeless = missed & (retries >= _MOST_RETRIES)
+        status = jnp.where(missed, state.status, status) | jnp.where(hopeless, Status.CONTACT_MISSED, 0)
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-        status |= jnp.where(left(moving.positions, near), Status.CONTACT_MISSED, 0)
-    bad = (status & Status.NON_FINITE) != 0
+        bad, retries = bad | missed, jnp.where(missed, retries + 1, jnp.maximum(retries - 1, 0))
     kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
-    return dataclasses.replace(kept, status=status.astype(jnp.int32))
+    shortened = jnp.where(bad, state.shortened + 1, new.shortened)
+    return dataclasses.replace(
+        kept, status=status.astype(jnp.int32), retries=retries, windows=new.windows, shortened=shortened
+    )
 
 
 def _health(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
     finite = jnp.isfinite(jnp.sum(state.positions) + jnp.sum(state.velocities))
     held = strain_energy(state, scene, sheet_body) + kinetic_energy(state, sheet_body.mass)
-    excess = held + state.damping_loss + state.contact_loss - state.external_work
+    excess = held + state.damping_loss + state.contact_loss - state.external_work - last_work(state, scene)
     scale = scene.material.stiffness() * jnp.sum(scene.tables.sheet.area * sheet_body.thickness)
     # Near rest the strain energy is the rounding of I1 - 3.
     rounding = 1e-9 + 64 * jnp.finfo(scale.dtype).eps
     unstable = excess > _ENERGY_TOLERANCE * state.peak_work + rounding * scale
     return jnp.where(finite, jnp.where(unstable, Status.UNSTABLE, 0), Status.NON_FINITE)
+
+
+def last_work(state: State, scene: Scene) -> jax.Array:
+    """External work of the last step [J]; the account inside the loop lags, as the volume comes with the next force."""
+    pressures = scene.pressure.at(jnp.stack([state.time - state.step_length, state.time]))
+    return jnp.mean(pressures) * (enclosed_volume(state.positions, scene) - state.volume)
+
+
+def enclosed_volume(positions: jax.Array, scene: Scene) -> jax.Array:
+    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin."""
+    first, edge1, edge2 = membrane.edges(positions, scene.tables.sheet.triangles)
+    arm = first - scene.tables.sheet.origin[:, None]
+    return jnp.sum(membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0

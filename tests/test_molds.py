@@ -9,7 +9,7 @@ import pytest
 from jaxform import shapes, topology
 from jaxform.errors import InputError
 from jaxform.meshes import Mesh
-from jaxform.molds import from_mesh, revolved
+from jaxform.molds import bottle_half, box_insert, divided, from_mesh, revolved
 
 CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
 BOX = Mesh(
@@ -134,3 +134,105 @@ def test_bad_translate_and_rotate(option, values):
     with pytest.raises(InputError) as caught:
         from_mesh(BOX, **{option: values})
     assert caught.value.key == f"mold.{option}" and caught.value.mend
+
+
+def test_box_with_insert_is_the_paper_s_26_triangles():
+    mold = box_insert(size=[0.3, 0.2], depth=0.08, insert_size=[0.12, 0.08], insert_height=0.04)
+    assert mold.triangles.shape == (26, 3)
+    walls, insert_walls = 2 * (0.3 + 0.2) * 0.08, 2 * (0.12 + 0.08) * 0.04
+    assert area(mold) == pytest.approx(0.3 * 0.2 + walls + insert_walls)
+    assert characteristic(mold) == 1 and len(topology.inconsistent_edges(mold.triangles)) == 0
+    rim = mold.vertices[topology.boundary_nodes(mold.triangles)]
+    np.testing.assert_allclose(
+        sorted(map(tuple, rim)), [(0, 0, 0), (0, 0.2, 0), (0.3, 0, 0), (0.3, 0.2, 0)], atol=1e-15
+    )
+    np.testing.assert_allclose(mold.vertices.max(0), [0.3, 0.2, 0.08])
+
+
+def test_draft_leans_the_walls_back():
+    mold = box_insert(draft=10.0)
+    slope = math.tan(math.radians(10.0))
+    floor = mold.vertices[np.isclose(mold.vertices[:, 2], 0.08)]
+    top = mold.vertices[np.isclose(mold.vertices[:, 2], 0.04)]
+    assert floor[:, 0].min() == pytest.approx(0.08 * slope)
+    assert np.ptp(top[:, 0]) == pytest.approx(0.12 - 2 * 0.04 * slope)
+
+
+def test_divided_keeps_the_surface_and_its_connections():
+    mold = box_insert()
+    finer = divided(mold, 3)
+    assert len(finer.triangles) == 9 * 26 and area(finer) == pytest.approx(area(mold))
+    assert characteristic(finer) == 1 and len(topology.inconsistent_edges(finer.triangles)) == 0
+    assert divided(mold, 1) is mold
+
+
+def test_bottle_has_a_handle_with_a_hole_and_the_size_it_is_asked_for():
+    mold = bottle_half()
+    assert 1150 <= len(mold.triangles) <= 1280
+    assert characteristic(mold) == 0  # a disc with one hole
+    assert len(topology.inconsistent_edges(mold.triangles)) == 0 == len(topology.nonmanifold_edges(mold.triangles))
+    np.testing.assert_allclose(mold.vertices.min(0), [-0.04, 0.0, 0.0], atol=1e-4)
+    np.testing.assert_allclose(mold.vertices.max(0)[:2], [0.04, 0.23], atol=1e-4)
+    assert 0.036 < mold.vertices[:, 2].max() < 0.041
+    # A ray through the hole meets nothing, one through the grip does.
+    corner = mold.vertices[mold.triangles][..., :2]
+    assert not covers(corner, [0.41 * 0.04, 0.66 * 0.23]) and covers(corner, [0.032, 0.66 * 0.23])
+
+
+def covers(corner: np.ndarray, point: list[float]) -> bool:
+    a, b, c = np.moveaxis(corner, 1, 0)
+    turn = [(q[:, 0] - p[:, 0]) * (point[1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (point[0] - p[:, 0])
+            for p, q in ((a, b), (b, c), (c, a))]  # fmt: skip
+    return bool(np.any(np.all(np.array(turn) > 0, axis=0)))
+
+
+def test_the_bottle_does_not_depend_on_its_mesh():
+    """Its area comes from below, at second order."""
+    sizes = [area(bottle_half(element_size=size)) for size in (0.008, 0.004, 0.002)]
+    assert sizes[0] < sizes[1] < sizes[2] and (sizes[2] - sizes[1]) < 0.5 * (sizes[1] - sizes[0])
+
+
+def test_a_parison_lies_inside_its_bottle():
+    sheet, mold = shapes.bottle_half(swell=0.6), bottle_half()
+    assert sheet.positions[:, 2].max() < 0.7 * mold.vertices[:, 2].max()
+    assert np.all(sheet.clamped == np.isin(np.arange(len(sheet.positions)), topology.boundary_nodes(sheet.triangles)))
+    corner = sheet.positions[sheet.triangles]
+    assert np.all(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > -1e-9)
+
+
+@pytest.mark.parametrize(
+    "make, key",
+    [
+        (lambda: box_insert(insert_size=[0.4, 0.1]), "mold.insert_size"),
+        (lambda: box_insert(insert_height=0.08), "mold.insert_height"),
+        (lambda: box_insert(draft=70.0), "mold.draft"),
+        (lambda: box_insert(draft=59.0), "mold.insert_size"),
+        (lambda: box_insert(depth=-1.0), "mold.depth"),
+        (lambda: box_insert(size=[1.0]), "mold.size"),
+        (lambda: box_insert(divisions=0), "mold.divisions"),
+        (lambda: bottle_half(neck_radius=0.03), "mold.neck_radius"),
+        (lambda: bottle_half(height=0.05), "mold.height"),
+        (lambda: bottle_half(hole=(0.02, 0.02)), "mold.hole[0]"),
+        (lambda: bottle_half(element_size=0.03), "mold.element_size"),
+        (lambda: bottle_half(element_size=math.nan), "mold.element_size"),
+        (lambda: shapes.bottle_half(swell=1.0), "parison.swell"),
+        (lambda: shapes.bottle_half(inset=0.01), "parison.inset"),
+        (lambda: shapes.bottle_half(radius=-1.0), "parison.radius"),
+    ],
+)
+def test_parts_that_do_not_fit_are_named(make, key):
+    with pytest.raises(InputError) as error:
+        make()
+    assert error.value.key == key
+
+
+def test_orientations_tell_which_triangles_turn_the_same_way():
+    mold = revolved(profile=CUP, segments=12)
+    turned = mold.triangles.copy()
+    chosen = np.arange(len(turned)) % 3 == 1
+    turned[chosen] = turned[chosen, ::-1]
+    part, sign = topology.orientations(turned)
+    assert part.max() == 0
+    np.testing.assert_array_equal(sign * sign[0] < 0, chosen ^ chosen[0])
+    both = np.concatenate([turned, turned + len(mold.vertices)])
+    assert topology.orientations(both)[0].max() == 1
