@@ -109,6 +109,7 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "run_seconds",
         "contact_fraction",
         "mass",
+        "penetration_max",
     ):
         assert summary[key] >= 0, key
     assert set(summary["thickness"]) == {"min", "mean", "max", "cv"}
@@ -133,6 +134,22 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     assert (out / "frames.pvd").read_text().count("<DataSet") == 3
     assert len(list((out / "frames").glob("*.vtu"))) == 3
     assert _picture_size(out / "thickness.png") == (1600, 700)
+
+
+def test_the_box_with_an_insert_tells_where_an_element_cuts_its_edge(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Coarse elements hang over the insert's edges; the place is one of them."""
+    text = SCENE.replace('shape = "disc"\nradius = 0.1', 'shape = "rectangle"\nsize = [0.3, 0.2]')
+    mold = text[text.index('shape = "revolved"') : text.index("[solver]")]
+    text = text.replace(mold, 'shape = "box-insert"\n').replace("end_time = 0.05", "end_time = 0.15")
+    out = tmp_path / "out"
+    assert cli.main(["simulate", str(_write(tmp_path, text)), "--out", str(out)]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    x, y, z = summary["penetration_place"]
+    assert summary["thickness"]["mean"] < summary["penetration_max"] < 0.02
+    assert 0.08 < x < 0.16 and 0.05 < y < 0.11 and 0.039 < z < 0.06
+    assert "cuts an edge of the mold" in capfd.readouterr().out
 
 
 def test_a_mold_from_an_stl_file_in_mm_with_its_triangles_turned_makes_the_same_part(
