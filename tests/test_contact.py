@@ -12,7 +12,7 @@ import trimesh
 
 import jaxform
 from benchmarks import contact as figures
-from jaxform import molds, shapes, simulation, stepping
+from jaxform import building, molds, shapes, simulation, stepping
 from jaxform import near as nearness
 from jaxform.mold import Mold
 from jaxform.penetration import penetration, point_triangle_distance
@@ -163,8 +163,9 @@ def test_a_path_that_hardly_leaves_the_plane_lands_where_it_crosses() -> None:
 def _with_mold(mold: Mold) -> jaxform.Scene:
     """The cup's sheet before another mold."""
     scene = scenes.cup()
-    grid = build_grid(np.asarray(mold.vertices), np.asarray(mold.triangles))
-    return dataclasses.replace(scene, mold=mold, tables=dataclasses.replace(scene.tables, grid=grid))
+    sheet = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
+    tables = dataclasses.replace(scene.tables, grid=building._search_grid(mold, *sheet))
+    return dataclasses.replace(scene, mold=mold, tables=tables)
 
 
 def test_a_sheet_whose_rim_lies_on_the_mold_s_flange_comes_off_it() -> None:
