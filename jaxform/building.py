@@ -11,12 +11,12 @@ import numpy as np
 
 from jaxform import membrane
 from jaxform.errors import InputError
-from jaxform.force import Sheet
 from jaxform.materials import Material
 from jaxform.mold import Mold
+from jaxform.packing import make_assembly
 from jaxform.penetration import first_crossing
 from jaxform.pytree import as_real
-from jaxform.scene import DESIGNABLE, STEPS_PER_WINDOW, Parison, Pressure, Scene, Solver, Tables, require
+from jaxform.scene import DESIGNABLE, STEPS_PER_WINDOW, Parison, Pressure, Scene, Sheet, Solver, Tables, require
 from jaxform.search import SearchGrid, build_grid
 
 _MOST_STEPS = 20_000_000
@@ -49,6 +49,7 @@ def build_scene(
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     tables = Tables(
         sheet=sheet,
+        assembly=make_assembly(triangles, len(positions)),
         bound=bound,
         mobility=as_real(~held.T),
         grid=grid,

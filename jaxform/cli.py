@@ -230,7 +230,8 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     import jax
 
     from jaxform.scene import STEPS_PER_WINDOW
-    from jaxform.stepping import choose_step, initial_state
+    from jaxform.state import initial_state
+    from jaxform.stepping import choose_step
 
     step = float(jax.jit(lambda scene: choose_step(initial_state(scene), scene))(scene))
     parison, law = scene.parison, document.model.material.model

@@ -86,6 +86,31 @@ def land(
     return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
 
 
+def land_in_place(
+    before: jax.Array,
+    landing: Landing,
+    reached: jax.Array,
+    mass: jax.Array,
+    time: jax.Array,
+    near: Near,
+    mold: Mold,
+    grid: SearchGrid,
+) -> Landing:
+    """The same as `land` without a derivative: a loop that is entered when something lands, since it copies nothing."""
+    touch = touch_distance(grid)
+
+    def more(carry: tuple[jax.Array, Landing]) -> jax.Array:
+        return carry[0]
+
+    def pull(carry: tuple[jax.Array, Landing]) -> tuple[jax.Array, Landing]:
+        landing = carry[1]
+        chosen = _first_met(before, landing.positions, landing.stuck, near, touch)
+        return jnp.asarray(False), _landed(before, landing, mass, time, mold, chosen)
+
+    met = _any_meets(before, landing.positions, landing.stuck, near, touch, ~reached)
+    return jax.lax.while_loop(more, pull, (met, landing))[1]
+
+
 def _block(
     first: jax.Array, before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
@@ -100,11 +125,22 @@ def _block(
     return node, cut(near.triangle), beta, meets & used & ~stuck[node]
 
 
-def _any_meets(before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
-    """Whether any listed pair meets in this step; looks no further than the first block where one does."""
+def _any_meets(
+    before: jax.Array,
+    after: jax.Array,
+    stuck: jax.Array,
+    near: Near,
+    touch: jax.Array,
+    none: jax.Array | bool = False,
+) -> jax.Array:
+    """Whether any listed pair meets in this step; looks no further than the first block where one does.
+
+    It is not looked at all where `none` is known to meet.
+    """
+    count = jnp.where(none, 0, near.count)
 
     def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return (carry[0] < near.count) & ~carry[1]
+        return (carry[0] < count) & ~carry[1]
 
     def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         return carry[0] + TEST_BLOCK, jnp.any(_block(carry[0], before, after, stuck, near, touch)[3])

@@ -4,6 +4,10 @@ The force is a JAX primitive of its own. Plain automatic differentiation would s
 element at every step; here the derivative needs the positions alone and works the rest out again. A `custom_vjp`
 would shut out forward mode, which least-squares columns and power iteration need; the primitive has a tangent
 (linear in its perturbations), the transpose of that tangent, and batching.
+
+All three work through the elements in blocks and write what each corner gets; the nodes then gather it. The barriers
+keep XLA from working the element out anew for each of the nine components. `benchmarks/` times this against the
+formulations that lost.
 """
 
 from __future__ import annotations
@@ -18,32 +22,43 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from jaxform.blocks import over_blocks
 from jaxform.materials import Material
-from jaxform.membrane import Metric, cross, dot, edges, metric, stress
+from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, stress, stress_factors
 
 
-class Sheet(NamedTuple):
-    """What the force needs of the initial mesh; no derivative is taken with respect to it.
+class Elements(NamedTuple):
+    """The elements that the force is worked out for; no derivative is taken with respect to them.
+
+    Arrays over elements have room for whole blocks; beyond the elements in use they hold others of area 0.
 
     Attributes:
-        triangles: Node numbers (3, n_element).
-        inverse_metric: Inverse of the initial metric (3, n_element) [1/m^2].
-        area: Initial area (n_element,) [m^2].
+        triangles: Places of the nodes (3, room).
+        inverse_metric: Inverse of the initial metric (3, room) [1/m^2].
+        area: Initial area (room,) [m^2].
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
+        slots: Where the corners' shares of each node are (depth, place): corner times room plus element.
+        spill_node, spill_slot: Further shares (k,), of nodes with more elements than `slots` is deep.
+        block_count, node_block_count: Blocks of elements, and of nodes, in use.
     """
 
     triangles: jax.Array
     inverse_metric: jax.Array
     area: jax.Array
     origin: jax.Array
+    slots: jax.Array
+    spill_node: jax.Array
+    spill_slot: jax.Array
+    block_count: jax.Array
+    node_block_count: jax.Array
 
 
 class Load(NamedTuple):
     """What the force depends on smoothly.
 
     Attributes:
-        positions: (3, n_node) [m].
-        thickness: Initial thickness (n_element,) [m].
+        positions: (3, place) [m].
+        thickness: Initial thickness (room,) [m].
         pressure: A number [Pa].
         material: The law with its parameters.
     """
@@ -54,180 +69,290 @@ class Load(NamedTuple):
     material: Material
 
 
-def force(load: Load, sheet: Sheet) -> tuple[jax.Array, jax.Array]:
-    """Nodal force (3, n_node) [N], internal and pressure together, and the enclosed volume [m^3].
+Corners = list[jax.Array]  # component by component, (3 corners, room)
+
+
+def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
+    """Nodal force (3, place) [N], internal and pressure together, and the enclosed volume [m^3].
 
     The volume is what the pressure works on: its derivative with respect to the positions of nodes that can move,
     times the pressure, is the nodal force of the pressure.
     """
-    leaves, structure = jax.tree.flatten((load, sheet))
+    leaves, structure = jax.tree.flatten((load, elements))
     smooth = len(jax.tree.leaves(load))
     nodal, volume = _force_p.bind(*leaves, structure=structure, smooth=smooth)
     return nodal, volume
 
 
-def _weighted_stress(g: Metric, sheet: Sheet, thickness: jax.Array, material: Material) -> Metric:
-    """A0 h0 S^ab (n_element,): what multiplies the edges in the nodal forces."""
-    s = stress(g, sheet.inverse_metric, material)
-    weight = sheet.area * thickness
-    return weight * s[0], weight * s[1], weight * s[2]
+class Scratch(NamedTuple):
+    """Arrays that are written anew in every step; carried along, so that none is cleared or copied.
+
+    Attributes:
+        corners: What the corners get of the force [N], component by component (3 corners, room).
+        nodal: What the nodes get [N] (3, place); nothing where they are not in use.
+    """
+
+    corners: Corners
+    nodal: jax.Array
 
 
-def _scatter(first: jax.Array, second: jax.Array, third: jax.Array, triangles: jax.Array, like: jax.Array) -> jax.Array:
-    """Sum to the nodes (3, n_node) of the three corners' (3, n_element)."""
-    nodal = jnp.zeros_like(like)
-    for corner, values in zip(triangles, (first, second, third), strict=True):
-        nodal = nodal.at[:, corner].add(values, mode="promise_in_bounds")
-    return nodal
+def scratch(positions: jax.Array, elements: Elements) -> Scratch:
+    """Room for the forces on elements whose nodes are at positions (3, place)."""
+    return Scratch(_no_corners(positions, elements), jnp.zeros_like(positions))
 
 
-def _force(load: Load, sheet: Sheet) -> tuple[jax.Array, jax.Array]:
-    first, edge1, edge2 = edges(load.positions, sheet.triangles)
-    # The barriers keep XLA from working the element out anew for each of the nine components.
-    edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
-    s = _weighted_stress(metric(edge1, edge2), sheet, load.thickness, load.material)
-    s11, s12, s22 = jax.lax.optimization_barrier(s)
-    normal = cross(edge1, edge2)
-    push = (load.pressure / 6.0) * normal
-    internal2, internal3 = s11 * edge1 + s12 * edge2, s12 * edge1 + s22 * edge2
-    nodal = _scatter(push + internal2 + internal3, push - internal2, push - internal3, sheet.triangles, load.positions)
-    volume = jnp.sum(dot(first - sheet.origin[:, None], normal)) / 6.0
-    return nodal, volume
+def force_in(room: Scratch, load: Load, elements: Elements) -> tuple[Scratch, jax.Array, jax.Array]:
+    """The room, with the forces in it, and the force and the volume as `force` gives them; not differentiable."""
+    corners, volume = _corner_forces(load, elements, room.corners)
+    (nodal,), _ = over_blocks(
+        lambda slots: ([_assembled(corners, slots)], []), elements.node_block_count, (elements.slots,), [room.nodal]
+    )
+    return Scratch(corners, nodal), _with_spilled(nodal, corners, elements), volume
 
 
-def _tangent(load: Load, sheet: Sheet, change: Load) -> tuple[jax.Array, jax.Array]:
+def _corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
+    """What each element's corners get of the force [N], and the enclosed volume [m^3]; has no derivative of its own."""
+    rows = _rows(load.positions)
+
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
+        first, edge1, edge2, normal = _geometry(rows, triangles)
+        g = metric(edge1, edge2)
+        factors = stress_factors(g, inverse, load.material)
+        factors = _once((area * thickness * factors[0], area * thickness * factors[1]))
+        s = _once(stress(g, inverse, factors))
+        push = _scaled(_pressure_share(load.pressure, area), normal)
+        pull2, pull3 = _pulls(s, edge1, edge2)
+        corners = [(push[k] + pull2[k] + pull3[k], push[k] - pull2[k], push[k] - pull3[k]) for k in range(3)]
+        arm = minus(first, elements.origin)
+        return corners, [_used(area) * dot(arm, normal)]
+
+    corners, (volume,) = _over(work, elements, (load.thickness,), into)
+    return corners, volume / 6.0
+
+
+def _assembled(corners: Corners, slots: jax.Array) -> Vector:
+    """Sum (n,) at nodes of their shares, component by component; slots (depth, n) of `corners`."""
+    x, y, z = (_gathered(corner.reshape(-1), slots) for corner in corners)
+    return x, y, z
+
+
+def _with_spilled(nodal: jax.Array, corners: Corners, elements: Elements) -> jax.Array:
+    """The sums (3, place) with the shares that `slots` has no room for."""
+    if elements.spill_node.size == 0:
+        return nodal
+    shares = jnp.stack([corner.reshape(-1)[elements.spill_slot] for corner in corners])
+    return nodal.at[:, elements.spill_node].add(shares)
+
+
+def _gathered(flat: jax.Array, slots: jax.Array) -> jax.Array:
+    total = flat.at[slots[0]].get(mode="promise_in_bounds")
+    for slot in slots[1:]:
+        total = total + flat.at[slot].get(mode="promise_in_bounds")
+    return total
+
+
+def _nodal(corners: Corners, elements: Elements) -> jax.Array:
+    """Sum of the corners' shares at all nodes (3, place)."""
+    return _with_spilled(jnp.stack(_assembled(corners, elements.slots)), corners, elements)
+
+
+def _over(work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array]) -> Any:
+    inputs = elements.triangles, elements.inverse_metric, elements.area, *more
+    return over_blocks(work, elements.block_count, inputs, into)
+
+
+def _no_corners(positions: jax.Array, elements: Elements) -> Corners:
+    return [jnp.zeros(elements.triangles.shape, positions.dtype) for _ in range(3)]
+
+
+def _rows(positions: jax.Array) -> Vector:
+    """Taken apart once, outside the loop over the blocks."""
+    x, y, z = positions
+    return x, y, z
+
+
+def _once[T](values: T) -> T:
+    """Values that are worked out once and kept, for all their uses."""
+    return jax.lax.optimization_barrier(values)
+
+
+def _geometry(positions: Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
+    """First node, edges and normal (twice the current area) of elements, each three times (n,)."""
+    first, edge1, edge2 = edges(positions, triangles)
+    edge1, edge2 = _once((edge1, edge2))
+    return first, edge1, edge2, _once(cross(edge1, edge2))
+
+
+def _used(area: jax.Array) -> jax.Array:
+    return jnp.where(area > 0.0, 1.0, 0.0).astype(area.dtype)
+
+
+def _pressure_share(pressure: jax.Array, area: jax.Array) -> jax.Array:
+    """A node's share of the pressure on an element (n,) [Pa]: nothing where the place is not in use."""
+    return jnp.where(area > 0.0, pressure / 6.0, 0.0)
+
+
+def _scaled(factor: jax.Array, v: Vector) -> Vector:
+    return factor * v[0], factor * v[1], factor * v[2]
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _pulls(s: Metric, edge1: Vector, edge2: Vector) -> tuple[Vector, Vector]:
+    """S^1b e_b and S^2b e_b."""
+    return (
+        _plus(_scaled(s[0], edge1), _scaled(s[1], edge2)),
+        _plus(_scaled(s[1], edge1), _scaled(s[2], edge2)),
+    )
+
+
+def _weighted_stress(g: Metric, inverse: jax.Array, weight: jax.Array, material: Material) -> Metric:
+    """A0 h0 S^ab (n,): what multiplies the edges in the nodal forces."""
+    a, b = stress_factors(g, inverse, material)
+    return stress(g, inverse, (weight * a, weight * b))
+
+
+def _force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
+    corners, volume = _corner_forces(load, elements, _no_corners(load.positions, elements))
+    return _nodal(corners, elements), volume
+
+
+def _metric_change(edge1: Vector, edge2: Vector, w1: Vector, w2: Vector) -> Metric:
+    return 2.0 * dot(edge1, w1), dot(edge1, w2) + dot(w1, edge2), 2.0 * dot(edge2, w2)
+
+
+def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, jax.Array]:
     """Derivative of `_force` along `change`, linear in it; a missing part of `change` is None."""
-    first, edge1, edge2 = edges(load.positions, sheet.triangles)
-    edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
-    normal = cross(edge1, edge2)
-    arm = first - sheet.origin[:, None]
-    g = metric(edge1, edge2)
-    internal2 = internal3 = push = jnp.zeros_like(edge1)
-    volume = jnp.zeros_like(load.pressure)
-    s_change = None
-    if change.positions is not None:
-        w0, w1, w2 = edges(change.positions, sheet.triangles)
-        w1, w2 = jax.lax.optimization_barrier((w1, w2))
-        s = _weighted_stress(g, sheet, load.thickness, load.material)
-        internal2, internal3 = s[0] * w1 + s[1] * w2, s[1] * w1 + s[2] * w2
-        normal_change = cross(w1, edge2) + cross(edge1, w2)
-        push = (load.pressure / 6.0) * normal_change
-        volume = volume + jnp.sum(dot(w0, normal) + dot(arm, normal_change)) / 6.0
-        g_change = (2.0 * dot(edge1, w1), dot(edge1, w2) + dot(w1, edge2), 2.0 * dot(edge2, w2))
-        s_change = _stress_change(load, sheet, g, g_change)
-    for part in _parameter_changes(load, sheet, g, change):
-        s_change = part if s_change is None else tuple(a + b for a, b in zip(s_change, part, strict=True))
-    if s_change is not None:
-        d11, d12, d22 = jax.lax.optimization_barrier(s_change)
-        internal2 = internal2 + d11 * edge1 + d12 * edge2
-        internal3 = internal3 + d12 * edge1 + d22 * edge2
-    if change.pressure is not None:
-        push = push + (change.pressure / 6.0) * normal
-    nodal = _scatter(push + internal2 + internal3, push - internal2, push - internal3, sheet.triangles, load.positions)
-    return nodal, volume
-
-
-def _stress_change(load: Load, sheet: Sheet, g: Metric, g_change: Metric) -> Metric:
-    return jax.jvp(lambda g: _weighted_stress(g, sheet, load.thickness, load.material), (g,), (g_change,))[1]
-
-
-def _parameter_changes(load: Load, sheet: Sheet, g: Metric, change: Load) -> list[Metric]:
-    """Changes of the weighted stress by thickness and by each parameter of the material that changes."""
-    parts = []
-    if change.thickness is not None:
-        parts.append(_weighted_stress(g, sheet, change.thickness, load.material))
+    rows = _rows(load.positions)
+    moved = None if change.positions is None else _rows(change.positions)
+    thickened = () if change.thickness is None else (change.thickness,)
     parameters, structure = jax.tree.flatten(load.material)
-    for k, tangent in enumerate(_flat(change.material, structure)):
-        if tangent is not None:
+    varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
 
-            def along(value: jax.Array, k: int = k) -> Metric:
-                material = jax.tree.unflatten(structure, [*parameters[:k], value, *parameters[k + 1 :]])
-                return _weighted_stress(g, sheet, load.thickness, material)
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array, *more: jax.Array) -> Any:
+        first, edge1, edge2, normal = _geometry(rows, triangles)
+        g, weight, share = metric(edge1, edge2), area * thickness, _pressure_share(load.pressure, area)
+        changes: list[Metric] = []
+        pull2 = pull3 = push = _scaled(jnp.zeros_like(area), normal)
+        volume = jnp.zeros_like(area)
+        if moved is not None:
+            w0, w1, w2 = edges(moved, triangles)
+            w1, w2 = _once((w1, w2))
+            s, ds = jax.jvp(
+                lambda g: _weighted_stress(g, inverse, weight, load.material),
+                (g,),
+                (_metric_change(edge1, edge2, w1, w2),),
+            )
+            pull2, pull3 = _pulls(_once(s), w1, w2)
+            changes.append(ds)
+            normal_change = _plus(cross(w1, edge2), cross(edge1, w2))
+            push = _scaled(share, normal_change)
+            volume = _used(area) * (dot(w0, normal) + dot(minus(first, elements.origin), normal_change))
+        for thicker in more:
+            changes.append(_weighted_stress(g, inverse, area * thicker, load.material))
+        for k, tangent in varied:
+            changes.append(_along_parameter(g, inverse, weight, parameters, structure, k, tangent))
+        if changes:
+            total = changes[0]
+            for part in changes[1:]:
+                total = _plus(total, part)
+            more2, more3 = _pulls(_once(total), edge1, edge2)
+            pull2, pull3 = _plus(pull2, more2), _plus(pull3, more3)
+        if change.pressure is not None:
+            push = _plus(push, _scaled(_pressure_share(change.pressure, area), normal))
+        corners = [(push[k] + pull2[k] + pull3[k], push[k] - pull2[k], push[k] - pull3[k]) for k in range(3)]
+        return corners, [volume]
 
-            parts.append(jax.jvp(along, (parameters[k],), (tangent,))[1])
-    return parts
+    corners, (volume,) = _over(work, elements, (load.thickness, *thickened), _no_corners(load.positions, elements))
+    return _nodal(corners, elements), volume / 6.0
 
 
-def _flat(tree: Any, structure: Any) -> list[Any]:
-    """Leaves of a tree in which a leaf may be None."""
-    return structure.flatten_up_to(tree)
+def _along_parameter(
+    g: Metric, inverse: jax.Array, weight: jax.Array, parameters: list[Any], structure: Any, k: int, tangent: jax.Array
+) -> Metric:
+    """Change of the weighted stress along one parameter of the material."""
+
+    def along(value: jax.Array) -> Metric:
+        material = jax.tree.unflatten(structure, [*parameters[:k], value, *parameters[k + 1 :]])
+        return _weighted_stress(g, inverse, weight, material)
+
+    return jax.jvp(along, (parameters[k],), (tangent,))[1]
 
 
-def _cotangent(load: Load, sheet: Sheet, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
+def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
     """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
-    first, edge1, edge2 = edges(load.positions, sheet.triangles)
-    edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
-    normal = cross(edge1, edge2)
-    g = metric(edge1, edge2)
-    results = _Cotangents(load)
-    if nodal is not None:
-        w0, w1, w2 = edges(nodal, sheet.triangles)
-        w1, w2 = jax.lax.optimization_barrier((w1, w2))
-        total = 3.0 * w0 + w1 + w2
-        g_change = (2.0 * dot(edge1, w1), dot(edge1, w2) + dot(w1, edge2), 2.0 * dot(edge2, w2))
-        if wanted[0]:
-            results.add_positions(*_position_cotangents(load, sheet, (edge1, edge2), (w1, w2, total), g, g_change))
-        if wanted[2]:
-            results.pressure = jnp.sum(dot(normal, total)) / 6.0
-        results.add_parameters(load, sheet, g, g_change, wanted)
-    if volume is not None and wanted[0]:
-        arm = (volume / 6.0) * (first - sheet.origin[:, None])
-        results.add_positions(cross(edge2, arm), cross(arm, edge1), (volume / 6.0) * normal)
-    return results.leaves(sheet, wanted)
+    rows = _rows(load.positions)
+    pushed = None if nodal is None else _rows(nodal)
+    parameters, structure = jax.tree.flatten(load.material)
+    moves, thickens, presses = wanted[:3]
+    varies = any(wanted[3:]) and pushed is not None
+
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
+        first, edge1, edge2, normal = _geometry(rows, triangles)
+        arrays: list[Any] = []
+        sums: list[jax.Array] = []
+        own = edge1_cotangent = edge2_cotangent = _scaled(jnp.zeros_like(area), normal)
+        turn = own
+        if pushed is not None:
+            w0, w1, w2 = edges(pushed, triangles)
+            w1, w2 = _once((w1, w2))
+            total = _plus(_scaled(3.0 * jnp.ones_like(area), w0), _plus(w1, w2))
+            g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
+            if moves:
+                s, ds = jax.jvp(
+                    lambda g: _weighted_stress(g, inverse, area * thickness, load.material), (g,), (g_change,)
+                )
+                (s, ds) = _once((s, ds))
+                pull1, pull2 = _pulls(ds, edge1, edge2)
+                more1, more2 = _pulls(s, w1, w2)
+                edge1_cotangent = _scaled(-jnp.ones_like(area), _plus(pull1, more1))
+                edge2_cotangent = _scaled(-jnp.ones_like(area), _plus(pull2, more2))
+                turn = _scaled(_pressure_share(load.pressure, area), total)
+            # Minus half the change of the metric, against the derivative of the stress.
+            halves = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
+            if thickens:
+                per_thickness = _weighted_stress(g, inverse, area, load.material)
+                arrays.append((dot(halves, per_thickness),))
+            if presses:
+                sums.append(_used(area) * dot(normal, total) / 6.0)
+            if varies:
+                spread = [jnp.broadcast_to(p, area.shape) for p in parameters]
+                pull = jax.vjp(
+                    lambda p: _weighted_stress(g, inverse, area * thickness, jax.tree.unflatten(structure, p)), spread
+                )[1]
+                sums.extend(pull(halves)[0])
+        if volume is not None and moves:
+            share = _used(area) * (volume / 6.0)
+            turn = _plus(turn, _scaled(share, minus(first, elements.origin)))
+            own = _scaled(share, normal)
+        if moves:
+            turn = _once(turn)
+            cotangent1 = _once(_plus(edge1_cotangent, cross(edge2, turn)))
+            cotangent2 = _once(_plus(edge2_cotangent, cross(turn, edge1)))
+            own = minus(minus(own, cotangent1), cotangent2)
+            arrays = [*([own[k], cotangent1[k], cotangent2[k]] for k in range(3)), *arrays]
+        return arrays, sums
+
+    into = _no_corners(load.positions, elements) if moves else []
+    if thickens and pushed is not None:
+        into = [*into, jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)]
+    arrays, sums = _over(work, elements, (load.thickness,), into)
+    found: list[jax.Array | None] = [None] * len(wanted)
+    if moves:
+        found[0] = _nodal(arrays[:3], elements)
+    if pushed is not None:
+        if thickens:
+            found[1] = arrays[-1][0]
+        if presses:
+            found[2] = sums.pop(0)
+        if varies:
+            found[3:] = [value if want else None for value, want in zip(sums, wanted[3:], strict=True)]
+    return found
 
 
-def _position_cotangents(
-    load: Load,
-    sheet: Sheet,
-    e: tuple[jax.Array, jax.Array],
-    w: tuple[jax.Array, jax.Array, jax.Array],
-    g: Metric,
-    g_change: Metric,
-) -> tuple[jax.Array, jax.Array]:
-    """Cotangents of the two edges; the internal part is symmetric, since it comes from an energy."""
-    s, s_change = jax.jvp(lambda g: _weighted_stress(g, sheet, load.thickness, load.material), (g,), (g_change,))
-    s11, s12, s22, d11, d12, d22 = jax.lax.optimization_barrier((*s, *s_change))
-    total = (load.pressure / 6.0) * w[2]
-    cotangent1 = cross(e[1], total) - (d11 * e[0] + d12 * e[1] + s11 * w[0] + s12 * w[1])
-    cotangent2 = cross(total, e[0]) - (d12 * e[0] + d22 * e[1] + s12 * w[0] + s22 * w[1])
-    return cotangent1, cotangent2
-
-
-class _Cotangents:
-    """Collects the cotangents of a load's leaves."""
-
-    def __init__(self, load: Load) -> None:
-        self.like = load.positions
-        self.edge1: Any = 0.0
-        self.edge2: Any = 0.0
-        self.first: Any = 0.0
-        self.moved = False
-        self.pressure: jax.Array | None = None
-        self.parameters: list[jax.Array | None] = [None] * (1 + len(jax.tree.leaves(load.material)))
-
-    def add_positions(self, edge1: jax.Array, edge2: jax.Array, first: Any = 0.0) -> None:
-        self.edge1, self.edge2, self.first = self.edge1 + edge1, self.edge2 + edge2, self.first + first
-        self.moved = True
-
-    def add_parameters(self, load: Load, sheet: Sheet, g: Metric, g_change: Metric, wanted: list[bool]) -> None:
-        """Thickness and material: minus half the metric's change against the derivative of the stress."""
-        if not any((wanted[1], *wanted[3:])):
-            return
-        halves = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
-        _, pull = jax.vjp(lambda h, m: _weighted_stress(g, sheet, h, m), load.thickness, load.material)
-        self.parameters = jax.tree.leaves(pull(halves))
-
-    def leaves(self, sheet: Sheet, wanted: list[bool]) -> list[jax.Array | None]:
-        positions = None
-        if wanted[0] and self.moved:
-            own = self.first - self.edge1 - self.edge2
-            positions = _scatter(own, self.edge1, self.edge2, sheet.triangles, self.like)
-        thickness, *material = self.parameters
-        found = [positions, thickness, self.pressure, *material]
-        return [value if want else None for value, want in zip(found, wanted, strict=True)]
-
-
-# How the functions above become primitives. Leaves of (load, sheet) are flat arguments; `structure` and `smooth`
+# How the functions above become primitives. Leaves of (load, elements) are flat arguments; `structure` and `smooth`
 # (the number of leaves of the load) are static; `present` says which of the load's leaves have a tangent.
 
 
@@ -237,16 +362,16 @@ def _force_flat(*leaves: Any, structure: Any, smooth: int) -> tuple[jax.Array, j
 
 def _tangent_flat(*leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]) -> tuple[jax.Array, jax.Array]:
     count = structure.num_leaves
-    load, sheet = jax.tree.unflatten(structure, leaves[:count])
+    load, elements = jax.tree.unflatten(structure, leaves[:count])
     given = iter(leaves[count:])
     changes = [next(given) if here else None for here in present]
-    return _tangent(load, sheet, jax.tree.unflatten(jax.tree.structure(load), changes))
+    return _tangent(load, elements, jax.tree.unflatten(jax.tree.structure(load), changes))
 
 
 def _force_jvp(primals: Any, tangents: Any, *, structure: Any, smooth: int) -> tuple[Any, Any]:
     value = _force_p.bind(*primals, structure=structure, smooth=smooth)
     moving = [not isinstance(t, ad.Zero) for t in tangents]
-    if any(moving[smooth:-1]):
+    if any(moving[smooth : smooth + 3]):
         raise TypeError("the force has no derivative with respect to the initial mesh")
     given = [t for t, here in zip(tangents[:smooth], moving, strict=False) if here]
     present = tuple(moving[:smooth])
@@ -258,11 +383,11 @@ def _tangent_transpose(
     cotangents: Any, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]
 ) -> list[Any]:
     count = structure.num_leaves
-    load, sheet = jax.tree.unflatten(structure, leaves[:count])
+    load, elements = jax.tree.unflatten(structure, leaves[:count])
     nodal, volume = (None if isinstance(c, ad.Zero) else c for c in cotangents)
     given = iter(leaves[count:])
     wanted = [here and ad.is_undefined_primal(next(given)) for here in present]
-    found = _cotangent(load, sheet, wanted, nodal, volume)
+    found = _cotangent(load, elements, wanted, nodal, volume)
     return [None] * count + [value for value, here in zip(found, present, strict=True) if here]
 
 

@@ -1,6 +1,7 @@
 """The linear membrane triangle: kinematics, stress, energy, lumped mass and the stable step.
 
-Everything is component-first, (3, n), because that is twice as fast as (n, 3) inside the step. A metric is the
+Everything is component-first, (3, n), because that is twice as fast as (n, 3) inside the step; where vectors are
+worked out they are triples of (n,), since XLA turns each stacking into a loop with a branch in it. A metric is the
 triple (11, 12, 22) of its components in the basis of the triangle's two edges from its first node.
 """
 
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 from jaxform.materials import Material
 
 Metric = tuple[jax.Array, jax.Array, jax.Array]
+Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class Invariants(NamedTuple):
@@ -30,24 +32,35 @@ def gather(values: jax.Array, index: jax.Array) -> jax.Array:
     return values.at[:, index].get(mode="promise_in_bounds")
 
 
-def edges(positions: jax.Array, triangles: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """First node and the two edges from it, each (3, n_element) [m], of (3, n_node) and (3, n_element)."""
-    first = gather(positions, triangles[0])
-    return first, gather(positions, triangles[1]) - first, gather(positions, triangles[2]) - first
+def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector]:
+    """First node and the two edges from it, each three times (n_element,) [m], of (3, n_node) and (3, n_element)."""
+    x, y, z = positions
+
+    def corner(nodes: jax.Array) -> Vector:
+        a, b, c = (row.at[nodes].get(mode="promise_in_bounds") for row in (x, y, z))
+        return a, b, c
+
+    first = corner(triangles[0])
+    return first, minus(corner(triangles[1]), first), minus(corner(triangles[2]), first)
 
 
-def dot(a: jax.Array, b: jax.Array) -> jax.Array:
-    """Scalar products of the columns of two (3, n) arrays."""
+def minus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
+    """Difference of two vectors, component by component."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def dot(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
+    """Scalar products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cross(a: jax.Array, b: jax.Array) -> jax.Array:
-    """Vector products of the columns of two (3, n) arrays."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def cross(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
+    """Vector products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def metric(edge1: jax.Array, edge2: jax.Array) -> Metric:
-    """Metric (g11, g12, g22) [m^2] of edges (3, n_element)."""
+def metric(edge1: Vector, edge2: Vector) -> Metric:
+    """Metric (g11, g12, g22) [m^2] of two edges, each three times (n_element,)."""
     return dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2)
 
 
@@ -67,7 +80,7 @@ def reference_metric(positions: jax.Array, triangles: jax.Array) -> tuple[jax.Ar
     return jnp.stack(_inverse(g)), 0.5 * jnp.sqrt(_determinant(g))
 
 
-def invariants(g: Metric, inverse_reference: jax.Array) -> Invariants:
+def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
     """Invariants of incompressible strain from the current metric and the inverse of the initial one."""
     r = inverse_reference
     trace = r[0] * g[0] + 2.0 * r[1] * g[1] + r[2] * g[2]
@@ -75,17 +88,28 @@ def invariants(g: Metric, inverse_reference: jax.Array) -> Invariants:
     return Invariants(trace, determinant, trace + 1.0 / determinant, determinant + trace / determinant)
 
 
-def stress(g: Metric, inverse_reference: jax.Array, material: Material) -> Metric:
-    """Second Piola-Kirchhoff stress S^ab = 2 dW/dg_ab [Pa/m^2], components (11, 12, 22), in closed form."""
-    trace, determinant, i1, i2 = invariants(g, inverse_reference)
+def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Material) -> tuple[jax.Array, jax.Array]:
+    """A [Pa] and B [Pa/m^4], (n_element,), of the second Piola-Kirchhoff stress S^ab = A G^ab + B adj(g)^ab.
+
+    Every isotropic law's stress is of this form: the slopes of its energy and one division give both factors, and
+    the three components follow by one product each.
+    """
+    r = inverse_reference
+    trace, determinant, i1, i2 = invariants(g, r)
     slope1, slope2 = material.slopes(i1, i2)
     flexibility = 1.0 / determinant
-    inverse, r = _inverse(g), inverse_reference
-    first = [2.0 * slope1 * (r[k] - inverse[k] * flexibility) for k in range(3)]
+    scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
     if slope2 is None:
-        return first[0], first[1], first[2]
-    second = [2.0 * slope2 * (determinant * inverse[k] + (r[k] - trace * inverse[k]) * flexibility) for k in range(3)]
-    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
+        return 2.0 * slope1 * jnp.ones_like(trace), -scale * jnp.square(flexibility) * slope1
+    pull = slope1 + slope2 * trace
+    return 2.0 * (slope1 + slope2 * flexibility), scale * (slope2 - jnp.square(flexibility) * pull)
+
+
+def stress(g: Metric, inverse_reference: jax.Array | Metric, factors: tuple[jax.Array, jax.Array]) -> Metric:
+    """Second Piola-Kirchhoff stress S^ab = 2 dW/dg_ab [Pa/m^2], components (11, 12, 22), from `stress_factors`."""
+    a, b = factors
+    r = inverse_reference
+    return a * r[0] + b * g[2], a * r[1] - b * g[1], a * r[2] + b * g[0]
 
 
 def strain_energy(

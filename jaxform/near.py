@@ -10,6 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jaxform.blocks import listed
 from jaxform.membrane import dot, gather
 from jaxform.pytree import pytree
 from jaxform.search import SearchGrid
@@ -81,16 +82,6 @@ def _no_pairs(room: int, block: int) -> _Pairs:
     return _Pairs(jnp.zeros((room + block, 2), jnp.int32), jnp.int32(0))
 
 
-def _packed(keep: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Where the entries (n,) to be kept are, one after the other, then anything; and how many they are.
-
-    Bisection of the running count and a gather take two thirds of the time of a scatter.
-    """
-    running = jnp.cumsum(keep, dtype=jnp.int32)
-    place = jnp.searchsorted(running, jnp.arange(1, keep.size + 1, dtype=jnp.int32))
-    return jnp.minimum(place, keep.size - 1), running[-1]
-
-
 def _written(block: jax.Array, rows: jax.Array, count: jax.Array) -> jax.Array:
     """The rows (room + n, k) with a block (n, k) after the first `count`; what finds no room is lost."""
     return jax.lax.dynamic_update_slice_in_dim(rows, block, count, axis=0)
@@ -127,6 +118,7 @@ def list_near(
     free: jax.Array,
     duration: jax.Array,
     grid: SearchGrid,
+    skip_far: bool = True,
 ) -> Near:
     """Lists the pairs of free nodes and triangles that may meet.
 
@@ -136,6 +128,7 @@ def list_near(
         free: Nodes (n_node,) that can still move.
         duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
         grid: Its search structure.
+        skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
     """
     room = -(-max(_ROOM_PER_NODE * free.size, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
 
@@ -144,11 +137,11 @@ def list_near(
         return (carry[0] == 0) | (carry[1].count > room) & (carry[0] < _MOST_HALVINGS)
 
     def attempt(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
-        balls = _balls(positions, velocities, free, duration, 0.5 ** carry[0], grid)
+        balls = _balls(positions, velocities, free, duration, 0.5 ** carry[0], grid, skip_far)
         return carry[0] + 1, _candidates(balls, room, grid)
 
     tries, candidates = jax.lax.while_loop(too_many, attempt, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))
-    balls = _balls(positions, velocities, free, duration, 0.5 ** (tries - 1), grid)
+    balls = _balls(positions, velocities, free, duration, 0.5 ** (tries - 1), grid, skip_far)
     kept, planes, clear = _examined(candidates, positions, balls, room, grid)
     limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
     path = duration * jnp.sqrt(dot(velocities, velocities))
@@ -174,11 +167,14 @@ def _balls(
     duration: jax.Array,
     scale: jax.Array,
     grid: SearchGrid,
+    skip_far: bool,
 ) -> _Balls:
     path = duration * velocities
     half = 0.5 * jnp.sqrt(dot(path, path))
     # The longest path covers what neighbours hand on, the reach's share the start from rest.
     radius = half + _MARGIN * (half + 2 * jnp.max(half) + grid.reach)
+    if not skip_far:
+        radius = jnp.maximum(radius, grid.reach)
     scale = scale * jnp.minimum(1.0, grid.reach / radius)
     center, radius = positions + 0.5 * scale * path, scale * radius
     cell, bound = _looked_up(center, grid)
@@ -230,7 +226,7 @@ def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
             keep = used & (_distance_bound(center, triangle, grid) <= radius[:, None])
             # The barrier keeps the distances from being worked out again for each use of what they decide.
             keep, new = jax.lax.optimization_barrier((keep.ravel(), jnp.stack([nodes, triangle.ravel()], axis=1)))
-            place, more = _packed(keep)
+            place, more = listed(keep, keep.size)
             return level + _DEPTH, _Pairs(_written(new[place], found.pairs, found.count), found.count + more)
 
         _, found = jax.lax.while_loop(more_triangles, list_triangles, (jnp.int32(0), found))
@@ -271,7 +267,7 @@ def _examined(
         # A node touches a plane from as far as the contact's tolerance.
         free_way = _distance(gather(start, node), frame) - 2 * touch
         keep, free_way = jax.lax.optimization_barrier((keep, free_way))
-        place, more = _packed(keep)
+        place, more = listed(keep, keep.size)
         pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
         planes = _written(frame[place, :12], planes, kept.count)
         clear = clear.at[node].min(jnp.where(keep, jnp.maximum(free_way, 0.0), jnp.inf))

@@ -12,7 +12,7 @@ from jaxform import membrane
 from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
-from jaxform.stepping import Body, State, Status, kinetic_energy, last_work, strain_energy
+from jaxform.state import Body, State, Status, kinetic_energy, last_work, strain_energy
 
 
 @pytree

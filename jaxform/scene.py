@@ -19,7 +19,6 @@ from jax.core import Tracer
 from numpy.typing import ArrayLike
 
 from jaxform.errors import InputError
-from jaxform.force import Sheet
 from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.pytree import as_real, pytree, static
@@ -82,11 +81,50 @@ class Solver:
         end_time: When the simulation ends [s].
         damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
         safety: Fraction of the stable step that is taken.
+        skip_stuck: Whether elements whose nodes all stick leave the list of those that are worked through.
+        skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
+        end_early: Whether the run ends when nothing can move any more.
+        sharp_step: Whether the stable step is measured by power iteration; else it is bounded element by element.
     """
 
     end_time: jax.Array
     damping: jax.Array | None = None
     safety: float = static(default=0.9)
+    skip_stuck: bool = static(default=True)
+    skip_far: bool = static(default=True)
+    end_early: bool = static(default=True)
+    sharp_step: bool = static(default=True)
+
+
+@pytree
+class Sheet:
+    """The initial geometry, component-first.
+
+    Attributes:
+        triangles: Node numbers (3, n_element).
+        inverse_metric: Inverse of the initial metric (3, n_element) [1/m^2].
+        area: Initial area (n_element,) [m^2].
+        origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
+    """
+
+    triangles: jax.Array
+    inverse_metric: jax.Array
+    area: jax.Array
+    origin: jax.Array
+
+
+@pytree
+class Assembly:
+    """Which corners of which elements a node gathers its force from: four times the element plus the corner.
+
+    Attributes:
+        table: (depth, n_node), -1 where there are no more.
+        spill_node, spill: Nodes (k,) with more corners than the table is deep, and these corners (k,).
+    """
+
+    table: jax.Array
+    spill_node: jax.Array
+    spill: jax.Array
 
 
 @pytree
@@ -94,7 +132,8 @@ class Tables:
     """What the host built for a scene; depends on its meshes and limits, not on the numbers to be designed.
 
     Attributes:
-        sheet: Initial geometry, component-first.
+        sheet: Initial geometry.
+        assembly: How nodes gather their force.
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
         grid: Search structure of the mold, or None.
@@ -102,6 +141,7 @@ class Tables:
     """
 
     sheet: Sheet
+    assembly: Assembly
     bound: jax.Array
     mobility: jax.Array
     grid: SearchGrid | None

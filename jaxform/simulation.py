@@ -12,7 +12,8 @@ import jax.numpy as jnp
 
 from jaxform.result import Result, Seconds, make_result
 from jaxform.scene import Scene
-from jaxform.stepping import Body, State, Status, body, finished, initial_state, window
+from jaxform.state import Body, State, Status, body, finished, initial_state
+from jaxform.stepping import window
 
 
 @jax.jit

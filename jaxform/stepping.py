@@ -1,148 +1,30 @@
-"""The state of a simulation, one step, and one window of steps.
+"""One step, and one window of steps.
 
-Every loop uses the same step and the same window. Discrete decisions (the length of the step, which nodes are tested
-against the mold) are taken at a window's border only, and are piecewise constant in the design; inside a window all
-shapes are fixed and the continuous state flows through.
+Every loop uses the same step and the same window. Discrete decisions (the length of the step, which elements are worked
+through, which nodes are tested against the mold) are taken at a window's border only, and are piecewise constant in the
+design; inside a window all shapes are fixed and the continuous state flows through.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import enum
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.force import Load, force
+from jaxform.force import Load, Scratch, force, force_in, scratch
 from jaxform.near import Near, left, list_near, watch
-from jaxform.pytree import as_real, pytree
+from jaxform.packing import Packed, pack
+from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.state import Body, State, Status, enclosed_volume, kinetic_energy, last_work, strain_energy
 
 _RUNGS_PER_OCTAVE = 8
 _MOST_RETRIES = 12
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
-
-
-class Status(enum.IntFlag):
-    """Why a run stopped early; no bit is set when all went well."""
-
-    NON_FINITE = 1
-    UNSTABLE = 2
-    WINDOWS_EXHAUSTED = 4
-    CONTACT_OVERFLOW = 8
-    CONTACT_MISSED = 16
-    STOPPED = 32
-
-
-@pytree
-class State:
-    """Where a simulation is.
-
-    Attributes:
-        positions: (3, n_node) [m].
-        velocities: (3, n_node) [m/s], half a step behind the positions.
-        stuck: Nodes (n_node,) that do not move any more: on the mold, or clamped.
-        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
-        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
-            came from the far side of its normal; 0 where it does not touch the mold.
-        time: [s].
-        step_length: Of the last step [s]; 0 before the first.
-        volume: Enclosed before the last step [m^3].
-        external_work, damping_loss, contact_loss: So far [J].
-        peak_work: Largest magnitude of the external work so far [J].
-        retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
-        steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
-        status: Bits of `Status`.
-    """
-
-    positions: jax.Array
-    velocities: jax.Array
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
-    time: jax.Array
-    step_length: jax.Array
-    volume: jax.Array
-    external_work: jax.Array
-    damping_loss: jax.Array
-    contact_loss: jax.Array
-    peak_work: jax.Array
-    retries: jax.Array
-    steps: jax.Array
-    windows: jax.Array
-    shortened: jax.Array
-    status: jax.Array
-
-
-@pytree
-class Body:
-    """What stays the same over a run and follows from the scene's leaves.
-
-    Attributes:
-        thickness: Initial thickness of the elements (n_element,) [m].
-        mass: Lumped mass of the nodes (n_node,) [kg].
-        compliance: Mobility over mass (3, n_node) [1/kg].
-    """
-
-    thickness: jax.Array
-    mass: jax.Array
-    compliance: jax.Array
-
-
-def body(scene: Scene) -> Body:
-    """Element thickness and lumped masses of a scene."""
-    sheet = scene.tables.sheet
-    thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
-    share = scene.material.density * sheet.area * thickness / 3.0
-    mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
-    return Body(thickness, mass, scene.tables.mobility / mass)
-
-
-def initial_state(scene: Scene) -> State:
-    """The sheet at rest in its initial shape."""
-    positions = scene.parison.positions.T
-    zero, none = as_real(0.0), jnp.int32(0)
-    held = jnp.all(scene.tables.mobility == 0.0, axis=0)
-    return State(
-        positions=positions,
-        velocities=jnp.zeros_like(positions),
-        stuck=held,
-        contact_time=jnp.where(held, zero, -1.0),
-        wall=jnp.zeros(held.size, jnp.int32),
-        time=zero,
-        step_length=zero,
-        volume=enclosed_volume(positions, scene),
-        external_work=zero,
-        damping_loss=zero,
-        contact_loss=zero,
-        peak_work=zero,
-        retries=none,
-        steps=none,
-        windows=none,
-        shortened=none,
-        status=none,
-    )
-
-
-def finished(state: State, scene: Scene) -> jax.Array:
-    """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
-    slack = 16 * jnp.finfo(state.time.dtype).eps
-    return (state.time >= scene.solver.end_time * (1.0 - slack)) | jnp.all(state.stuck) | (state.status != 0)
-
-
-def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
-    """Kinetic energy [J]."""
-    return 0.5 * jnp.sum(mass * membrane.dot(state.velocities, state.velocities))
-
-
-def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
-    """Strain energy [J]."""
-    sheet = scene.tables.sheet
-    volume = sheet.area * sheet_body.thickness
-    return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
 
 def choose_step(state: State, scene: Scene) -> jax.Array:
@@ -151,7 +33,7 @@ def choose_step(state: State, scene: Scene) -> jax.Array:
     It is piecewise constant in the design, so it carries no gradient.
     """
     sheet = scene.tables.sheet
-    moving = ~(state.stuck[sheet.triangles[0]] & state.stuck[sheet.triangles[1]] & state.stuck[sheet.triangles[2]])
+    moving = _can_move(state, scene)
     limit = scene.solver.safety * membrane.stable_step(
         state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, moving, scene.material
     )
@@ -167,7 +49,7 @@ def choose_step(state: State, scene: Scene) -> jax.Array:
 
 @pytree
 class _Moving:
-    """What changes from step to step inside a window."""
+    """What changes from step to step inside a window, in packed order; the room is None where derivatives are taken."""
 
     positions: jax.Array
     velocities: jax.Array
@@ -180,17 +62,35 @@ class _Moving:
     contact_loss: jax.Array
     count: jax.Array
     halted: jax.Array
+    room: Scratch | None
 
 
-def step(
-    moving: _Moving,
-    pressures: tuple[jax.Array, jax.Array, jax.Array],
-    scene: Scene,
-    sheet_body: Body,
-    begin: jax.Array,
-    length: jax.Array,
-    near: Near | None,
-) -> _Moving:
+@pytree
+class _Window:
+    """What stays the same within a window, in packed order.
+
+    Attributes:
+        packed: The elements and nodes that are worked through.
+        thickness: Initial thickness of the elements (room,) [m].
+        mass: Lumped mass of the nodes (place,) [kg].
+        compliance: Mobility over mass (3, place) [1/kg].
+        begin: Its begin [s].
+        length: The step [s].
+        idle_volume: Enclosed by what is not worked through [m^3].
+        near: The list of nodes near the mold; None where there is no mold.
+    """
+
+    packed: Packed
+    thickness: jax.Array
+    mass: jax.Array
+    compliance: jax.Array
+    begin: jax.Array
+    length: jax.Array
+    idle_volume: jax.Array
+    near: Near | None
+
+
+def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _Window) -> _Moving:
     """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
 
     Args:
@@ -198,19 +98,21 @@ def step(
         pressures: At the step's begin, averaged since the begin of the step before [Pa], and the step that the
             velocity takes [s].
         scene: The scene.
-        sheet_body: Its thickness and masses.
-        begin: Time of the window's begin [s].
-        length: The step [s].
-        near: The window's list of nodes near the mold; None where there is no mold.
+        now: The window.
     """
     pressure, mean_pressure, kick = pressures
-    if near is not None:
+    length = now.length
+    if now.near is not None and moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    load = Load(moving.positions, sheet_body.thickness, pressure, scene.material)
-    nodal, volume = force(load, scene.tables.sheet)
-    acceleration = jnp.where(moving.stuck, 0.0, nodal * sheet_body.compliance)
-    velocities, damping_loss = _kick(moving, acceleration, kick, scene, sheet_body)
+    load, room = Load(moving.positions, now.thickness, pressure, scene.material), moving.room
+    if room is None:
+        nodal, volume = force(load, now.packed.elements)
+    else:
+        room, nodal, volume = force_in(room, load, now.packed.elements)
+    volume = volume + now.idle_volume
+    acceleration = jnp.where(moving.stuck, 0.0, nodal * now.compliance)
+    velocities, damping_loss = _kick(moving, acceleration, kick, scene, now)
     count = moving.count + jnp.where(moving.halted, 0, 1)
     moved = dataclasses.replace(
         moving,
@@ -220,23 +122,25 @@ def step(
         external_work=moving.external_work + mean_pressure * (volume - moving.volume),
         damping_loss=damping_loss,
         count=count,
+        room=room,
     )
-    if near is None or scene.mold is None or scene.tables.grid is None:
+    if now.near is None:
         return moved
-    return _touch(moving, moved, scene, sheet_body, begin + count * length, near)
+    return _touch(moving, moved, scene, now, now.begin + count * now.length)
 
 
 def _kick(
-    moving: _Moving, acceleration: jax.Array, kick: jax.Array, scene: Scene, sheet_body: Body
+    moving: _Moving, acceleration: jax.Array, kick: jax.Array, scene: Scene, now: _Window
 ) -> tuple[jax.Array, jax.Array]:
     """New velocities, and the damping loss so far."""
     old = moving.velocities
     if scene.solver.damping is None:
         return old + kick * acceleration, moving.damping_loss
     half = 0.5 * scene.solver.damping * kick
-    new = ((1.0 - half) * old + kick * acceleration) / (1.0 + half)
+    # Kept, since the positions and the loss would each work them out again.
+    new = jax.lax.optimization_barrier(((1.0 - half) * old + kick * acceleration) / (1.0 + half))
     mean = 0.5 * (old + new)
-    loss = kick * scene.solver.damping * jnp.sum(sheet_body.mass * membrane.dot(mean, mean))
+    loss = kick * scene.solver.damping * jnp.sum(now.mass * membrane.dot(mean, mean))
     return new, moving.damping_loss + loss
 
 
@@ -244,18 +148,19 @@ def _touch(
     before: _Moving,
     moved: _Moving,
     scene: Scene,
-    sheet_body: Body,
+    now: _Window,
     time: jax.Array,
-    near: Near,
 ) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
-    assert scene.mold is not None and scene.tables.grid is not None
+    assert scene.mold is not None and scene.tables.grid is not None and now.near is not None
+    land = contact.land if moved.room is None else contact.land_in_place
     landing = contact.Landing(
         moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.wall, moved.contact_loss
     )
-    mold, grid = scene.mold, scene.tables.grid
-    reached, leaving = watch(jax.lax.stop_gradient(moved.positions), moved.stuck, near)
-    landing = contact.land(before.positions, landing, reached, sheet_body.mass, time, near, mold, grid)
+    reached, leaving = watch(jax.lax.stop_gradient(moved.positions), moved.stuck, now.near)
+    if not scene.solver.skip_far:
+        reached = jnp.asarray(True)
+    landing = land(before.positions, landing, reached, now.mass, time, now.near, scene.mold, scene.tables.grid)
     return dataclasses.replace(
         moved,
         positions=landing.positions,
@@ -279,24 +184,21 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
     pressure = scene.pressure.at(times)
     before = scene.pressure.at(jnp.where(index == 0, state.time - state.step_length, times - length))
     kick = jnp.where(index == 0, 0.5 * (state.step_length + length), length)
-    near = _list_near(state, scene, length)
-    moving = _Moving(
-        positions=state.positions,
-        velocities=state.velocities,
-        stuck=state.stuck,
-        contact_time=state.contact_time,
-        wall=state.wall,
-        volume=state.volume,
-        external_work=state.external_work,
-        damping_loss=state.damping_loss,
-        contact_loss=state.contact_loss,
-        count=jnp.int32(0),
-        halted=jnp.asarray(False),
+    packed = _packed(state, scene, sheet_body)
+    moving = _begun(state, packed, differentiable)
+    now = _Window(
+        packed=packed,
+        thickness=sheet_body.thickness[packed.element],
+        mass=packed.taken(sheet_body.mass),
+        compliance=packed.taken(sheet_body.compliance),
+        begin=state.time,
+        length=length,
+        idle_volume=_idle_volume(state, scene, packed),
+        near=_list_near(moving, scene, length),
     )
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
-        a, b, c = pressures
-        return step(moving, (a, b, c), scene, sheet_body, state.time, length, near), None
+        return step(moving, pressures, scene, now), None
 
     steps = pressure, 0.5 * (before + pressure), kick
     if differentiable:
@@ -305,7 +207,43 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving
         )
-    return _close(state, moving, scene, sheet_body, length, near)
+    return _close(state, moving, scene, sheet_body, now)
+
+
+def _packed(state: State, scene: Scene, sheet_body: Body) -> Packed:
+    if scene.mold is None or not scene.solver.skip_stuck:
+        return sheet_body.whole
+    return pack(_can_move(state, scene), scene.tables.sheet, scene.tables.assembly)
+
+
+def _can_move(state: State, scene: Scene) -> jax.Array:
+    """Elements (n_element,) of which a node can still move."""
+    first, second, third = (state.stuck[corner] for corner in scene.tables.sheet.triangles)
+    return ~(first & second & third)
+
+
+def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
+    positions = packed.taken(state.positions)
+    return _Moving(
+        positions=positions,
+        velocities=jnp.where(packed.exists, packed.taken(state.velocities), 0.0),
+        stuck=packed.taken(state.stuck) | ~packed.exists,
+        contact_time=packed.taken(state.contact_time),
+        wall=packed.taken(state.wall),
+        volume=state.volume,
+        external_work=state.external_work,
+        damping_loss=state.damping_loss,
+        contact_loss=state.contact_loss,
+        count=jnp.int32(0),
+        halted=jnp.asarray(False),
+        room=None if differentiable else scratch(positions, packed.elements),
+    )
+
+
+def _idle_volume(state: State, scene: Scene, packed: Packed) -> jax.Array | float:
+    if scene.mold is None or not scene.solver.skip_stuck:
+        return 0.0
+    return enclosed_volume(state.positions, scene, jnp.where(packed.kept, 0.0, 1.0))
 
 
 def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving) -> _Moving:
@@ -315,14 +253,14 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
 
-def _list_near(state: State, scene: Scene, length: jax.Array) -> Near | None:
+def _list_near(moving: _Moving, scene: Scene, length: jax.Array) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
     positions, velocities, grid, length = jax.lax.stop_gradient(
-        (state.positions, state.velocities, scene.tables.grid, length)
+        (moving.positions, moving.velocities, scene.tables.grid, length)
     )
     duration = length * STEPS_PER_WINDOW
-    return list_near(positions, velocities, ~state.stuck, duration, grid)
+    return list_near(positions, velocities, ~moving.stuck, duration, grid, scene.solver.skip_far)
 
 
 def _close(
@@ -330,19 +268,19 @@ def _close(
     moving: _Moving,
     scene: Scene,
     sheet_body: Body,
-    length: jax.Array,
-    near: Near | None,
+    now: _Window,
 ) -> State:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
+    packed, near = now.packed, now.near
     new = dataclasses.replace(
         state,
-        positions=moving.positions,
-        velocities=moving.velocities,
-        stuck=moving.stuck,
-        contact_time=moving.contact_time,
-        wall=moving.wall,
-        time=state.time + moving.count * length,
-        step_length=length,
+        positions=packed.put_back(moving.positions),
+        velocities=packed.put_back(moving.velocities),
+        stuck=packed.put_back(moving.stuck),
+        contact_time=packed.put_back(moving.contact_time),
+        wall=packed.put_back(moving.wall),
+        time=state.time + moving.count * now.length,
+        step_length=now.length,
         volume=moving.volume,
         external_work=moving.external_work,
         damping_loss=moving.damping_loss,
@@ -378,16 +316,3 @@ def _health(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     rounding = 1e-9 + 64 * jnp.finfo(scale.dtype).eps
     unstable = excess > _ENERGY_TOLERANCE * state.peak_work + rounding * scale
     return jnp.where(finite, jnp.where(unstable, Status.UNSTABLE, 0), Status.NON_FINITE)
-
-
-def last_work(state: State, scene: Scene) -> jax.Array:
-    """External work of the last step [J]; the account inside the loop lags, as the volume comes with the next force."""
-    pressures = scene.pressure.at(jnp.stack([state.time - state.step_length, state.time]))
-    return jnp.mean(pressures) * (enclosed_volume(state.positions, scene) - state.volume)
-
-
-def enclosed_volume(positions: jax.Array, scene: Scene) -> jax.Array:
-    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin."""
-    first, edge1, edge2 = membrane.edges(positions, scene.tables.sheet.triangles)
-    arm = first - scene.tables.sheet.origin[:, None]
-    return jnp.sum(membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0

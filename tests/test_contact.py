@@ -18,6 +18,7 @@ from jaxform.mold import Mold
 from jaxform.penetration import penetration, point_triangle_distance
 from jaxform.result import penetrated
 from jaxform.search import SearchGrid, build_grid
+from jaxform.state import State
 from tests import scenes
 
 
@@ -195,7 +196,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     scene = scenes.cup()
     watch = nearness.watch
 
-    def windows() -> stepping.State:
+    def windows() -> State:
         state, body = simulation._begin(scene)
         advance = jax.jit(lambda state: stepping.window(state, scene, body))
         for _ in range(25):

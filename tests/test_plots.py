@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import plots, sections, shapes, stepping
+from jaxform import plots, sections, shapes, state
 from jaxform.result import Result
 from tests import scenes
 
@@ -31,7 +31,7 @@ def _at_rest(sheet: shapes.Sheet, end_time: float = 1.0) -> tuple[jaxform.Scene,
 def _result(scene: jaxform.Scene) -> Result:
     from jaxform.result import make_result
 
-    return make_result(stepping.initial_state(scene), scene, stepping.body(scene))
+    return make_result(state.initial_state(scene), scene, state.body(scene))
 
 
 SHEETS = {
@@ -106,7 +106,7 @@ def _colors(path: Path) -> int:
 @pytest.mark.parametrize("name", SHEETS)
 def test_every_sheet_has_a_picture(name: str, tmp_path: Path) -> None:
     scene, result = _at_rest(SHEETS[name])
-    stopped = dataclasses.replace(result, status=jnp.int32(stepping.Status.UNSTABLE))
+    stopped = dataclasses.replace(result, status=jnp.int32(state.Status.UNSTABLE))
     plots.thickness_picture(tmp_path / "thickness.png", scene, stopped)
     assert _colors(tmp_path / "thickness.png") > 50
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import molds, shapes, stepping
-from jaxform.stepping import Status
+from jaxform import molds, shapes, state, stepping
+from jaxform.state import Status
 from tests import scenes
 
 simulate = jax.jit(jaxform.simulate)
@@ -209,10 +209,10 @@ def test_the_run_ends_when_nothing_can_move() -> None:
 def test_no_mold_no_contact_code() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     free = str(
-        jax.make_jaxpr(lambda scene: stepping.window(stepping.initial_state(scene), scene, stepping.body(scene)))(scene)
+        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, state.body(scene)))(scene)
     )
     with_mold = str(
-        jax.make_jaxpr(lambda scene: stepping.window(stepping.initial_state(scene), scene, stepping.body(scene)))(
+        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, state.body(scene)))(
             scenes.cup()
         )
     )

@@ -1,0 +1,83 @@
+"""Work through long arrays in short blocks, and only as far as they are in use.
+
+On the CPU a block and all that is worked out from it stay in the innermost cache, and XLA compiles a loop without
+scatters into one function; the number of blocks is data, so that a list that becomes shorter costs less and nothing
+is compiled anew. On other devices one kernel over the whole arrays is faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+BLOCK = 128
+
+Rows = Sequence[jax.Array]
+
+
+def padded(count: int) -> int:
+    """The least whole number of blocks' length that is greater than `count`: one entry at least is left over."""
+    return (count // BLOCK + 1) * BLOCK
+
+
+def over_blocks(
+    function: Callable[..., tuple[Sequence[Rows], Sequence[jax.Array]]],
+    block_count: jax.Array,
+    inputs: Any,
+    into: Sequence[jax.Array],
+) -> tuple[list[jax.Array], list[jax.Array]]:
+    """Applies a function to the blocks in use, along the last axis.
+
+    Args:
+        function: Takes the inputs' blocks; gives for every array of `into` its rows (n,), and vectors (n,) to be
+            summed over all. It must treat every column by itself, and columns that are not in use harmlessly: where
+            there are no blocks it is given them all.
+        block_count: How many blocks are in use.
+        inputs: Arrays (..., room), the room a whole number of blocks.
+        into: Arrays (k, room) that take the rows; what is beyond the blocks in use stays as it is.
+
+    Returns:
+        The arrays with the rows, and the sums.
+    """
+    if jax.default_backend() != "cpu":
+        rows, terms = function(*inputs)
+        return [jnp.stack(list(row)) for row in rows], [jnp.sum(term) for term in terms]
+    shapes = jax.eval_shape(function, *_block(inputs, jnp.int32(0)))[1]
+    zeros = [jnp.zeros(shape.shape, shape.dtype) for shape in shapes]
+
+    def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
+        arrays, sums = carry
+        rows, terms = function(*_block(inputs, i * BLOCK))
+        arrays = [_written(array, row, i * BLOCK) for array, row in zip(arrays, rows, strict=True)]
+        return arrays, [total + term for total, term in zip(sums, terms, strict=True)]
+
+    flat = [array.reshape(-1) for array in into]
+    flat, sums = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
+    # Else the whole loop would be worked out again by whoever uses it twice.
+    flat, sums = jax.lax.optimization_barrier((flat, sums))
+    return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(total) for total in sums]
+
+
+def _block(inputs: Any, first: jax.Array) -> Any:
+    return jax.tree.map(lambda array: jax.lax.dynamic_slice_in_dim(array, first, BLOCK, axis=array.ndim - 1), inputs)
+
+
+def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
+    """Row by row: stacked first they would be one loop with a branch in it, which is not vectorized."""
+    room = flat.size // len(rows)
+    for k, row in enumerate(rows):
+        flat = jax.lax.dynamic_update_slice(flat, row.astype(flat.dtype), (k * room + first,))
+    return flat
+
+
+def listed(keep: jax.Array, room: int) -> tuple[jax.Array, jax.Array]:
+    """Where the entries (n,) to be kept are (room,), one after the other, then anything; and how many they are.
+
+    Bisection of the running count and a gather take two thirds of the time of a scatter.
+    """
+    running = jnp.cumsum(keep, dtype=jnp.int32)
+    place = jnp.searchsorted(running, jnp.arange(1, room + 1, dtype=jnp.int32))
+    return jnp.minimum(place, keep.size - 1).astype(jnp.int32), running[-1]

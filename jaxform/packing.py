@@ -1,0 +1,127 @@
+"""What can still move, packed: elements and nodes in the order in which a window works through them.
+
+Elements whose nodes all stick, and nodes that belong to no other element, come last and are not worked through: the
+problem becomes "a smaller and smaller free inflation problem" (paper, 3.2). Nothing is compiled anew, since the number
+of blocks in use is data.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.blocks import BLOCK, listed, padded
+from jaxform.force import Elements
+from jaxform.pytree import pytree
+from jaxform.scene import Assembly, Sheet
+
+
+@pytree
+class Packed:
+    """Elements and nodes in packed order.
+
+    Attributes:
+        node: The node at each place (place,); node 0 at the places beyond the nodes.
+        place: The place of each node (n_node,).
+        element: The element at each place of the list (room,).
+        exists: Whether there is a node at a place (place,).
+        kept: Elements (n_element,) that are in the list.
+        elements: What the force needs of them.
+    """
+
+    node: jax.Array
+    place: jax.Array
+    element: jax.Array
+    exists: jax.Array
+    kept: jax.Array
+    elements: Elements
+
+    def taken(self, nodal: jax.Array) -> jax.Array:
+        """Values (..., place) of (..., n_node), in packed order."""
+        return nodal.at[..., self.node].get(mode="promise_in_bounds")
+
+    def put_back(self, packed: jax.Array) -> jax.Array:
+        """Values (..., n_node) of (..., place), in the mesh's order."""
+        return packed.at[..., self.place].get(mode="promise_in_bounds")
+
+
+def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
+    """Which corners of which elements each node gathers its force from; on the host.
+
+    The few nodes with far more elements than the others, such as a pole, hand their surplus to a list.
+    """
+    corner_node = triangles.ravel()
+    order = np.argsort(corner_node, kind="stable")
+    count = np.bincount(corner_node, minlength=node_count)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    code = 4 * (order // 3) + order % 3
+    depth = _depth(count)
+    table = np.full((depth, node_count), -1, np.int32)
+    inside = rank < depth
+    table[rank[inside], corner_node[order[inside]]] = code[inside]
+    spill = order[~inside]
+    return Assembly(
+        table=jnp.asarray(table),
+        spill_node=jnp.asarray(corner_node[spill], jnp.int32),
+        spill=jnp.asarray(code[~inside], jnp.int32),
+    )
+
+
+def _depth(count: np.ndarray) -> int:
+    """The depth at which looking up costs least [ns]: a row for every node, or a scatter of the shares beyond."""
+    depths = np.arange(1, count.max() + 1)
+    beyond = np.array([np.maximum(count - depth, 0).sum() for depth in depths])
+    return int(depths[np.argmin(3 * depths * len(count) + 60 * beyond + 5000 * (beyond > 0))])
+
+
+def pack(moving: jax.Array | None, sheet: Sheet, assembly: Assembly) -> Packed:
+    """Packs the elements (n_element,) that can move, and their nodes; all of them where `moving` is None."""
+    element_count, node_count = sheet.area.size, assembly.table.shape[1]
+    room, places = padded(element_count), padded(node_count)
+    if moving is None:
+        kept, count = jnp.ones(element_count, bool), jnp.int32(element_count)
+        element, rank = jnp.minimum(jnp.arange(room), element_count - 1), jnp.arange(element_count)
+        place, node_total = jnp.arange(node_count), jnp.int32(node_count)
+    else:
+        kept, (element, count) = moving, listed(moving, room)
+        rank = jnp.cumsum(moving, dtype=jnp.int32) - 1
+        place, node_total = _moved_first(_touched(moving, assembly))
+    node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
+    exists = jnp.arange(places) < node_count
+
+    def slots(code: jax.Array, there: jax.Array) -> jax.Array:
+        """Places of shares in the corners' arrays; what is not worked out is looked up at the first unused element."""
+        owner = jnp.maximum(code, 0) >> 2
+        return jnp.where(there & (code >= 0) & kept[owner], (code & 3) * room + rank[owner], count).astype(jnp.int32)
+
+    used = jnp.arange(room) < count
+    elements = Elements(
+        triangles=place[sheet.triangles[:, element]].astype(jnp.int32),
+        inverse_metric=sheet.inverse_metric[:, element],
+        area=jnp.where(used, sheet.area[element], 0.0),
+        origin=sheet.origin,
+        slots=slots(assembly.table[:, node], exists),
+        spill_node=place[assembly.spill_node].astype(jnp.int32),
+        spill_slot=slots(assembly.spill, jnp.asarray(True)),
+        block_count=count // BLOCK + 1,
+        node_block_count=-(-node_total // BLOCK),
+    )
+    return Packed(node, place, element, exists, kept, elements)
+
+
+def _touched(moving: jax.Array, assembly: Assembly) -> jax.Array:
+    """Nodes (n_node,) of elements that can move."""
+    table = assembly.table
+    touched = jnp.any((table >= 0) & moving[jnp.maximum(table, 0) >> 2], axis=0)
+    if assembly.spill.size == 0:
+        return touched
+    return touched.at[assembly.spill_node].max(moving[assembly.spill >> 2])
+
+
+def _moved_first(first: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked."""
+    running = jnp.cumsum(first, dtype=jnp.int32)
+    count = running[-1]
+    others = count + jnp.arange(first.size, dtype=jnp.int32) - running
+    return jnp.where(first, running - 1, others), count

@@ -1,0 +1,149 @@
+"""The state of a simulation, and what can be said of it: energies, volume, whether it is finished."""
+
+from __future__ import annotations
+
+import enum
+
+import jax
+import jax.numpy as jnp
+
+from jaxform import membrane
+from jaxform.packing import Packed, pack
+from jaxform.pytree import as_real, pytree
+from jaxform.scene import Scene
+
+
+class Status(enum.IntFlag):
+    """Why a run stopped early; no bit is set when all went well."""
+
+    NON_FINITE = 1
+    UNSTABLE = 2
+    WINDOWS_EXHAUSTED = 4
+    CONTACT_OVERFLOW = 8
+    CONTACT_MISSED = 16
+    STOPPED = 32
+
+
+@pytree
+class State:
+    """Where a simulation is.
+
+    Attributes:
+        positions: (3, n_node) [m].
+        velocities: (3, n_node) [m/s], half a step behind the positions.
+        stuck: Nodes (n_node,) that do not move any more: on the mold, or clamped.
+        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
+            came from the far side of its normal; 0 where it does not touch the mold.
+        time: [s].
+        step_length: Of the last step [s]; 0 before the first.
+        volume: Enclosed before the last step [m^3].
+        external_work, damping_loss, contact_loss: So far [J].
+        peak_work: Largest magnitude of the external work so far [J].
+        retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
+        steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
+        status: Bits of `Status`.
+    """
+
+    positions: jax.Array
+    velocities: jax.Array
+    stuck: jax.Array
+    contact_time: jax.Array
+    wall: jax.Array
+    time: jax.Array
+    step_length: jax.Array
+    volume: jax.Array
+    external_work: jax.Array
+    damping_loss: jax.Array
+    contact_loss: jax.Array
+    peak_work: jax.Array
+    retries: jax.Array
+    steps: jax.Array
+    windows: jax.Array
+    shortened: jax.Array
+    status: jax.Array
+
+
+@pytree
+class Body:
+    """What stays the same over a run and follows from the scene's leaves.
+
+    Attributes:
+        thickness: Initial thickness of the elements (n_element,) [m].
+        mass: Lumped mass of the nodes (n_node,) [kg].
+        compliance: Mobility over mass (3, n_node) [1/kg].
+        whole: All elements and nodes, packed.
+    """
+
+    thickness: jax.Array
+    mass: jax.Array
+    compliance: jax.Array
+    whole: Packed
+
+
+def body(scene: Scene) -> Body:
+    """Element thickness and lumped masses of a scene."""
+    sheet = scene.tables.sheet
+    thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
+    share = scene.material.density * sheet.area * thickness / 3.0
+    mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
+    whole = pack(None, sheet, scene.tables.assembly)
+    return Body(thickness, mass, scene.tables.mobility / mass, whole)
+
+
+def initial_state(scene: Scene) -> State:
+    """The sheet at rest in its initial shape."""
+    positions = scene.parison.positions.T
+    zero, none = as_real(0.0), jnp.int32(0)
+    held = jnp.all(scene.tables.mobility == 0.0, axis=0)
+    return State(
+        positions=positions,
+        velocities=jnp.zeros_like(positions),
+        stuck=held,
+        contact_time=jnp.where(held, zero, -1.0),
+        wall=jnp.zeros(held.size, jnp.int32),
+        time=zero,
+        step_length=zero,
+        volume=enclosed_volume(positions, scene),
+        external_work=zero,
+        damping_loss=zero,
+        contact_loss=zero,
+        peak_work=zero,
+        retries=none,
+        steps=none,
+        windows=none,
+        shortened=none,
+        status=none,
+    )
+
+
+def finished(state: State, scene: Scene) -> jax.Array:
+    """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
+    slack = 16 * jnp.finfo(state.time.dtype).eps
+    done = (state.time >= scene.solver.end_time * (1.0 - slack)) | (state.status != 0)
+    return done | jnp.all(state.stuck) if scene.solver.end_early else done
+
+
+def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
+    """Kinetic energy [J]."""
+    return 0.5 * jnp.sum(mass * membrane.dot(state.velocities, state.velocities))
+
+
+def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+    """Strain energy [J]."""
+    sheet = scene.tables.sheet
+    volume = sheet.area * sheet_body.thickness
+    return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
+
+
+def last_work(state: State, scene: Scene) -> jax.Array:
+    """External work of the last step [J]; the account inside the loop lags, as the volume comes with the next force."""
+    pressures = scene.pressure.at(jnp.stack([state.time - state.step_length, state.time]))
+    return jnp.mean(pressures) * (enclosed_volume(state.positions, scene) - state.volume)
+
+
+def enclosed_volume(positions: jax.Array, scene: Scene, counted: jax.Array | float = 1.0) -> jax.Array:
+    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count."""
+    first, edge1, edge2 = membrane.edges(positions, scene.tables.sheet.triangles)
+    arm = membrane.minus(first, scene.tables.sheet.origin)
+    return jnp.sum(counted * membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0
