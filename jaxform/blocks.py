@@ -61,6 +61,11 @@ def over_blocks(
     return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(total) for total in sums]
 
 
+def total(values: jax.Array) -> jax.Array:
+    """Sum of values (room,), whole blocks of them: many short sums side by side, where XLA makes one long one."""
+    return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))
+
+
 def _block(inputs: Any, first: jax.Array) -> Any:
     return jax.tree.map(lambda array: jax.lax.dynamic_slice_in_dim(array, first, BLOCK, axis=array.ndim - 1), inputs)
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
+from jaxform.blocks import over_blocks
 from jaxform.packing import Packed, pack
 from jaxform.pytree import as_real, pytree
 from jaxform.scene import Scene
@@ -136,10 +137,35 @@ def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
 
+def account(positions: jax.Array, scene: Scene, sheet_body: Body) -> tuple[jax.Array, jax.Array]:
+    """Strain energy [J] and enclosed volume [m^3] of nodes (3, n_node) [m], in one pass; not differentiable."""
+    elements = sheet_body.whole.elements
+    thickness = sheet_body.thickness[sheet_body.whole.element]
+    x, y, z = positions
+
+    def work(
+        triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array
+    ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
+        first, edge1, edge2 = membrane.edges((x, y, z), triangles)
+        edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
+        strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
+        energy = area * thickness * scene.material.energy(strain.i1, strain.i2)
+        arm = membrane.minus(first, elements.origin)
+        return [], [energy, jnp.where(area > 0.0, membrane.dot(arm, membrane.cross(edge1, edge2)), 0.0)]
+
+    inputs = elements.triangles, elements.inverse_metric, elements.area, thickness
+    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [])
+    return energy, volume / 6.0
+
+
+def last_pressure(state: State, scene: Scene) -> jax.Array:
+    """Mean pressure over the last step [Pa]."""
+    return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.step_length, state.time])))
+
+
 def last_work(state: State, scene: Scene) -> jax.Array:
     """External work of the last step [J]; the account inside the loop lags, as the volume comes with the next force."""
-    pressures = scene.pressure.at(jnp.stack([state.time - state.step_length, state.time]))
-    return jnp.mean(pressures) * (enclosed_volume(state.positions, scene) - state.volume)
+    return last_pressure(state, scene) * (enclosed_volume(state.positions, scene) - state.volume)
 
 
 def enclosed_volume(positions: jax.Array, scene: Scene, counted: jax.Array | float = 1.0) -> jax.Array:

@@ -14,12 +14,13 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
+from jaxform.blocks import total
 from jaxform.force import Load, Scratch, force, force_in, scratch
 from jaxform.near import Near, left, list_near, watch
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Body, State, Status, enclosed_volume, kinetic_energy, last_work, strain_energy
+from jaxform.state import Body, State, Status, account, enclosed_volume, last_pressure
 
 _RUNGS_PER_OCTAVE = 8
 _MOST_RETRIES = 12
@@ -140,7 +141,7 @@ def _kick(
     # Kept, since the positions and the loss would each work them out again.
     new = jax.lax.optimization_barrier(((1.0 - half) * old + kick * acceleration) / (1.0 + half))
     mean = 0.5 * (old + new)
-    loss = kick * scene.solver.damping * jnp.sum(now.mass * membrane.dot(mean, mean))
+    loss = kick * scene.solver.damping * total(now.mass * membrane.dot(mean, mean))
     return new, moving.damping_loss + loss
 
 
@@ -290,7 +291,7 @@ def _close(
         windows=state.windows + 1,
         shortened=state.shortened + moving.halted,
     )
-    status = _health(new, scene, sheet_body) | state.status
+    status = _health(moving, new, scene, sheet_body, now) | state.status
     bad, retries = (status & Status.NON_FINITE) != 0, state.retries
     if near is not None:
         # A node that flew out of its ball may have missed the mold: the window is taken anew with smaller steps.
@@ -306,12 +307,14 @@ def _close(
     )
 
 
-def _health(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
-    state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
-    finite = jnp.isfinite(jnp.sum(state.positions) + jnp.sum(state.velocities))
-    held = strain_energy(state, scene, sheet_body) + kinetic_energy(state, sheet_body.mass)
-    excess = held + state.damping_loss + state.contact_loss - state.external_work - last_work(state, scene)
-    scale = scene.material.stiffness() * jnp.sum(scene.tables.sheet.area * sheet_body.thickness)
+def _health(moving: _Moving, state: State, scene: Scene, sheet_body: Body, now: _Window) -> jax.Array:
+    moving, state, scene, sheet_body, now = jax.lax.stop_gradient((moving, state, scene, sheet_body, now))
+    speed_square = membrane.dot(moving.velocities, moving.velocities)
+    finite = jnp.isfinite(total(moving.positions) + total(speed_square))
+    strain, volume = account(state.positions, scene, sheet_body)
+    held = strain + 0.5 * total(now.mass * speed_square) + state.damping_loss + state.contact_loss
+    excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
+    scale = scene.material.stiffness() * total(now.packed.elements.area * now.thickness)
     # Near rest the strain energy is the rounding of I1 - 3.
     rounding = 1e-9 + 64 * jnp.finfo(scale.dtype).eps
     unstable = excess > _ENERGY_TOLERANCE * state.peak_work + rounding * scale
