@@ -28,6 +28,8 @@ def over_blocks(
     block_count: jax.Array,
     inputs: Any,
     into: Sequence[jax.Array],
+    *,
+    update: bool = False,
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Applies a function to the blocks in use, along the last axis.
 
@@ -38,27 +40,40 @@ def over_blocks(
         block_count: How many blocks are in use.
         inputs: Arrays (..., room), the room a whole number of blocks.
         into: Arrays (k, room) that take the rows; what is beyond the blocks in use stays as it is.
+        update: Whether the function also takes the rows of `into` as they were, as its first argument.
 
     Returns:
         The arrays with the rows, and the sums.
     """
     if jax.default_backend() != "cpu":
-        rows, terms = function(*inputs)
+        rows, terms = function(*([into] if update else []), *inputs)
         return [jnp.stack(list(row)) for row in rows], [jnp.sum(term) for term in terms]
-    shapes = jax.eval_shape(function, *_block(inputs, jnp.int32(0)))[1]
-    zeros = [jnp.zeros(shape.shape, shape.dtype) for shape in shapes]
+
+    def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
+        if not update:
+            return function(*_block(inputs, i * BLOCK))
+        # All is read before anything is written, or XLA would copy the arrays for every block.
+        old = [_read(array, shape.shape[0], i * BLOCK) for array, shape in zip(flat, into, strict=True)]
+        return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
-        arrays, sums = carry
-        rows, terms = function(*_block(inputs, i * BLOCK))
-        arrays = [_written(array, row, i * BLOCK) for array, row in zip(arrays, rows, strict=True)]
-        return arrays, [total + term for total, term in zip(sums, terms, strict=True)]
+        flat, sums = carry
+        rows, terms = apply(flat, i)
+        flat = [_written(array, row, i * BLOCK) for array, row in zip(flat, rows, strict=True)]
+        return flat, [total + term for total, term in zip(sums, terms, strict=True)]
 
     flat = [array.reshape(-1) for array in into]
+    shapes = jax.eval_shape(apply, flat, jnp.int32(0))[1]
+    zeros = [jnp.zeros(shape.shape, shape.dtype) for shape in shapes]
     flat, sums = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
     # Else the whole loop would be worked out again by whoever uses it twice.
     flat, sums = jax.lax.optimization_barrier((flat, sums))
     return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(total) for total in sums]
+
+
+def _read(flat: jax.Array, count: int, first: jax.Array) -> list[jax.Array]:
+    room = flat.size // count
+    return [jax.lax.dynamic_slice(flat, (k * room + first,), (BLOCK,)) for k in range(count)]
 
 
 def total(values: jax.Array) -> jax.Array:

@@ -161,14 +161,40 @@ def _first_met(before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near
     def choose(
         carry: tuple[jax.Array, tuple[jax.Array, jax.Array]],
     ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        first, (best, chosen) = carry
-        node, triangle, beta, meets = _block(first, before, after, stuck, near, touch)
-        better = best.at[node].min(jnp.where(meets, beta, jnp.inf))
-        chosen = jnp.where(better < best, -1, chosen)
-        chosen = chosen.at[node].max(jnp.where(meets & (beta == better[node]), triangle, -1))
-        return first + TEST_BLOCK, (better, chosen)
+        first, found = carry
+        block = _block(first, before, after, stuck, near, touch)
+        return first + TEST_BLOCK, _taken_up(found, jax.lax.optimization_barrier(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1][1]
+
+
+def _taken_up(
+    found: tuple[jax.Array, jax.Array], block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """The least beta so far and its triangle (n_node,), with a block's pairs that meet: one by one, since they are few.
+
+    A scatter would keep XLA from compiling the window's steps into one function.
+    """
+    node, triangle, beta, meets = block
+    index = jnp.arange(TEST_BLOCK)
+
+    def next_one(after: jax.Array) -> jax.Array:
+        return jnp.min(jnp.where(meets & (index > after), index, TEST_BLOCK))
+
+    def more(carry: tuple[jax.Array, tuple[jax.Array, jax.Array]]) -> jax.Array:
+        return carry[0] < TEST_BLOCK
+
+    def take(
+        carry: tuple[jax.Array, tuple[jax.Array, jax.Array]],
+    ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        k, (best, chosen) = carry
+        here = node[k]
+        better = (beta[k] < best[here]) | (beta[k] == best[here]) & (triangle[k] > chosen[here])
+        best = best.at[here].set(jnp.where(better, beta[k], best[here]))
+        chosen = chosen.at[here].set(jnp.where(better, triangle[k], chosen[here]))
+        return next_one(k), (best, chosen)
+
+    return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 
 
 def _landed(

@@ -24,7 +24,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxform.blocks import over_blocks
 from jaxform.materials import Material
-from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, stress, stress_factors
+from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, stress, stress_factors
 
 
 class Elements(NamedTuple):
@@ -84,34 +84,11 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
     return nodal, volume
 
 
-class Scratch(NamedTuple):
-    """Arrays that are written anew in every step; carried along, so that none is cleared or copied.
+def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
+    """What each element's corners get of the force [N], and the enclosed volume [m^3]; not differentiable.
 
-    Attributes:
-        corners: What the corners get of the force [N], component by component (3 corners, room).
-        nodal: What the nodes get [N] (3, place); nothing where they are not in use.
+    It is written `into` room from `no_corners`: carried from step to step, it is neither cleared nor copied.
     """
-
-    corners: Corners
-    nodal: jax.Array
-
-
-def scratch(positions: jax.Array, elements: Elements) -> Scratch:
-    """Room for the forces on elements whose nodes are at positions (3, place)."""
-    return Scratch(_no_corners(positions, elements), jnp.zeros_like(positions))
-
-
-def force_in(room: Scratch, load: Load, elements: Elements) -> tuple[Scratch, jax.Array, jax.Array]:
-    """The room, with the forces in it, and the force and the volume as `force` gives them; not differentiable."""
-    corners, volume = _corner_forces(load, elements, room.corners)
-    (nodal,), _ = over_blocks(
-        lambda slots: ([_assembled(corners, slots)], []), elements.node_block_count, (elements.slots,), [room.nodal]
-    )
-    return Scratch(corners, nodal), _with_spilled(nodal, corners, elements), volume
-
-
-def _corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
-    """What each element's corners get of the force [N], and the enclosed volume [m^3]; has no derivative of its own."""
     rows = _rows(load.positions)
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
@@ -130,18 +107,18 @@ def _corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corne
     return corners, volume / 6.0
 
 
-def _assembled(corners: Corners, slots: jax.Array) -> Vector:
+def assembled(corners: Corners, slots: jax.Array) -> Vector:
     """Sum (n,) at nodes of their shares, component by component; slots (depth, n) of `corners`."""
     x, y, z = (_gathered(corner.reshape(-1), slots) for corner in corners)
     return x, y, z
 
 
-def _with_spilled(nodal: jax.Array, corners: Corners, elements: Elements) -> jax.Array:
-    """The sums (3, place) with the shares that `slots` has no room for."""
+def spilled(corners: Corners, elements: Elements) -> jax.Array | None:
+    """The shares (3, place) that `slots` has no room for; None where it has room for all."""
     if elements.spill_node.size == 0:
-        return nodal
+        return None
     shares = jnp.stack([corner.reshape(-1)[elements.spill_slot] for corner in corners])
-    return nodal.at[:, elements.spill_node].add(shares)
+    return jnp.zeros((3, elements.slots.shape[1]), shares.dtype).at[:, elements.spill_node].add(shares)
 
 
 def _gathered(flat: jax.Array, slots: jax.Array) -> jax.Array:
@@ -153,7 +130,8 @@ def _gathered(flat: jax.Array, slots: jax.Array) -> jax.Array:
 
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:
     """Sum of the corners' shares at all nodes (3, place)."""
-    return _with_spilled(jnp.stack(_assembled(corners, elements.slots)), corners, elements)
+    nodal, spill = jnp.stack(assembled(corners, elements.slots)), spilled(corners, elements)
+    return nodal if spill is None else nodal + spill
 
 
 def _over(work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array]) -> Any:
@@ -161,7 +139,8 @@ def _over(work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, .
     return over_blocks(work, elements.block_count, inputs, into)
 
 
-def _no_corners(positions: jax.Array, elements: Elements) -> Corners:
+def no_corners(positions: jax.Array, elements: Elements) -> Corners:
+    """Room for what the corners get, for elements whose nodes are at positions (3, place)."""
     return [jnp.zeros(elements.triangles.shape, positions.dtype) for _ in range(3)]
 
 
@@ -196,15 +175,11 @@ def _scaled(factor: jax.Array, v: Vector) -> Vector:
     return factor * v[0], factor * v[1], factor * v[2]
 
 
-def _plus(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
 def _pulls(s: Metric, edge1: Vector, edge2: Vector) -> tuple[Vector, Vector]:
     """S^1b e_b and S^2b e_b."""
     return (
-        _plus(_scaled(s[0], edge1), _scaled(s[1], edge2)),
-        _plus(_scaled(s[1], edge1), _scaled(s[2], edge2)),
+        plus(_scaled(s[0], edge1), _scaled(s[1], edge2)),
+        plus(_scaled(s[1], edge1), _scaled(s[2], edge2)),
     )
 
 
@@ -215,7 +190,7 @@ def _weighted_stress(g: Metric, inverse: jax.Array, weight: jax.Array, material:
 
 
 def _force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
-    corners, volume = _corner_forces(load, elements, _no_corners(load.positions, elements))
+    corners, volume = corner_forces(load, elements, no_corners(load.positions, elements))
     return _nodal(corners, elements), volume
 
 
@@ -247,7 +222,7 @@ def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, j
             )
             pull2, pull3 = _pulls(_once(s), w1, w2)
             changes.append(ds)
-            normal_change = _plus(cross(w1, edge2), cross(edge1, w2))
+            normal_change = plus(cross(w1, edge2), cross(edge1, w2))
             push = _scaled(share, normal_change)
             volume = _used(area) * (dot(w0, normal) + dot(minus(first, elements.origin), normal_change))
         for thicker in more:
@@ -257,15 +232,15 @@ def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, j
         if changes:
             total = changes[0]
             for part in changes[1:]:
-                total = _plus(total, part)
+                total = plus(total, part)
             more2, more3 = _pulls(_once(total), edge1, edge2)
-            pull2, pull3 = _plus(pull2, more2), _plus(pull3, more3)
+            pull2, pull3 = plus(pull2, more2), plus(pull3, more3)
         if change.pressure is not None:
-            push = _plus(push, _scaled(_pressure_share(change.pressure, area), normal))
+            push = plus(push, _scaled(_pressure_share(change.pressure, area), normal))
         corners = [(push[k] + pull2[k] + pull3[k], push[k] - pull2[k], push[k] - pull3[k]) for k in range(3)]
         return corners, [volume]
 
-    corners, (volume,) = _over(work, elements, (load.thickness, *thickened), _no_corners(load.positions, elements))
+    corners, (volume,) = _over(work, elements, (load.thickness, *thickened), no_corners(load.positions, elements))
     return _nodal(corners, elements), volume / 6.0
 
 
@@ -298,7 +273,7 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
         if pushed is not None:
             w0, w1, w2 = edges(pushed, triangles)
             w1, w2 = _once((w1, w2))
-            total = _plus(_scaled(3.0 * jnp.ones_like(area), w0), _plus(w1, w2))
+            total = plus(_scaled(3.0 * jnp.ones_like(area), w0), plus(w1, w2))
             g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
             if moves:
                 s, ds = jax.jvp(
@@ -307,8 +282,8 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
                 (s, ds) = _once((s, ds))
                 pull1, pull2 = _pulls(ds, edge1, edge2)
                 more1, more2 = _pulls(s, w1, w2)
-                edge1_cotangent = _scaled(-jnp.ones_like(area), _plus(pull1, more1))
-                edge2_cotangent = _scaled(-jnp.ones_like(area), _plus(pull2, more2))
+                edge1_cotangent = _scaled(-jnp.ones_like(area), plus(pull1, more1))
+                edge2_cotangent = _scaled(-jnp.ones_like(area), plus(pull2, more2))
                 turn = _scaled(_pressure_share(load.pressure, area), total)
             # Minus half the change of the metric, against the derivative of the stress.
             halves = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
@@ -325,17 +300,17 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
                 sums.extend(pull(halves)[0])
         if volume is not None and moves:
             share = _used(area) * (volume / 6.0)
-            turn = _plus(turn, _scaled(share, minus(first, elements.origin)))
+            turn = plus(turn, _scaled(share, minus(first, elements.origin)))
             own = _scaled(share, normal)
         if moves:
             turn = _once(turn)
-            cotangent1 = _once(_plus(edge1_cotangent, cross(edge2, turn)))
-            cotangent2 = _once(_plus(edge2_cotangent, cross(turn, edge1)))
+            cotangent1 = _once(plus(edge1_cotangent, cross(edge2, turn)))
+            cotangent2 = _once(plus(edge2_cotangent, cross(turn, edge1)))
             own = minus(minus(own, cotangent1), cotangent2)
             arrays = [*([own[k], cotangent1[k], cotangent2[k]] for k in range(3)), *arrays]
         return arrays, sums
 
-    into = _no_corners(load.positions, elements) if moves else []
+    into = no_corners(load.positions, elements) if moves else []
     if thickens and pushed is not None:
         into = [*into, jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)]
     arrays, sums = _over(work, elements, (load.thickness,), into)

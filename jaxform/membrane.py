@@ -49,6 +49,11 @@ def minus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
+def plus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
+    """Sum of two vectors, component by component."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
 def dot(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
     """Scalar products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

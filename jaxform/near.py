@@ -7,11 +7,13 @@ node that is about to leave its ball halts the window: the next border gives it 
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from jaxform.blocks import listed
-from jaxform.membrane import dot, gather
+from jaxform.membrane import dot, gather, minus
 from jaxform.pytree import pytree
 from jaxform.search import SearchGrid
 
@@ -87,23 +89,25 @@ def _written(block: jax.Array, rows: jax.Array, count: jax.Array) -> jax.Array:
     return jax.lax.dynamic_update_slice_in_dim(rows, block, count, axis=0)
 
 
-_REACHED, _LEAVING = 1, 2
+Seen = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 
-def watch(positions: jax.Array, stuck: jax.Array, near: Near) -> tuple[jax.Array, jax.Array]:
-    """Whether any free node has gone far enough to touch a listed triangle, and whether one may soon leave its ball.
+def seen(near: Near) -> Seen:
+    """What `watch` needs of the list, node by node."""
+    return near.start, near.clear_square, near.center, near.alarm_square
+
+
+def watch(positions: Any, stuck: jax.Array, seen: Seen) -> tuple[jax.Array, jax.Array]:
+    """Which free nodes (n,) have gone far enough to touch a listed triangle, and which may soon leave their ball.
 
     Args:
-        positions: After a step (3, n_node) [m].
-        stuck: Nodes (n_node,) that do not move any more.
-        near: The window's list.
+        positions: After a step, (3, n) or three times (n,) [m].
+        stuck: Nodes (n,) that do not move any more.
+        seen: What is `seen` of the window's list at these nodes.
     """
-    way, gap = positions - near.start, positions - near.center
-    reached = jnp.where(dot(way, way) >= near.clear_square, _REACHED, 0)
-    leaving = jnp.where(dot(gap, gap) > near.alarm_square, _LEAVING, 0)
-    # One pass over the nodes for both answers.
-    found = jax.lax.reduce_or(jnp.where(stuck, 0, reached | leaving).astype(jnp.int32), axes=(0,))
-    return (found & _REACHED) != 0, (found & _LEAVING) != 0
+    start, clear_square, center, alarm_square = seen
+    way, gap = minus(positions, start), minus(positions, center)
+    return ~stuck & (dot(way, way) >= clear_square), ~stuck & (dot(gap, gap) > alarm_square)
 
 
 def left(positions: jax.Array, near: Near) -> jax.Array:

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.blocks import total
-from jaxform.force import Load, Scratch, force, force_in, scratch
-from jaxform.near import Near, left, list_near, watch
+from jaxform.blocks import over_blocks, total
+from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
+from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
@@ -63,7 +64,7 @@ class _Moving:
     contact_loss: jax.Array
     count: jax.Array
     halted: jax.Array
-    room: Scratch | None
+    room: Corners | None
 
 
 @pytree
@@ -106,48 +107,110 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     if now.near is not None and moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    load, room = Load(moving.positions, now.thickness, pressure, scene.material), moving.room
-    if room is None:
-        nodal, volume = force(load, now.packed.elements)
-    else:
-        room, nodal, volume = force_in(room, load, now.packed.elements)
-    volume = volume + now.idle_volume
-    acceleration = jnp.where(moving.stuck, 0.0, nodal * now.compliance)
-    velocities, damping_loss = _kick(moving, acceleration, kick, scene, now)
+    load = Load(moving.positions, now.thickness, pressure, scene.material)
+    taken = (_taken if moving.room is None else _taken_in_blocks)(load, moving, kick, length, scene, now)
+    volume = taken.volume + now.idle_volume
     count = moving.count + jnp.where(moving.halted, 0, 1)
     moved = dataclasses.replace(
         moving,
-        positions=moving.positions + length * velocities,
-        velocities=velocities,
+        positions=taken.positions,
+        velocities=taken.velocities,
         volume=volume,
         external_work=moving.external_work + mean_pressure * (volume - moving.volume),
-        damping_loss=damping_loss,
+        damping_loss=moving.damping_loss + taken.loss,
         count=count,
-        room=room,
+        room=taken.room,
     )
     if now.near is None:
         return moved
-    return _touch(moving, moved, scene, now, now.begin + count * now.length)
+    return _touch(moving, moved, taken, scene, now, now.begin + count * now.length)
 
 
-def _kick(
-    moving: _Moving, acceleration: jax.Array, kick: jax.Array, scene: Scene, now: _Window
-) -> tuple[jax.Array, jax.Array]:
-    """New velocities, and the damping loss so far."""
-    old = moving.velocities
-    if scene.solver.damping is None:
-        return old + kick * acceleration, moving.damping_loss
-    half = 0.5 * scene.solver.damping * kick
-    # Kept, since the positions and the loss would each work them out again.
-    new = jax.lax.optimization_barrier(((1.0 - half) * old + kick * acceleration) / (1.0 + half))
-    mean = 0.5 * (old + new)
-    loss = kick * scene.solver.damping * total(now.mass * membrane.dot(mean, mean))
-    return new, moving.damping_loss + loss
+class _Taken(NamedTuple):
+    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
+
+    With them whether a node has gone far enough to touch the mold, and whether one may soon leave its ball.
+    """
+
+    positions: jax.Array
+    velocities: jax.Array
+    volume: jax.Array
+    loss: jax.Array | float
+    reached: jax.Array | bool
+    leaving: jax.Array | bool
+    room: Corners | None
+
+
+def _taken(load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window) -> _Taken:
+    nodal, volume = force(load, now.packed.elements)
+    nodes = moving.velocities, moving.stuck, now.mass, now.compliance
+    velocities, losses = _kicked(nodal, *nodes, kick, scene.solver.damping)
+    positions = moving.positions + length * jnp.stack(velocities)
+    reached = leaving = False
+    if now.near is not None:
+        found = watch(jax.lax.stop_gradient(positions), moving.stuck, seen(now.near))
+        reached, leaving = (jnp.any(flag) for flag in found)
+    loss = total(losses) if losses is not None else 0.0
+    return _Taken(positions, jnp.stack(velocities), volume, loss, reached, leaving, None)
+
+
+def _taken_in_blocks(
+    load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window
+) -> _Taken:
+    """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
+    elements, room = now.packed.elements, moving.room
+    corners, volume = corner_forces(load, elements, room)
+    spill = spilled(corners, elements)
+    nodes = moving.stuck, now.mass, now.compliance
+    near = None if now.near is None else seen(now.near)
+
+    def work(old: Any, slots: jax.Array, spill: Any, nodes: Any, near: Any) -> Any:
+        positions, velocities = old
+        nodal = assembled(corners, slots)
+        if spill is not None:
+            nodal = [own + more for own, more in zip(nodal, spill, strict=True)]
+        velocities, losses = _kicked(nodal, velocities, *nodes, kick, scene.solver.damping)
+        new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
+        sums = [] if losses is None else [losses]
+        if near is not None:
+            sums += [flag.astype(jnp.int32) for flag in watch(new, nodes[0], near)]
+        return [new, velocities], sums
+
+    inputs, into = (elements.slots, spill, nodes, near), [moving.positions, moving.velocities]
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, update=True)
+    loss = sums.pop(0) if scene.solver.damping is not None else 0.0
+    reached, leaving = (sums[0] > 0, sums[1] > 0) if sums else (False, False)
+    return _Taken(new[0], new[1], volume, loss, reached, leaving, corners)
+
+
+def _kicked(
+    nodal: Any,
+    velocities: Any,
+    stuck: jax.Array,
+    mass: jax.Array,
+    compliance: Any,
+    kick: jax.Array,
+    damping: jax.Array | None,
+) -> tuple[tuple[jax.Array, ...], jax.Array | None]:
+    """New velocities, component by component, and the loss (n,) [J] by damping where there is any."""
+    gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
+    half = None if damping is None else 0.5 * damping * kick
+    if half is None:
+        new = tuple(old + gain for old, gain in zip(velocities, gains, strict=True))
+    else:
+        new = tuple(((1.0 - half) * old + gain) / (1.0 + half) for old, gain in zip(velocities, gains, strict=True))
+    # Kept, since the positions and the loss would each work them, and the force, out again.
+    new = jax.lax.optimization_barrier(new)
+    if damping is None:
+        return new, None
+    mean = membrane.plus(new, velocities)
+    return new, 0.25 * kick * damping * mass * membrane.dot(mean, mean)
 
 
 def _touch(
     before: _Moving,
     moved: _Moving,
+    taken: _Taken,
     scene: Scene,
     now: _Window,
     time: jax.Array,
@@ -158,9 +221,7 @@ def _touch(
     landing = contact.Landing(
         moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.wall, moved.contact_loss
     )
-    reached, leaving = watch(jax.lax.stop_gradient(moved.positions), moved.stuck, now.near)
-    if not scene.solver.skip_far:
-        reached = jnp.asarray(True)
+    reached = jnp.asarray(taken.reached) if scene.solver.skip_far else jnp.asarray(True)
     landing = land(before.positions, landing, reached, now.mass, time, now.near, scene.mold, scene.tables.grid)
     return dataclasses.replace(
         moved,
@@ -170,7 +231,7 @@ def _touch(
         contact_time=landing.contact_time,
         wall=landing.wall,
         contact_loss=landing.loss,
-        halted=moved.halted | leaving,
+        halted=moved.halted | taken.leaving,
     )
 
 
@@ -237,7 +298,7 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
         contact_loss=state.contact_loss,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
-        room=None if differentiable else scratch(positions, packed.elements),
+        room=None if differentiable else no_corners(positions, packed.elements),
     )
 
 
