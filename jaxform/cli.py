@@ -230,10 +230,14 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     import jax
 
     from jaxform.scene import STEPS_PER_WINDOW
-    from jaxform.state import initial_state
-    from jaxform.stepping import choose_step
+    from jaxform.state import body, initial_state
+    from jaxform.timestep import choose_step
 
-    step = float(jax.jit(lambda scene: choose_step(initial_state(scene), scene))(scene))
+    def first_step(scene: Scene) -> jax.Array:
+        sheet_body = body(scene)
+        return choose_step(initial_state(scene), scene, sheet_body, sheet_body.whole)[0]
+
+    step = float(jax.jit(first_step)(scene))
     parison, law = scene.parison, document.model.material.model
     yield f"{scene.name}: {len(parison.triangles)} elements, {len(parison.positions)} nodes, {law}"
     yield (

@@ -237,6 +237,7 @@ def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, j
             pull2, pull3 = plus(pull2, more2), plus(pull3, more3)
         if change.pressure is not None:
             push = plus(push, _scaled(_pressure_share(change.pressure, area), normal))
+        pull2, pull3, push = _once((pull2, pull3, push))
         corners = [(push[k] + pull2[k] + pull3[k], push[k] - pull2[k], push[k] - pull3[k]) for k in range(3)]
         return corners, [volume]
 

@@ -42,6 +42,8 @@ class State:
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
         retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
+        mode: Of the highest frequency (3, n_node); None where it is not measured.
+        rate: The square of that frequency [1/s^2]; 0 before it is measured.
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
     """
@@ -59,6 +61,8 @@ class State:
     contact_loss: jax.Array
     peak_work: jax.Array
     retries: jax.Array
+    mode: jax.Array | None
+    rate: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
@@ -111,11 +115,19 @@ def initial_state(scene: Scene) -> State:
         contact_loss=zero,
         peak_work=zero,
         retries=none,
+        mode=_any_mode(positions) if scene.solver.sharp_step else None,
+        rate=zero,
         steps=none,
         windows=none,
         shortened=none,
         status=none,
     )
+
+
+def _any_mode(positions: jax.Array) -> jax.Array:
+    """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
+    count = jnp.arange(positions.size, dtype=positions.dtype)
+    return jnp.sin(12.9898 * count + 78.233 * jnp.square(jnp.sin(count))).reshape(positions.shape)
 
 
 def finished(state: State, scene: Scene) -> jax.Array:

@@ -22,31 +22,10 @@ from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Body, State, Status, account, enclosed_volume, last_pressure
+from jaxform.timestep import choose_step
 
-_RUNGS_PER_OCTAVE = 8
 _MOST_RETRIES = 12
-_RANGE_PER_STEP = 0.1  # of the search grid's reach
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
-
-
-def choose_step(state: State, scene: Scene) -> jax.Array:
-    """The step [s] of the next window: from the ladder 2^(k/8), or what divides the rest of the time evenly.
-
-    It is piecewise constant in the design, so it carries no gradient.
-    """
-    sheet = scene.tables.sheet
-    moving = _can_move(state, scene)
-    limit = scene.solver.safety * membrane.stable_step(
-        state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, moving, scene.material
-    )
-    if scene.tables.grid is not None:
-        # No node passes more of the range of its list in one step than can be watched.
-        fastest = jnp.sqrt(jnp.max(membrane.dot(state.velocities, state.velocities)))
-        limit = jnp.minimum(limit, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
-    rung = jnp.exp2(jnp.floor(jnp.log2(limit) * _RUNGS_PER_OCTAVE) / _RUNGS_PER_OCTAVE)
-    rung = rung * jnp.exp2(-state.retries)
-    rest = (scene.solver.end_time - state.time) / STEPS_PER_WINDOW
-    return jax.lax.stop_gradient(jnp.minimum(rung, rest))
 
 
 @pytree
@@ -240,13 +219,13 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
 
     Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
-    length = choose_step(state, scene)
+    packed = _packed(state, scene, sheet_body)
+    length, mode, rate = choose_step(state, scene, sheet_body, packed)
     index = jnp.arange(STEPS_PER_WINDOW)
     times = state.time + index * length
     pressure = scene.pressure.at(times)
     before = scene.pressure.at(jnp.where(index == 0, state.time - state.step_length, times - length))
     kick = jnp.where(index == 0, 0.5 * (state.step_length + length), length)
-    packed = _packed(state, scene, sheet_body)
     moving = _begun(state, packed, differentiable)
     now = _Window(
         packed=packed,
@@ -269,7 +248,7 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving
         )
-    return _close(state, moving, scene, sheet_body, now)
+    return _close(dataclasses.replace(state, mode=mode, rate=rate), moving, scene, sheet_body, now)
 
 
 def _packed(state: State, scene: Scene, sheet_body: Body) -> Packed:
