@@ -17,7 +17,7 @@ from jaxform.scene import (
     make_solver,
     replace,
 )
-from jaxform.simulation import Moment, run, simulate
+from jaxform.simulation import Moment, run, simulate, simulate_batch
 
 __all__ = [
     "InputError",
@@ -43,5 +43,6 @@ __all__ = [
     "run",
     "shapes",
     "simulate",
+    "simulate_batch",
     "summarize",
 ]

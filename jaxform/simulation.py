@@ -1,35 +1,94 @@
-"""Loops over windows: `simulate`, which is pure and differentiable, and `run`, the host's loop of the same windows."""
+"""Loops over windows: `simulate`, which is pure and differentiable, `run`, the host's loop, and `simulate_batch`."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
 
+from jaxform.errors import InputError
 from jaxform.result import Result, Seconds, make_result
-from jaxform.scene import Scene
+from jaxform.scene import Scene, replace
 from jaxform.state import Body, State, Status, body, finished, initial_state
 from jaxform.stepping import window
 
 
-@jax.jit
-def simulate(scene: Scene) -> Result:
+@functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
+def simulate(scene: Scene, *, windows_per_checkpoint: int = 1) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
-    Differentiate through `replace`. The reverse derivative stores one state per window and works the steps inside a
-    window out again.
+    Differentiate through `replace`.
+
+    Args:
+        scene: The scene.
+        windows_per_checkpoint: What the reverse derivative stores. 1: the state at every window's border; the steps
+            of a window are worked out again. More: the state at every so many borders; windows are worked out once
+            more in between, for less memory. 0: every step, nothing is worked out again.
     """
     sheet_body = body(scene)
-    advance = jax.checkpoint(lambda state: window(state, scene, sheet_body))
+    count = scene.tables.window_count
 
-    def unless_finished(state: State, _: None) -> tuple[State, None]:
-        return jax.lax.cond(finished(state, scene), lambda state: state, advance, state), None
+    def unless_finished(state: State, _: None = None) -> tuple[State, None]:
+        take = lambda state: window(state, scene, sheet_body)  # noqa: E731
+        take = jax.checkpoint(take) if windows_per_checkpoint else take
+        return jax.lax.cond(finished(state, scene) | (state.windows >= count), lambda state: state, take, state), None
 
-    state, _ = jax.lax.scan(unless_finished, initial_state(scene), length=scene.tables.window_count)
+    def several(state: State, _: None) -> tuple[State, None]:
+        return jax.lax.scan(unless_finished, state, length=windows_per_checkpoint)
+
+    state = initial_state(scene)
+    if windows_per_checkpoint > 1:
+        groups = -(-count // windows_per_checkpoint)
+        state, _ = jax.lax.scan(jax.checkpoint(several), state, length=groups)
+    else:
+        state, _ = jax.lax.scan(unless_finished, state, length=count)
+    return make_result(_closed(state, scene), scene, sheet_body)
+
+
+def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:
+    """Simulates many designs of a scene: the results stacked, a design per row of every array.
+
+    On the CPU the designs are shared out over threads, one after another on each, which is several times faster than
+    one program for all of them; on other devices they run side by side. Not differentiable: map `simulate` for that.
+
+    Args:
+        scene: The scene.
+        changes: New values at dotted paths, as `replace` takes them, with a row for each design (n_design, ...).
+        workers: How many threads; one per core by default.
+
+    Raises:
+        InputError: If a path or a row does not fit the scene, or the numbers of rows differ.
+    """
+    rows = {path: np.asarray(values) for path, values in changes.items()}
+    counts = {path: len(values) if values.ndim else 0 for path, values in rows.items()}
+    if not rows or min(counts.values()) == 0 or len(set(counts.values())) > 1:
+        raise InputError("needs as many rows for one path as for another", "stack a row per design", "changes", counts)
+    designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(max(counts.values()))]
+    if jax.default_backend() != "cpu":
+        return _side_by_side(scene, rows)
+    whole = _whole.lower(designs[0]).compile()
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        results = list(pool.map(lambda design: jax.block_until_ready(whole(design)), designs))
+    return jax.tree.map(lambda *values: jnp.stack(values), *results)
+
+
+def _side_by_side(scene: Scene, rows: Mapping[str, ArrayLike]) -> Result:
+    return jax.jit(jax.vmap(lambda rows: _whole(replace(scene, rows))))(dict(rows))
+
+
+@jax.jit
+def _whole(scene: Scene) -> Result:
+    """A run without its host's loop."""
+    state, sheet_body = _begin(scene)
+    state, _ = _advance(state, scene, sheet_body, jnp.int32(scene.tables.window_count))
     return make_result(_closed(state, scene), scene, sheet_body)
 
 
