@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: accuracy contact pictures demo test lint lock clean environment
+.PHONY: accuracy bench contact pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -35,6 +35,10 @@ accuracy: environment
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment
 	.venv/bin/python -m benchmarks.contact
+
+# Speed beside C++, NumPy and numba, cost of gradients, what each skip saves; about ten minutes.
+bench: environment
+	.venv/bin/python -m benchmarks.bench
 
 # Removes what the other targets made, results of other runs under out/ excepted.
 clean:

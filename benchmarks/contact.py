@@ -86,7 +86,7 @@ def walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tupl
     """One step of all nodes from begin to end (3, n), as a simulation takes it: where they are, stuck, all well."""
     free = jnp.zeros(begin.shape[1], bool)
     window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), grid)
-    reached, _ = near.watch(end, free, window)
+    reached = jnp.any(near.watch(end, free, near.seen(window))[0])
     flying = contact.Landing(
         end, end - begin, free, jnp.full(free.size, -1.0), jnp.zeros(free.size, jnp.int32), jnp.asarray(0.0)
     )

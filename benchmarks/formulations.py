@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
 from jaxform import blocks, force, packing, scene
 from jaxform.materials import MooneyRivlin
-from jaxform.membrane import Vector, cross, dot, metric, stress, stress_factors
+from jaxform.membrane import Vector, cross, metric, stress, stress_factors
 
 LAW = MooneyRivlin(jnp.asarray(C), jnp.asarray(ALPHA), jnp.asarray(1.0))
 
@@ -151,7 +151,8 @@ def _own(sheet: Sheet, dtype: Any) -> Callable[[int], Any]:
     cast = lambda tree: jax.tree.map(lambda a: a.astype(dtype) if a.dtype == jnp.float64 else a, tree)  # noqa: E731
     whole = cast(packed(sheet))
     fixed = cast((whole.taken(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), LAW))
-    start, step, pressure = cast((whole.taken(jnp.asarray(sheet.positions.T)), *map(jnp.asarray, (sheet.step, PRESSURE))))
+    start = whole.taken(jnp.asarray(sheet.positions.T, dtype))
+    step, pressure = jnp.asarray(sheet.step, dtype), jnp.asarray(PRESSURE, dtype)
 
     def steps(x: jax.Array, whole: packing.Packed, fixed: Any, count: jax.Array) -> jax.Array:
         compliance, thickness, law = fixed

@@ -1,4 +1,4 @@
-"""The bare step as others would write it: a plain C++ loop, NumPy, numba. Each steps a sheet and gives its positions."""
+"""The bare step as others would write it: plain C++, NumPy, numba. Each steps a sheet and gives its positions."""
 
 from __future__ import annotations
 
@@ -99,9 +99,7 @@ def with_numba(sheet: Sheet) -> Stepper | None:
     return step
 
 
-def _loop(
-    triangles: Any, metric: Any, weight: Any, compliance: Any, x: Any, v: Any, dt: float, count: int
-) -> None:
+def _loop(triangles: Any, metric: Any, weight: Any, compliance: Any, x: Any, v: Any, dt: float, count: int) -> None:
     force = np.zeros_like(x)
     p = PRESSURE / 6
     for _ in range(count):

@@ -137,6 +137,12 @@ def finished(state: State, scene: Scene) -> jax.Array:
     return done | jnp.all(state.stuck) if scene.solver.end_early else done
 
 
+def can_move(state: State, scene: Scene) -> jax.Array:
+    """Elements (n_element,) of which a node can still move."""
+    first, second, third = (state.stuck[corner] for corner in scene.tables.sheet.triangles)
+    return ~(first & second & third)
+
+
 def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
     """Kinetic energy [J]."""
     return 0.5 * jnp.sum(mass * membrane.dot(state.velocities, state.velocities))

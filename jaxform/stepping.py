@@ -21,7 +21,7 @@ from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Body, State, Status, account, enclosed_volume, last_pressure
+from jaxform.state import Body, State, Status, account, can_move, enclosed_volume, last_pressure
 from jaxform.timestep import choose_step
 
 _MOST_RETRIES = 12
@@ -67,7 +67,7 @@ class _Window:
     compliance: jax.Array
     begin: jax.Array
     length: jax.Array
-    idle_volume: jax.Array
+    idle_volume: jax.Array | float
     near: Near | None
 
 
@@ -122,8 +122,8 @@ class _Taken(NamedTuple):
 
 def _taken(load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window) -> _Taken:
     nodal, volume = force(load, now.packed.elements)
-    nodes = moving.velocities, moving.stuck, now.mass, now.compliance
-    velocities, losses = _kicked(nodal, *nodes, kick, scene.solver.damping)
+    nodes = moving.stuck, now.mass, now.compliance
+    velocities, losses = _kicked(nodal, moving.velocities, nodes, kick, scene.solver.damping)
     positions = moving.positions + length * jnp.stack(velocities)
     reached = leaving = False
     if now.near is not None:
@@ -138,6 +138,7 @@ def _taken_in_blocks(
 ) -> _Taken:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
     elements, room = now.packed.elements, moving.room
+    assert room is not None
     corners, volume = corner_forces(load, elements, room)
     spill = spilled(corners, elements)
     nodes = moving.stuck, now.mass, now.compliance
@@ -148,7 +149,7 @@ def _taken_in_blocks(
         nodal = assembled(corners, slots)
         if spill is not None:
             nodal = [own + more for own, more in zip(nodal, spill, strict=True)]
-        velocities, losses = _kicked(nodal, velocities, *nodes, kick, scene.solver.damping)
+        velocities, losses = _kicked(nodal, velocities, nodes, kick, scene.solver.damping)
         new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
         sums = [] if losses is None else [losses]
         if near is not None:
@@ -165,21 +166,20 @@ def _taken_in_blocks(
 def _kicked(
     nodal: Any,
     velocities: Any,
-    stuck: jax.Array,
-    mass: jax.Array,
-    compliance: Any,
+    nodes: tuple[jax.Array, jax.Array, Any],
     kick: jax.Array,
     damping: jax.Array | None,
-) -> tuple[tuple[jax.Array, ...], jax.Array | None]:
-    """New velocities, component by component, and the loss (n,) [J] by damping where there is any."""
+) -> tuple[membrane.Vector, jax.Array | None]:
+    """New velocities, and the loss (n,) [J] by damping where there is any, of nodes stuck or not, mass, compliance."""
+    stuck, mass, compliance = nodes
     gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
     half = None if damping is None else 0.5 * damping * kick
     if half is None:
-        new = tuple(old + gain for old, gain in zip(velocities, gains, strict=True))
+        x, y, z = (old + gain for old, gain in zip(velocities, gains, strict=True))
     else:
-        new = tuple(((1.0 - half) * old + gain) / (1.0 + half) for old, gain in zip(velocities, gains, strict=True))
+        x, y, z = (((1.0 - half) * old + gain) / (1.0 + half) for old, gain in zip(velocities, gains, strict=True))
     # Kept, since the positions and the loss would each work them, and the force, out again.
-    new = jax.lax.optimization_barrier(new)
+    new = jax.lax.optimization_barrier((x, y, z))
     if damping is None:
         return new, None
     mean = membrane.plus(new, velocities)
@@ -254,13 +254,7 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
 def _packed(state: State, scene: Scene, sheet_body: Body) -> Packed:
     if scene.mold is None or not scene.solver.skip_stuck:
         return sheet_body.whole
-    return pack(_can_move(state, scene), scene.tables.sheet, scene.tables.assembly)
-
-
-def _can_move(state: State, scene: Scene) -> jax.Array:
-    """Elements (n_element,) of which a node can still move."""
-    first, second, third = (state.stuck[corner] for corner in scene.tables.sheet.triangles)
-    return ~(first & second & third)
+    return pack(can_move(state, scene), scene.tables.sheet, scene.tables.assembly)
 
 
 def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:

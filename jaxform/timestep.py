@@ -17,7 +17,7 @@ from jaxform.force import Load, force
 from jaxform.membrane import Vector
 from jaxform.packing import Packed
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Body, State
+from jaxform.state import Body, State, can_move
 
 _RUNGS_PER_OCTAVE = 8
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
@@ -50,8 +50,9 @@ def _limit(
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """The longest stable step [s], its mode and its squared frequency."""
     sheet = scene.tables.sheet
+    moving = can_move(state, scene)
     bound = membrane.stable_step(
-        state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, packed.kept, scene.material
+        state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, moving, scene.material
     )
     if state.mode is None:
         return bound, None, state.rate

@@ -1,0 +1,353 @@
+"""Speed: `make bench` prints every figure, writes out/bench/bench.json and pictures. On one core but for the batch.
+
+Times are the best of several runs, all of one table in one process, one after another on an otherwise idle machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxform
+from benchmarks import contact, formulations, peers, sheets
+from benchmarks.sheets import best_seconds
+from jaxform import molds, simulation, stepping
+from jaxform.materials import MooneyRivlin
+from jaxform.state import can_move
+
+SIZES = (128, 512, 2048, 8192, 32768, 131072)
+_WORK = 1_200_000  # element steps in one timing
+Table = list[dict[str, Any]]
+
+
+def one_core() -> None:
+    """Keeps this process on one core, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+
+def _per_step(run: Callable[[int], Any], elements: int) -> float:
+    """Nanoseconds per element and step."""
+    count = max(16, _WORK // elements)
+    return 1e9 * best_seconds(lambda: run(count)) / count / elements
+
+
+def show_bare(sizes: tuple[int, ...] = SIZES) -> Table:
+    """The bare step beside its peers, by size and precision."""
+    table = []
+    for size in sizes:
+        sheet = sheets.sheet(size)
+        count = len(sheet.triangles)
+        single = jnp.float32
+        runs: dict[str, Callable[[int], Any] | None] = {
+            "C++": peers.cpp(sheet),
+            "jaxform": formulations.own(sheet),
+            "C++ float32": peers.cpp(sheet, np.float32),
+            "jaxform float32": formulations.own(sheet, single),
+            "numba": peers.with_numba(sheet),
+            "NumPy": peers.with_numpy(sheet),
+        }
+        row: dict[str, Any] = {"elements": count}
+        row |= {name: None if run is None else _per_step(run, count) for name, run in runs.items()}
+        row["jaxform / C++"] = None if row["C++"] is None else row["jaxform"] / row["C++"]
+        table.append(row)
+        _say(row)
+    sizes_done = [row["elements"] for row in table if row["elements"] >= 2000]
+    if len(sizes_done) > 1:
+        first, last = (next(row for row in table if row["elements"] == n) for n in (sizes_done[0], sizes_done[-1]))
+        growth = 1 + np.log(last["jaxform"] / first["jaxform"]) / np.log(last["elements"] / first["elements"])
+        print(f"growth exponent of the time of a step from {first['elements']} to {last['elements']}: {growth:.3f}")
+    return table
+
+
+def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
+    """What each way to write the force costs."""
+    table = []
+    for size in sizes:
+        sheet = sheets.sheet(size)
+        ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
+        ways |= {f"jaxform, blocks of {block}": formulations.own(sheet, block=block) for block in (64, 128, 256, 512)}
+        for name, run in ways.items():
+            row = {"formulation": name, "elements": len(sheet.triangles)}
+            table.append(row | {"ns": _per_step(run, len(sheet.triangles))})
+            _say(table[-1])
+    return table
+
+
+def free_sheet(elements: int, steps: int, damping: float | None = None) -> jaxform.Scene:
+    """A clamped square with 8 pressure knots and no mold, that takes about so many steps."""
+    sheet = sheets.sheet(elements)
+    rim = sheet.compliance[:, 0] == 0
+    end = steps * sheet.step * 2.1
+
+    def build(end: float) -> jaxform.Scene:
+        return jaxform.build_scene(
+            parison=jaxform.make_parison(sheet.positions, sheet.triangles, sheets.THICKNESS, rim),
+            material=MooneyRivlin(jnp.asarray(sheets.C), jnp.asarray(sheets.ALPHA), jnp.asarray(1.0)),
+            pressure=jaxform.make_pressure(np.linspace(0, end, 8), np.linspace(0, 0.04, 8)),
+            solver=jaxform.make_solver(end_time=end, damping=damping),
+        )
+
+    taken = int(jaxform.run(build(end)).steps)
+    return build(end * steps / taken)
+
+
+def _loss(scene: jaxform.Scene, every: int) -> Callable[..., jax.Array]:
+    def loss(thickness: jax.Array, pressure: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {"parison.thickness": thickness, "pressure.value": pressure})
+        return jnp.mean(jnp.square(jaxform.simulate(changed, windows_per_checkpoint=every).thickness))
+
+    return loss
+
+
+def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = False) -> dict[str, Any]:
+    """Cost of value and gradient with respect to all thicknesses and pressures, and of one forward-mode column."""
+    elements = len(scene.parison.triangles)
+    result = jaxform.run(scene)
+    assert int(result.status) == 0, jaxform.explain(result)
+    unit = 1e-9 * int(result.steps) * elements
+    forward = min(_run_seconds(scene) for _ in range(3))
+    values = scene.parison.thickness, scene.pressure.value
+    begin = time.perf_counter()
+    gradient = jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))).lower(*values).compile()
+    compiled = time.perf_counter() - begin
+    memory = gradient.memory_analysis()
+    row = {
+        "elements": elements,
+        "steps": int(result.steps),
+        "windows per checkpoint": every,
+        "run": forward / unit,
+        "value and gradient": best_seconds(lambda: gradient(*values), 2) / unit,
+        "compile s": compiled,
+        "memory MB": None if memory is None else memory.temp_size_in_bytes / 1e6,
+    }
+    row["gradient / run"] = row["value and gradient"] / row["run"]
+    if forward_mode:
+        column = jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))).lower(*values).compile()
+        row["forward mode"] = best_seconds(lambda: column(*values), 2) / unit
+    return row
+
+
+def _run_seconds(scene: jaxform.Scene) -> float:
+    seconds = jaxform.run(scene).seconds
+    assert seconds is not None
+    return seconds.run
+
+
+def show_gradients(sizes: tuple[int, ...] = SIZES) -> Table:
+    """By size: ns per element and step of the run, of value and gradient, and of forward mode."""
+    table = []
+    for size in sizes:
+        table.append(gradient_cost(free_sheet(size, max(128, min(1024, 4_000_000 // size))), forward_mode=True))
+        _say(table[-1])
+    return table
+
+
+def show_memory(steps: tuple[int, ...] = (640, 2560, 10000), everything: int = 640) -> Table:
+    """By number of steps and by what is stored: time and peak memory of the gradient for 2048 elements."""
+    table = []
+    for count in steps:
+        scene = free_sheet(2048, count)
+        for every in (0, 1, 4, 16) if count <= everything else (1, 4, 16):
+            table.append(gradient_cost(scene, every))
+            _say(table[-1])
+    return table
+
+
+def skip_scenes() -> Iterator[tuple[str, jaxform.Scene]]:
+    """The dish, the box with insert and a free disc."""
+    yield "dish", jaxform.load("dish")
+    yield "box with insert", contact.box(contact.mold_of(molds.box_insert()), 2000)
+    yield "free sheet", free_sheet(2048, 2000, 1.0)
+
+
+SKIPS: dict[str, dict[str, bool]] = {
+    "all": {},
+    "no skip_stuck": {"skip_stuck": False},
+    "no skip_far": {"skip_far": False},
+    "neither": {"skip_stuck": False, "skip_far": False},
+    "no sharp_step": {"sharp_step": False},
+    "no end_early": {"end_early": False},
+}
+
+
+def without(scene: jaxform.Scene, **switches: bool) -> jaxform.Scene:
+    """The scene with some of what a window saves switched off."""
+    return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, **switches))
+
+
+def show_skips() -> Table:
+    """What every switch saves."""
+    table = []
+    for name, scene in skip_scenes():
+        scenes = {switch: without(scene, **off) for switch, off in SKIPS.items()}
+        seconds = {switch: min(_run_seconds(one) for _ in range(4)) for switch, one in scenes.items()}
+        for switch, taken in seconds.items():
+            row = {"scene": name, "switched": switch, "seconds": taken, "steps": int(jaxform.run(scenes[switch]).steps)}
+            table.append(row | {"saved": 1 - seconds["all"] / taken})
+            _say(table[-1])
+    return table
+
+
+def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
+    """Element steps of elements that can move, and steps, of a run."""
+    state, body = jax.jit(simulation._begin)(scene)
+    advance = simulation._compiled(state, scene, body)
+    count = jax.jit(lambda state: can_move(state, scene).sum())
+    moved, done = 0, False
+    while not done:
+        moving, before = int(count(state)), int(state.steps)
+        state, done = advance(state, scene, body, jnp.int32(1))
+        moved += moving * (int(state.steps) - before)
+    return moved, int(state.steps)
+
+
+def show_whole_run() -> Table:
+    """The dish's whole run against the bare step of the elements that can move; float32 beside it."""
+    sheet = sheets.sheet(2048)
+    bare = _per_step(formulations.own(sheet), len(sheet.triangles))
+    scene = jaxform.load("dish")
+    moved, steps = moving_share(scene)
+    double = jaxform.run(scene)
+    seconds = min(_run_seconds(scene) for _ in range(5))
+    with jax.enable_x64(False):
+        single_scene = jaxform.load("dish")
+        single = jaxform.run(single_scene)
+        single_seconds = min(_run_seconds(single_scene) for _ in range(5))
+    ratio = np.asarray(single.thickness, float) / np.asarray(double.thickness) - 1
+    row = {
+        "moving": moved / steps / len(scene.parison.triangles),
+        "ns per moving element and step": 1e9 * seconds / moved,
+        "bare ns": bare,
+        "run / bare": 1e9 * seconds / moved / bare,
+        "seconds": seconds,
+        "float32 seconds": single_seconds,
+        "float32 rms %": 100 * float(np.sqrt(np.mean(np.square(ratio)))),
+    }
+    _say(row)
+    return [row]
+
+
+def show_parts(window: int = 20) -> Table:
+    """Cost of the parts of a step and of a window's border on the dish [us], all elements moving."""
+    scene = jaxform.load("dish")
+    state, body = jax.jit(simulation._begin)(scene)
+    state, _ = simulation._compiled(state, scene, body)(state, scene, body, jnp.int32(window))
+    packed, grid = jax.jit(lambda state: stepping._packed(state, scene, body)), scene.tables.grid
+    assert grid is not None
+    border = {
+        "pack what can move": lambda: packed(state),
+        "choose the step": jax.jit(lambda: stepping.choose_step(state, scene, body, body.whole)),
+        "list the nodes near the mold": jax.jit(
+            lambda: stepping.list_near(state.positions, state.velocities, ~state.stuck, 64 * state.step_length, grid)
+        ),
+        "energy account": jax.jit(lambda: stepping.account(state.positions, scene, body)),
+    }
+    table: Table = [{"part": name, "us per window": 1e6 * best_seconds(run, 20)} for name, run in border.items()]
+    free = dataclasses.replace(scene, mold=None, tables=dataclasses.replace(scene.tables, grid=None))
+    undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
+    for name, one in (("with contact", scene), ("without", free), ("and without damping", undamped)):
+        table.append({"part": f"window {name}"} | _window_cost(state, one, body))
+    for row in table:
+        _say(row)
+    return table
+
+
+def _window_cost(state: Any, scene: jaxform.Scene, body: Any) -> dict[str, Any]:
+    take = jax.jit(lambda state: stepping.window(state, scene, body, differentiable=False))
+    return {"us per window": 1e6 * best_seconds(lambda: take(state), 20), "steps": int(take(state).steps - state.steps)}
+
+
+def show_batch(count: int = 16) -> Table:
+    """Designs per second, one after another on one core, and shared out over all."""
+    scene = jaxform.load("dish-coarse")
+    factors = np.linspace(0.8, 1.2, count)[:, None]
+    changes = {"parison.thickness": factors * np.asarray(scene.parison.thickness)}
+    cores = os.cpu_count() or 1
+
+    def taken(workers: int) -> float:
+        return best_seconds(lambda: jaxform.simulate_batch(scene, changes, workers=workers).positions)
+
+    seconds = {workers: taken(workers) for workers in (1, cores)}
+    table = [{"workers": n, "designs per second": count / taken} for n, taken in seconds.items()]
+    table[-1]["throughput over one"] = seconds[1] / seconds[cores]
+    for row in table:
+        _say(row)
+    return table
+
+
+def show_start() -> Table:
+    """What the command takes beside the run itself: the second run of a scene, with its programs in the cache."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "jaxform.cli", "simulate", "dish", "--out", folder, "--force", "--quiet"]
+        environment = os.environ | {"XDG_CACHE_HOME": f"{folder}-cache"}
+        table = []
+        for run in ("first", "second", "third"):
+            begin = time.perf_counter()
+            subprocess.run(command, check=True, env=environment)
+            whole = time.perf_counter() - begin
+            summary = json.loads(Path(folder, "summary.json").read_text())
+            table.append({"run": run, "seconds": whole, "overhead": whole - summary["run_seconds"]})
+            _say(table[-1])
+    return table
+
+
+def _say(row: dict[str, Any]) -> None:
+    print("  " + "  ".join(f"{key} {_words(value)}" for key, value in row.items()), flush=True)
+
+
+def _words(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "-" if value is None else str(value)
+
+
+SECTIONS: dict[str, Callable[[], Table]] = {
+    "bare": show_bare,
+    "formulations": show_formulations,
+    "gradients": show_gradients,
+    "memory": show_memory,
+    "skips": show_skips,
+    "whole run": show_whole_run,
+    "parts": show_parts,
+    "start": show_start,
+    "batch": show_batch,
+}
+
+
+def main(names: list[str]) -> None:
+    """Runs the named sections, or all, and writes what they found."""
+    jax.config.update("jax_enable_x64", True)
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
+    found: dict[str, Any] = {"machine": platform.machine(), "jax": jax.__version__}
+    for name, section in SECTIONS.items():
+        if names and name not in names:
+            continue
+        if name != "batch":
+            one_core()
+        elif cores is not None:
+            os.sched_setaffinity(0, cores)
+        print(f"{name}: {(section.__doc__ or '').splitlines()[0]}", flush=True)
+        found[name] = section()
+    folder = Path("out/bench")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "bench.json").write_text(json.dumps(found, indent=2))
+    from benchmarks.pictures import draw
+
+    draw(found, folder)
+    print(f"written to {folder}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,52 @@
+"""The benchmark's own code, in small: the peers step alike, the tables fill, the pictures are drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import bench, formulations, peers, pictures, sheets
+
+
+def test_every_formulation_and_peer_steps_alike() -> None:
+    sheet = sheets.sheet(200)
+    expected = peers.with_numpy(sheet)(20)
+    assert np.abs(expected - sheet.positions).max() > 1e-3
+    steppers = {"C++": peers.cpp(sheet), "numba": peers.with_numba(sheet)}
+    for name, step in steppers.items():
+        if step is not None:
+            np.testing.assert_allclose(step(20), expected, rtol=0, atol=1e-13, err_msg=name)
+    ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
+    ways |= {f"blocks of {block}": formulations.own(sheet, block=block) for block in (64, 128)}
+    for name, step in ways.items():
+        np.testing.assert_allclose(np.asarray(step(20)).T, expected, rtol=0, atol=1e-13, err_msg=name)
+    single = np.asarray(formulations.own(sheet, np.float32)(20)).T
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5)
+
+
+def test_the_tables_fill_and_the_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "_WORK", 2000)
+    found = {"bare": bench.show_bare((50, 128))}
+    scene = bench.free_sheet(100, 128)
+    found["gradients"] = [bench.gradient_cost(scene, forward_mode=True)]
+    found["memory"] = found["gradients"]
+    found["skips"] = [
+        {"scene": "one", "switched": "all", "seconds": 1.0},
+        {"scene": "one", "switched": "no skip_far", "seconds": 2.0},
+    ]
+    row = found["gradients"][0]
+    assert abs(row["steps"] - 128) < 40
+    assert row["value and gradient"] > row["run"] > 0
+    pictures.draw(found, tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == {"bare.png", "gradients.png", "memory.png", "skips.png"}
+
+
+def test_the_share_of_moving_elements_is_counted() -> None:
+    from tests import scenes
+
+    scene = scenes.cup()
+    moved, steps = bench.moving_share(scene)
+    assert 0.1 * steps * len(scene.parison.triangles) < moved < steps * len(scene.parison.triangles)

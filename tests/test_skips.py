@@ -1,0 +1,200 @@
+"""What a window saves changes nothing; packing, blocks, checkpoints and batches give the numbers of plain runs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from benchmarks.bench import without
+from jaxform import blocks, force, membrane, packing, shapes, simulation, timestep
+from jaxform.scene import Sheet
+from jaxform.state import body, initial_state
+from tests import scenes
+
+
+@pytest.mark.parametrize("switch", ["skip_stuck", "skip_far", "end_early"])
+def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
+    """The steps are held to the elements' bound: the power iteration's vector depends on what is packed away."""
+    scene = without(scenes.cup(), sharp_step=False)
+    on, off = jaxform.run(scene), jaxform.run(without(scene, **{switch: False}))
+    assert jaxform.explain(on) == jaxform.explain(off) == "ok"
+    if switch == "skip_stuck":
+        assert int(on.steps) == int(off.steps)
+    # Larger balls halt other windows, so that other steps are taken.
+    tolerance = 1e-12 if switch != "skip_far" else 2e-4
+    np.testing.assert_allclose(on.positions, off.positions, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(on.thickness, off.thickness, rtol=20 * tolerance)
+    np.testing.assert_allclose(on.energy.external_work, off.energy.external_work, rtol=20 * tolerance)
+    np.testing.assert_array_equal(on.stuck, off.stuck)
+
+
+def test_what_sticks_is_packed_away() -> None:
+    scene = scenes.cup()
+    state, sheet_body = simulation._begin(scene)
+    moving = np.zeros(scene.tables.sheet.area.size, bool)
+    moving[[3, 4, 40]] = True
+    packed = packing.pack(jnp.asarray(moving), scene.tables.sheet, scene.tables.assembly)
+    elements = packed.elements
+    assert int(elements.block_count) == int(elements.node_block_count) == 1
+    np.testing.assert_array_equal(packed.element[:3], [3, 4, 40])
+    assert np.all(np.asarray(elements.area[3:]) == 0)
+    kept = np.unique(np.asarray(scene.parison.triangles)[moving])
+    np.testing.assert_array_equal(np.sort(packed.node[: len(kept)]), kept)
+    np.testing.assert_array_equal(packed.put_back(packed.taken(state.positions)), state.positions)
+    # The force on the nodes of these elements is that of these elements alone.
+    random = np.random.default_rng(0).normal(0, 0.05, state.positions.shape)
+    positions = state.positions + random
+    load = force.Load(packed.taken(positions), sheet_body.thickness[packed.element], scenes.real(0.1), scene.material)
+    got, volume = force.force(load, elements)
+    whole = sheet_body.whole
+    thickness = jnp.where(jnp.asarray(moving), sheet_body.thickness, 0.0)[whole.element]
+    area = jnp.where(jnp.asarray(moving)[whole.element], whole.elements.area, 0.0)
+    full = force.Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
+    expected, all_volume = force.force(full, whole.elements._replace(area=area))
+    np.testing.assert_allclose(packed.put_back(got), whole.put_back(expected), atol=1e-15)
+    np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
+
+
+def test_a_node_of_many_elements_hands_its_surplus_to_a_list() -> None:
+    """A fan of 40 triangles around one node, beside a sheet that makes a deep table dear."""
+    sheet = shapes.rectangle(size=(1.0, 1.0), elements=900)
+    angle = np.linspace(0, 2 * np.pi, 41)[:-1]
+    rim = np.stack([np.cos(angle), np.sin(angle), np.ones(40)], axis=1)
+    hub, first = len(sheet.positions), len(sheet.positions) + 1
+    fan = np.stack([np.full(40, hub), first + np.arange(40), first + (np.arange(40) + 1) % 40], axis=1)
+    triangles = np.concatenate([sheet.triangles, fan]).astype(np.int32)
+    positions = np.concatenate([sheet.positions, [[0.0, 0.0, 1.0]], rim])
+    assembly = packing.make_assembly(triangles, len(positions))
+    assert assembly.table.shape[0] < 40
+    assert set(np.asarray(assembly.spill_node)) == {hub}
+    inverse, area = membrane.reference_metric(jnp.asarray(positions.T), jnp.asarray(triangles.T))
+    packed = packing.pack(None, Sheet(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3)), assembly)
+    moved = jnp.asarray(positions.T * 1.1 + np.random.default_rng(1).normal(0, 0.003, positions.T.shape))
+    law = scenes.mooney(0.3)
+
+    def energy(x: jax.Array) -> jax.Array:
+        return membrane.strain_energy(x, jnp.asarray(triangles.T), inverse, 0.01 * area, law)
+
+    load = force.Load(packed.taken(moved), jnp.full(packed.element.size, 0.01), scenes.real(0.0), law)
+    got = packed.put_back(force.force(load, packed.elements)[0])
+    expected = -jax.grad(energy)(moved)
+    np.testing.assert_allclose(got, expected, atol=1e-12 * float(jnp.abs(expected).max()))
+
+
+def test_without_blocks_the_force_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on devices other than the CPU, where whole arrays are worked through at once."""
+    scene = scenes.cup()
+    in_blocks = jaxform.run(scene)
+    monkeypatch.setattr(blocks.jax, "default_backend", lambda: "another")
+    jax.clear_caches()
+    whole = jaxform.run(scene)
+    monkeypatch.undo()
+    jax.clear_caches()
+    assert int(whole.steps) == int(in_blocks.steps)
+    np.testing.assert_allclose(whole.positions, in_blocks.positions, atol=1e-11)
+
+
+def test_the_measured_step_is_close_below_the_true_limit() -> None:
+    """In every window of a run, against many more iterations; and the result is that of the elements' bound."""
+    scene = scenes.free_disc(150, 2.0, scenes.mooney(0.5))
+    ratios = []
+
+    @jax.jit
+    def limit(positions: jax.Array, pressure: jax.Array) -> jax.Array:
+        sheet_body = body(scene)
+        whole = sheet_body.whole
+        load = force.Load(whole.taken(positions.T), sheet_body.thickness[whole.element], pressure, scene.material)
+        count = positions.shape[0]
+        tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
+        stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
+        root = jnp.sqrt(sheet_body.compliance).ravel()
+        matrix = root[:, None] * stiffness * root[None, :]
+        return 2.0 / jnp.sqrt(jnp.linalg.eigvalsh(0.5 * (matrix + matrix.T)).max())
+
+    before = [0.0]
+
+    def on_window(moment: jaxform.Moment) -> None:
+        now = moment.result()
+        if int(now.windows) % 8 == 1:
+            step = (float(now.time) - before[0]) / timestep.STEPS_PER_WINDOW
+            ratios.append(step / float(limit(now.positions, scene.pressure.at(now.time))))
+        before[0] = float(now.time)
+
+    sharp = jaxform.run(scene, on_window=on_window)
+    assert jaxform.explain(sharp) == "ok"
+    assert len(ratios) > 2
+    assert 0.75 < min(ratios[:-1]) <= max(ratios) < 0.95
+    plain = jaxform.run(without(scene, sharp_step=False))
+    assert int(sharp.steps) < 0.8 * int(plain.steps)
+    np.testing.assert_allclose(sharp.positions, plain.positions, atol=1e-3)
+
+
+def test_the_first_step_is_not_cold() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
+    sheet_body = body(scene)
+    sharp, mode, rate = timestep.choose_step(initial_state(scene), scene, sheet_body, sheet_body.whole)
+    assert mode is not None and float(rate) > 0
+    plain = without(scene, sharp_step=False)
+    bound, none, _ = timestep.choose_step(initial_state(plain), plain, sheet_body, sheet_body.whole)
+    assert none is None
+    assert 1.1 < float(sharp / bound) < 2.0
+
+
+@pytest.mark.parametrize("every", [0, 3])
+def test_what_is_stored_does_not_change_the_gradient(every: int) -> None:
+    scene = jaxform.replace(scenes.free_disc(60, 2.0, scenes.mooney(0.1)), {"solver.end_time": 10.0})
+
+    def wall(thickness: jax.Array, every: int) -> jax.Array:
+        result = jaxform.simulate(
+            jaxform.replace(scene, {"parison.thickness": thickness}), windows_per_checkpoint=every
+        )
+        return jnp.mean(jnp.square(result.thickness))
+
+    usual, other = (jax.jit(jax.value_and_grad(lambda h, n=n: wall(h, n)))(scene.parison.thickness) for n in (1, every))
+    np.testing.assert_allclose(other[0], usual[0], rtol=1e-12)
+    np.testing.assert_allclose(other[1], usual[1], rtol=1e-9, atol=1e-12)
+
+
+def test_a_batch_gives_the_results_of_single_runs() -> None:
+    scene = scenes.cup()
+    factors = np.array([0.8, 1.0, 1.25])
+    rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
+    rows["pressure.value"] = np.stack([np.asarray(scene.pressure.value)] * 3)
+    together = jaxform.simulate_batch(scene, rows, workers=2)
+    beside = simulation._side_by_side(scene, rows)
+    for k in range(3):
+        alone = jaxform.run(jaxform.replace(scene, {path: values[k] for path, values in rows.items()}))
+        np.testing.assert_array_equal(together.thickness[k], alone.thickness)
+        assert int(together.steps[k]) == int(alone.steps) == int(beside.steps[k])
+        np.testing.assert_allclose(beside.thickness[k], alone.thickness, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [{}, {"pressure.value": 1.0}, {"pressure.value": np.ones((2, 2)), "material.c": np.ones(3)}],
+)
+def test_a_batch_refuses_rows_that_do_not_match(rows: dict[str, np.ndarray]) -> None:
+    with pytest.raises(jaxform.InputError, match="rows"):
+        jaxform.simulate_batch(scenes.cup(), rows)
+
+
+def test_blocks_in_use_are_worked_through_and_no_others() -> None:
+    values = jnp.arange(512.0)
+    start = jnp.full((1, 512), -1.0)
+    for count in (0, 1, 3):
+        (got,), (total,) = blocks.over_blocks(lambda x: ([(2.0 * x,)], [x]), jnp.int32(count), (values,), [start])
+        used = count * blocks.BLOCK
+        np.testing.assert_array_equal(got[0, :used], 2 * values[:used])
+        assert np.all(np.asarray(got[0, used:]) == -1.0)
+        assert float(total) == float(values[:used].sum())
+
+
+def test_replaced_switches_are_static() -> None:
+    scene = scenes.cup()
+    assert dataclasses.replace(scene.solver, skip_stuck=False).skip_stuck is False
+    assert jax.tree.structure(scene) != jax.tree.structure(without(scene, skip_stuck=False))
