@@ -29,6 +29,7 @@ def over_blocks(
     inputs: Any,
     into: Sequence[jax.Array],
     *,
+    sums: int = 0,
     update: bool = False,
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Applies a function to the blocks in use, along the last axis.
@@ -40,6 +41,7 @@ def over_blocks(
         block_count: How many blocks are in use.
         inputs: Arrays (..., room), the room a whole number of blocks.
         into: Arrays (k, room) that take the rows; what is beyond the blocks in use stays as it is.
+        sums: How many vectors are summed; of the inputs' floating type.
         update: Whether the function also takes the rows of `into` as they were, as its first argument.
 
     Returns:
@@ -57,18 +59,18 @@ def over_blocks(
         return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
-        flat, sums = carry
+        flat, totals = carry
         rows, terms = apply(flat, i)
         flat = [_written(array, row, i * BLOCK) for array, row in zip(flat, rows, strict=True)]
-        return flat, [total + term for total, term in zip(sums, terms, strict=True)]
+        return flat, [total + term.astype(real) for total, term in zip(totals, terms, strict=True)]
 
     flat = [array.reshape(-1) for array in into]
-    shapes = jax.eval_shape(apply, flat, jnp.int32(0))[1]
-    zeros = [jnp.zeros(shape.shape, shape.dtype) for shape in shapes]
-    flat, sums = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
+    real = next(leaf.dtype for leaf in jax.tree.leaves((inputs, into)) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    zeros = [jnp.zeros(BLOCK, real) for _ in range(sums)]
+    flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
     # Else the whole loop would be worked out again by whoever uses it twice.
-    flat, sums = jax.lax.optimization_barrier((flat, sums))
-    return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(total) for total in sums]
+    flat, totals = jax.lax.optimization_barrier((flat, totals))
+    return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(each) for each in totals]
 
 
 def _read(flat: jax.Array, count: int, first: jax.Array) -> list[jax.Array]:

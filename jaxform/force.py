@@ -84,6 +84,14 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
     return nodal, volume
 
 
+def force_change(load: Load, elements: Elements, moved: jax.Array) -> jax.Array:
+    """Change of the nodal force (3, place) [N] as the positions change by `moved` (3, place) [m]."""
+    leaves, structure = jax.tree.flatten((load, elements))
+    smooth = len(jax.tree.leaves(load))
+    present = (True,) + (False,) * (smooth - 1)
+    return _tangent_p.bind(*leaves, moved, structure=structure, smooth=smooth, present=present)[0]
+
+
 def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
     """What each element's corners get of the force [N], and the enclosed volume [m^3]; not differentiable.
 
@@ -134,9 +142,11 @@ def _nodal(corners: Corners, elements: Elements) -> jax.Array:
     return nodal if spill is None else nodal + spill
 
 
-def _over(work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array]) -> Any:
+def _over(
+    work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array], sums: int = 1
+) -> Any:
     inputs = elements.triangles, elements.inverse_metric, elements.area, *more
-    return over_blocks(work, elements.block_count, inputs, into)
+    return over_blocks(work, elements.block_count, inputs, into, sums=sums)
 
 
 def no_corners(positions: jax.Array, elements: Elements) -> Corners:
@@ -314,7 +324,8 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
     into = no_corners(load.positions, elements) if moves else []
     if thickens and pushed is not None:
         into = [*into, jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)]
-    arrays, sums = _over(work, elements, (load.thickness,), into)
+    count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0)
+    arrays, sums = _over(work, elements, (load.thickness,), into, count)
     found: list[jax.Array | None] = [None] * len(wanted)
     if moves:
         found[0] = _nodal(arrays[:3], elements)
@@ -376,16 +387,15 @@ def _primitive(name: str, function: Callable[..., Any]) -> Primitive:
     primitive = Primitive(name)
     primitive.multiple_results = True
     primitive.def_impl(lambda *leaves, **static: jax.jit(partial(function, **static))(*leaves))
-    primitive.def_abstract_eval(lambda *leaves, **static: _abstract(function, leaves, static))
+    primitive.def_abstract_eval(lambda positions, *_, **__: _abstract(positions))
     mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=True))
     batching.primitive_batchers[primitive] = partial(_batch, function)
     return primitive
 
 
-def _abstract(function: Callable[..., Any], leaves: Any, static: dict[str, Any]) -> list[Any]:
-    shaped = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
-    results = jax.eval_shape(partial(function, **static), *shaped)
-    return [ShapedArray(result.shape, result.dtype) for result in results]
+def _abstract(positions: Any) -> list[Any]:
+    """Shapes of force and volume; known, so that the function is not traced to find them."""
+    return [ShapedArray(positions.shape, positions.dtype), ShapedArray((), positions.dtype)]
 
 
 _force_p = _primitive("membrane_force", _force_flat)

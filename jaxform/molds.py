@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform import bottle, meshes
+from jaxform import meshes
 from jaxform.errors import InputError
 from jaxform.meshes import Mesh
 
@@ -137,6 +137,8 @@ def bottle_half(
     Raises:
         InputError: The parts do not fit into each other.
     """
+    from jaxform import bottle  # needs parts of scipy that take half a second to import
+
     shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
     try:
         vertices, triangles = bottle.half(shape, element_size)

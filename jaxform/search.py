@@ -20,7 +20,7 @@ from jaxform.pytree import as_real, pytree, static
 Array = NDArray[np.float64]
 
 _MOST_CELLS = 2_000_000
-_COARSEST, _FINEST = 40, 256  # cells along the longest side of a mold
+_COARSEST, _FINEST = 32, 256  # cells along the longest side of a mold
 _FEWEST = 16  # where a coarse sheet moves far in a window
 _REACH = {"coarse": 1.5, "fine": 0.75}  # in cells; a coarse mold's lists are short and may reach further
 _CHUNK = 1_000_000  # pairs of cell and triangle looked at together, to bound the memory

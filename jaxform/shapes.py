@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import bottle, grids, meshes, topology
+from jaxform import grids, meshes, topology
 from jaxform.errors import InputError
 from jaxform.meshes import Mesh
 from jaxform.profiles import Profile
@@ -225,6 +225,8 @@ def bottle_half(
         raise InputError("is no fraction of the bottle", "give a number between 0 and 1", "parison.swell", swell)
     if not 0 < inset <= 0.3 * hole[0]:
         raise InputError("does not fit the bottle", f"use up to {0.3 * hole[0]:.4g} m", "parison.inset", inset)
+    from jaxform import bottle  # needs parts of scipy that take half a second to import
+
     shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
     try:
         positions, triangles = bottle.half(shape, element_size, swell=swell, inset=inset)

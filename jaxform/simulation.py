@@ -124,11 +124,11 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None) ->
             Without it the whole loop runs at once.
     """
     began = time.perf_counter()
-    state, sheet_body = jax.jit(_begin)(scene)
+    state, sheet_body = _begin(scene)
     take = 1 if on_window is not None else scene.tables.window_count
     advance = _compiled(state, scene, sheet_body)
     result = _make_result.lower(state, scene, sheet_body).compile()
-    compiled = time.perf_counter()
+    ready = time.perf_counter()
     left, telling = scene.tables.window_count, 0.0
     while left > 0:
         state, done = advance(state, scene, sheet_body, jnp.int32(take))
@@ -147,13 +147,14 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None) ->
     final = result(_closed(state, scene), scene, sheet_body)
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
-    seconds = Seconds(compiled - began, time.perf_counter() - compiled - telling)
+    seconds = Seconds(ready - began, time.perf_counter() - ready - telling)
     return dataclasses.replace(final, seconds=seconds)
 
 
 _make_result = jax.jit(make_result)
 
 
+@jax.jit
 def _begin(scene: Scene) -> tuple[State, Body]:
     return initial_state(scene), body(scene)
 

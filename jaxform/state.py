@@ -172,7 +172,7 @@ def account(positions: jax.Array, scene: Scene, sheet_body: Body) -> tuple[jax.A
         return [], [energy, jnp.where(area > 0.0, membrane.dot(arm, membrane.cross(edge1, edge2)), 0.0)]
 
     inputs = elements.triangles, elements.inverse_metric, elements.area, thickness
-    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [])
+    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return energy, volume / 6.0
 
 

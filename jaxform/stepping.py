@@ -153,11 +153,12 @@ def _taken_in_blocks(
         new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
         sums = [] if losses is None else [losses]
         if near is not None:
-            sums += [flag.astype(jnp.int32) for flag in watch(new, nodes[0], near)]
+            sums += watch(new, nodes[0], near)
         return [new, velocities], sums
 
     inputs, into = (elements.slots, spill, nodes, near), [moving.positions, moving.velocities]
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, update=True)
+    count = (scene.solver.damping is not None) + 2 * (near is not None)
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=True)
     loss = sums.pop(0) if scene.solver.damping is not None else 0.0
     reached, leaving = (sums[0] > 0, sums[1] > 0) if sums else (False, False)
     return _Taken(new[0], new[1], volume, loss, reached, leaving, corners)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import total
-from jaxform.force import Load, force
+from jaxform.force import Load, force_change
 from jaxform.membrane import Vector
 from jaxform.packing import Packed
 from jaxform.scene import STEPS_PER_WINDOW, Scene
@@ -72,16 +72,12 @@ def _measured(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> t
     mass = packed.taken(sheet_body.mass)
     load = Load(positions, sheet_body.thickness[packed.element], scene.pressure.at(state.time), scene.material)
 
-    def applied(mode: jax.Array) -> jax.Array:
-        forces = jax.jvp(lambda x: force(load._replace(positions=x), packed.elements)[0], (positions,), (mode,))[1]
-        return -compliance * forces
-
     def product(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
         return total(mass * membrane.dot(a, b))
 
     def iterate(_: int, found: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         mode = found[0]
-        new = applied(mode)
+        new = -compliance * force_change(load, packed.elements, mode)
         rate = product(mode, new)
         gap = new - rate * mode
         norm = jnp.sqrt(product(new, new))

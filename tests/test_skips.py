@@ -187,7 +187,9 @@ def test_blocks_in_use_are_worked_through_and_no_others() -> None:
     values = jnp.arange(512.0)
     start = jnp.full((1, 512), -1.0)
     for count in (0, 1, 3):
-        (got,), (total,) = blocks.over_blocks(lambda x: ([(2.0 * x,)], [x]), jnp.int32(count), (values,), [start])
+        (got,), (total,) = blocks.over_blocks(
+            lambda x: ([(2.0 * x,)], [x]), jnp.int32(count), (values,), [start], sums=1
+        )
         used = count * blocks.BLOCK
         np.testing.assert_array_equal(got[0, :used], 2 * values[:used])
         assert np.all(np.asarray(got[0, used:]) == -1.0)
