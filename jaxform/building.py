@@ -151,7 +151,7 @@ def _stiffest_step(bound: jax.Array, material: Material) -> jax.Array:
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
     stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
-    return 2.0 / jnp.sqrt(3.0 * stiffest * jnp.max(bound) / material.density)
+    return membrane.stable_step(stiffest * jnp.max(bound), material)
 
 
 def _warn_of_float32() -> None:

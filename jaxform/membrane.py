@@ -194,20 +194,34 @@ def tangent_stiffness(strain: Invariants, material: Material) -> jax.Array:
     return largest
 
 
-def stable_step(
-    positions: jax.Array,
+def stiffness(
+    positions: jax.Array | Vector,
     triangles: jax.Array,
     inverse_reference: jax.Array,
     bound: jax.Array,
     moving: jax.Array,
     material: Material,
 ) -> jax.Array:
-    """Safe bound on the central-difference step [s] over the elements that can still move.
+    """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
 
-    dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension; `bound` is lambda_G, `moving` (n_element,) a mask.
-    The thickness cancels between stiffness and lumped mass. Infinite where nothing can move.
+    Args:
+        positions: (3, n_node) [m].
+        triangles: (3, n_element).
+        inverse_reference: Inverse of the initial metric (3, n_element) [1/m^2].
+        bound: Lambda_G (n_element,) [1/m^2].
+        moving: Mask (n_element,).
+        material: The law.
     """
-    strain = invariants(metric(*edges(positions, triangles)[1:]), inverse_reference)
-    stiffness = tangent_stiffness(strain, material) * bound
-    largest = jnp.max(jnp.where(moving, stiffness, 0.0))
+    _, edge1, edge2 = edges(positions, triangles)
+    edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
+    strain = invariants(metric(edge1, edge2), inverse_reference)
+    return jnp.where(moving, tangent_stiffness(strain, material) * bound, 0.0)
+
+
+def stable_step(largest: jax.Array, material: Material) -> jax.Array:
+    """Safe bound on the central-difference step [s], from the largest `stiffness` of the elements.
+
+    dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension. The thickness cancels between stiffness and lumped mass.
+    Infinite where nothing can move.
+    """
     return 2.0 / jnp.sqrt(3.0 * largest / material.density)

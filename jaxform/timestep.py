@@ -8,11 +8,13 @@ iterations do.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
-from jaxform.blocks import total
+from jaxform.blocks import over_blocks, total
 from jaxform.force import Load, force_change
 from jaxform.membrane import Vector
 from jaxform.packing import Packed
@@ -21,7 +23,7 @@ from jaxform.state import Body, State, can_move
 
 _RUNGS_PER_OCTAVE = 8
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
-_COLD_ITERATIONS, _ITERATIONS = 16, 2
+_COLD_ITERATIONS, _ITERATIONS = 16, 1
 _MOST_SHARPENING = 2.0  # how far beyond the elements' bound the step may go
 
 
@@ -49,11 +51,7 @@ def _limit(
     state: State, scene: Scene, sheet_body: Body, packed: Packed
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """The longest stable step [s], its mode and its squared frequency."""
-    sheet = scene.tables.sheet
-    moving = can_move(state, scene)
-    bound = membrane.stable_step(
-        state.positions, sheet.triangles, sheet.inverse_metric, scene.tables.bound, moving, scene.material
-    )
+    bound = _bound(state, scene, packed)
     if state.mode is None:
         return bound, None, state.rate
     mode, rate, residual = _measured(state, scene, sheet_body, packed)
@@ -61,6 +59,21 @@ def _limit(
     growth = jnp.clip(rate / jnp.where(state.rate > 0.0, state.rate, rate), 1.0, 2.0)
     sharp = 2.0 / jnp.sqrt(growth * (rate + residual))
     return jnp.clip(sharp, bound, _MOST_SHARPENING * bound), mode, rate
+
+
+def _bound(state: State, scene: Scene, packed: Packed) -> jax.Array:
+    """A step [s] that is stable whatever the elements' neighbours are; in tension."""
+    positions, bounds = packed.taken(state.positions), scene.tables.bound[packed.element]
+    moving = can_move(state, scene)[packed.element]
+    x, y, z = positions
+
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array, moving: jax.Array) -> Any:
+        return [(membrane.stiffness((x, y, z), triangles, inverse, bound, moving & (area > 0.0), scene.material),)], []
+
+    elements = packed.elements
+    inputs = elements.triangles, elements.inverse_metric, elements.area, bounds, moving
+    (stiffness,), _ = over_blocks(work, elements.block_count, inputs, [jnp.zeros((1, bounds.size), bounds.dtype)])
+    return membrane.stable_step(jnp.max(stiffness), scene.material)
 
 
 def _measured(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, jax.Array, jax.Array]:
