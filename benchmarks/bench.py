@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxform
 from benchmarks import contact, formulations, peers, sheets
-from benchmarks.sheets import best_seconds
+from benchmarks.sheets import best_in_turns, best_seconds
 from jaxform import molds, simulation, stepping
 from jaxform.materials import MooneyRivlin
 from jaxform.state import can_move
@@ -39,10 +39,11 @@ def one_core() -> None:
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
 
 
-def _per_step(run: Callable[[int], Any], elements: int) -> float:
-    """Nanoseconds per element and step."""
+def _per_step(runs: dict[str, Callable[[int], Any]], elements: int) -> dict[str, float]:
+    """Nanoseconds per element and step of each, taken in turns."""
     count = max(16, _WORK // elements)
-    return 1e9 * best_seconds(lambda: run(count)) / count / elements
+    seconds = best_in_turns({name: lambda run=run: run(count) for name, run in runs.items()})
+    return {name: 1e9 * taken / count / elements for name, taken in seconds.items()}
 
 
 def show_bare(sizes: tuple[int, ...] = SIZES) -> Table:
@@ -61,7 +62,7 @@ def show_bare(sizes: tuple[int, ...] = SIZES) -> Table:
             "NumPy": peers.with_numpy(sheet),
         }
         row: dict[str, Any] = {"elements": count}
-        row |= {name: None if run is None else _per_step(run, count) for name, run in runs.items()}
+        row |= dict.fromkeys(runs) | _per_step({name: run for name, run in runs.items() if run is not None}, count)
         row["jaxform / C++"] = None if row["C++"] is None else row["jaxform"] / row["C++"]
         table.append(row)
         _say(row)
@@ -80,9 +81,10 @@ def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
         sheet = sheets.sheet(size)
         ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
         ways |= {f"jaxform, blocks of {block}": formulations.own(sheet, block=block) for block in (64, 128, 256, 512)}
-        for name, run in ways.items():
-            row = {"formulation": name, "elements": len(sheet.triangles)}
-            table.append(row | {"ns": _per_step(run, len(sheet.triangles))})
+        if (compiled := peers.cpp(sheet)) is not None:
+            ways["plain C++"] = compiled
+        for name, cost in _per_step(ways, len(sheet.triangles)).items():
+            table.append({"formulation": name, "elements": len(sheet.triangles), "ns": cost})
             _say(table[-1])
     return table
 
@@ -119,32 +121,25 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
     result = jaxform.run(scene)
     assert int(result.status) == 0, jaxform.explain(result)
     unit = 1e-9 * int(result.steps) * elements
-    forward = min(_run_seconds(scene) for _ in range(3))
     values = scene.parison.thickness, scene.pressure.value
     begin = time.perf_counter()
     gradient = jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))).lower(*values).compile()
     compiled = time.perf_counter() - begin
     memory = gradient.memory_analysis()
+    runs = {"run": _ready(scene), "value and gradient": lambda: gradient(*values)}
+    if forward_mode:
+        column = jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))).lower(*values).compile()
+        runs["forward mode"] = lambda: column(*values)
+    seconds = best_in_turns(runs, 3)
     row = {
         "elements": elements,
         "steps": int(result.steps),
         "windows per checkpoint": every,
-        "run": forward / unit,
-        "value and gradient": best_seconds(lambda: gradient(*values), 2) / unit,
         "compile s": compiled,
         "memory MB": None if memory is None else memory.temp_size_in_bytes / 1e6,
     }
-    row["gradient / run"] = row["value and gradient"] / row["run"]
-    if forward_mode:
-        column = jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))).lower(*values).compile()
-        row["forward mode"] = best_seconds(lambda: column(*values), 2) / unit
-    return row
-
-
-def _run_seconds(scene: jaxform.Scene) -> float:
-    seconds = jaxform.run(scene).seconds
-    assert seconds is not None
-    return seconds.run
+    row |= {name: taken / unit for name, taken in seconds.items()}
+    return row | {"gradient / run": seconds["value and gradient"] / seconds["run"]}
 
 
 def show_gradients(sizes: tuple[int, ...] = SIZES) -> Table:
@@ -189,12 +184,20 @@ def without(scene: jaxform.Scene, **switches: bool) -> jaxform.Scene:
     return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, **switches))
 
 
+def _ready(scene: jaxform.Scene) -> Callable[[], Any]:
+    """The whole loop of a scene's run, compiled."""
+    state, body = simulation._begin(scene)
+    advance, most = simulation._compiled(state, scene, body), jnp.int32(scene.tables.window_count)
+    return lambda: advance(state, scene, body, most)[0].positions
+
+
 def show_skips() -> Table:
     """What every switch saves."""
     table = []
     for name, scene in skip_scenes():
         scenes = {switch: without(scene, **off) for switch, off in SKIPS.items()}
-        seconds = {switch: min(_run_seconds(one) for _ in range(4)) for switch, one in scenes.items()}
+        ready = {switch: _ready(one) for switch, one in scenes.items()}
+        seconds = best_in_turns(ready, 5)
         for switch, taken in seconds.items():
             row = {"scene": name, "switched": switch, "seconds": taken, "steps": int(jaxform.run(scenes[switch]).steps)}
             table.append(row | {"saved": 1 - seconds["all"] / taken})
@@ -218,22 +221,24 @@ def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
 def show_whole_run() -> Table:
     """The dish's whole run against the bare step of the elements that can move; float32 beside it."""
     sheet = sheets.sheet(2048)
-    bare = _per_step(formulations.own(sheet), len(sheet.triangles))
+    elements, count = len(sheet.triangles), 500
+    own = formulations.own(sheet)
     scene = jaxform.load("dish")
     moved, steps = moving_share(scene)
     double = jaxform.run(scene)
-    seconds = min(_run_seconds(scene) for _ in range(5))
+    seconds = best_in_turns({"bare": lambda: own(count), "dish": _ready(scene)})
+    bare = 1e9 * seconds["bare"] / count / elements
     with jax.enable_x64(False):
         single_scene = jaxform.load("dish")
         single = jaxform.run(single_scene)
-        single_seconds = min(_run_seconds(single_scene) for _ in range(5))
+        single_seconds = best_seconds(_ready(single_scene), 7)
     ratio = np.asarray(single.thickness, float) / np.asarray(double.thickness) - 1
     row = {
         "moving": moved / steps / len(scene.parison.triangles),
-        "ns per moving element and step": 1e9 * seconds / moved,
+        "ns per moving element and step": 1e9 * seconds["dish"] / moved,
         "bare ns": bare,
-        "run / bare": 1e9 * seconds / moved / bare,
-        "seconds": seconds,
+        "run / bare": 1e9 * seconds["dish"] / moved / bare,
+        "seconds": seconds["dish"],
         "float32 seconds": single_seconds,
         "float32 rms %": 100 * float(np.sqrt(np.mean(np.square(ratio)))),
     }

@@ -60,10 +60,17 @@ def sheet(elements: int) -> Sheet:
 
 def best_seconds(run: Callable[[], Any], repeats: int = 5) -> float:
     """The shortest of a few runs [s], after one to warm up."""
-    jax.block_until_ready(run())
-    seconds = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
+    return best_in_turns({"": run}, repeats)[""]
+
+
+def best_in_turns(runs: dict[str, Callable[[], Any]], rounds: int = 7) -> dict[str, float]:
+    """The shortest of a few runs [s] of each; they take turns, so that all see the same moods of the machine."""
+    for run in runs.values():
         jax.block_until_ready(run())
-        seconds.append(time.perf_counter() - begin)
-    return min(seconds)
+    best = dict.fromkeys(runs, float("inf"))
+    for _ in range(rounds):
+        for name, run in runs.items():
+            begin = time.perf_counter()
+            jax.block_until_ready(run())
+            best[name] = min(best[name], time.perf_counter() - begin)
+    return best
