@@ -23,7 +23,7 @@ import numpy as np
 
 import jaxform
 from benchmarks import contact, formulations, peers, sheets
-from benchmarks.sheets import best_in_turns, best_seconds
+from benchmarks.sheets import best_in_turns, best_seconds, whole_loop
 from jaxform import molds, simulation, stepping
 from jaxform.materials import MooneyRivlin
 from jaxform.state import can_move
@@ -126,7 +126,7 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
     gradient = jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))).lower(*values).compile()
     compiled = time.perf_counter() - begin
     memory = gradient.memory_analysis()
-    runs = {"run": _ready(scene), "value and gradient": lambda: gradient(*values)}
+    runs = {"run": whole_loop(scene), "value and gradient": lambda: gradient(*values)}
     if forward_mode:
         column = jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))).lower(*values).compile()
         runs["forward mode"] = lambda: column(*values)
@@ -184,19 +184,12 @@ def without(scene: jaxform.Scene, **switches: bool) -> jaxform.Scene:
     return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, **switches))
 
 
-def _ready(scene: jaxform.Scene) -> Callable[[], Any]:
-    """The whole loop of a scene's run, compiled."""
-    state, body = simulation._begin(scene)
-    advance, most = simulation._compiled(state, scene, body), jnp.int32(scene.tables.window_count)
-    return lambda: advance(state, scene, body, most)[0].positions
-
-
 def show_skips() -> Table:
     """What every switch saves."""
     table = []
     for name, scene in skip_scenes():
         scenes = {switch: without(scene, **off) for switch, off in SKIPS.items()}
-        ready = {switch: _ready(one) for switch, one in scenes.items()}
+        ready = {switch: whole_loop(one) for switch, one in scenes.items()}
         seconds = best_in_turns(ready, 5)
         for switch, taken in seconds.items():
             row = {"scene": name, "switched": switch, "seconds": taken, "steps": int(jaxform.run(scenes[switch]).steps)}
@@ -207,7 +200,7 @@ def show_skips() -> Table:
 
 def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
-    state, body = jax.jit(simulation._begin)(scene)
+    state, body = simulation._begin(scene)
     advance = simulation._compiled(state, scene, body)
     count = jax.jit(lambda state: can_move(state, scene).sum())
     moved, done = 0, False
@@ -226,12 +219,12 @@ def show_whole_run() -> Table:
     scene = jaxform.load("dish")
     moved, steps = moving_share(scene)
     double = jaxform.run(scene)
-    seconds = best_in_turns({"bare": lambda: own(count), "dish": _ready(scene)})
+    seconds = best_in_turns({"bare": lambda: own(count), "dish": whole_loop(scene)})
     bare = 1e9 * seconds["bare"] / count / elements
     with jax.enable_x64(False):
         single_scene = jaxform.load("dish")
         single = jaxform.run(single_scene)
-        single_seconds = best_seconds(_ready(single_scene), 7)
+        single_seconds = best_seconds(whole_loop(single_scene), 7)
     ratio = np.asarray(single.thickness, float) / np.asarray(double.thickness) - 1
     row = {
         "moving": moved / steps / len(scene.parison.triangles),
@@ -249,7 +242,7 @@ def show_whole_run() -> Table:
 def show_parts(window: int = 20) -> Table:
     """Cost of the parts of a step and of a window's border on the dish [us], all elements moving."""
     scene = jaxform.load("dish")
-    state, body = jax.jit(simulation._begin)(scene)
+    state, body = simulation._begin(scene)
     state, _ = simulation._compiled(state, scene, body)(state, scene, body, jnp.int32(window))
     packed, grid = jax.jit(lambda state: stepping._packed(state, scene, body)), scene.tables.grid
     assert grid is not None

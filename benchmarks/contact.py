@@ -17,7 +17,8 @@ import numpy as np
 import trimesh
 
 import jaxform
-from jaxform import contact, molds, near, shapes, simulation
+from benchmarks.sheets import best_in_turns, whole_loop
+from jaxform import contact, molds, near, shapes
 from jaxform.mold import Mold
 from jaxform.result import penetrated
 from jaxform.scene import Scene
@@ -36,7 +37,7 @@ def mold_of(shape: molds.MoldShape) -> Mold:
     return jaxform.make_mold(shape.vertices, shape.triangles)
 
 
-def library_mold(mesh: trimesh.Trimesh) -> Mold:
+def mold_from_mesh(mesh: trimesh.Trimesh) -> Mold:
     """A mesh of the mesh library as a mold."""
     return jaxform.make_mold(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
@@ -49,9 +50,9 @@ MOLDS: dict[str, Callable[[], Mold]] = {
             profile=[[0, 1], [0.3, 1], [0.31, 0.6], [0.4, 0.6], [0.41, 1.0], [0.9, 1.0], [1.0, 0.0]], segments=40
         )
     ),
-    "icosphere": lambda: library_mold(trimesh.creation.icosphere(subdivisions=3)),
-    "annulus": lambda: library_mold(trimesh.creation.annulus(r_min=0.3, r_max=1.0, height=0.2, sections=250)),
-    "torus": lambda: library_mold(trimesh.creation.torus(1.0, 0.3, major_sections=400, minor_sections=250)),
+    "icosphere": lambda: mold_from_mesh(trimesh.creation.icosphere(subdivisions=3)),
+    "annulus": lambda: mold_from_mesh(trimesh.creation.annulus(r_min=0.3, r_max=1.0, height=0.2, sections=250)),
+    "torus": lambda: mold_from_mesh(trimesh.creation.torus(1.0, 0.3, major_sections=400, minor_sections=250)),
 }
 
 
@@ -184,18 +185,9 @@ def box(mold: Mold | None, elements: int = 300) -> Scene:
 
 def step_times(scenes: dict[str, Scene], rounds: int = 7) -> dict[str, float]:
     """Microseconds per step of whole runs, compiled, the best of so many rounds; the scenes take turns."""
-    ready = {}
-    for name, scene in scenes.items():
-        state, body = jax.jit(simulation._begin)(scene)
-        ready[name] = simulation._compiled(state, scene, body), state, scene, body
-    best = dict.fromkeys(scenes, np.inf)
-    for _ in range(rounds):
-        for name, (advance, state, scene, body) in ready.items():
-            began = time.perf_counter()
-            end, _ = advance(state, scene, body, np.int32(10**6))
-            seconds = time.perf_counter() - began if end.steps.block_until_ready() > 0 else 0.0
-            best[name] = min(best[name], 1e6 * seconds / int(end.steps))
-    return best
+    loops = {name: whole_loop(scene) for name, scene in scenes.items()}
+    seconds = best_in_turns(loops, rounds)
+    return {name: 1e6 * seconds[name] / int(loop().steps) for name, loop in loops.items()}
 
 
 def show_costs() -> None:

@@ -7,8 +7,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
+
+from jaxform import simulation
+from jaxform.scene import Scene
+from jaxform.state import State
 
 Array = NDArray[np.floating]
 
@@ -74,3 +79,10 @@ def best_in_turns(runs: dict[str, Callable[[], Any]], rounds: int = 7) -> dict[s
             jax.block_until_ready(run())
             best[name] = min(best[name], time.perf_counter() - begin)
     return best
+
+
+def whole_loop(scene: Scene) -> Callable[[], State]:
+    """The whole loop of a scene's run, compiled; it gives the last state."""
+    state, body = simulation._begin(scene)
+    advance, most = simulation._compiled(state, scene, body), jnp.int32(scene.tables.window_count)
+    return lambda: advance(state, scene, body, most)[0]

@@ -85,25 +85,21 @@ def _prepare(arguments: argparse.Namespace) -> Callable[..., None]:
     return (lambda *_: None) if arguments.quiet else print
 
 
-def _cache_folder() -> Path | None:
-    """Where compiled programs are kept between runs, in the user's cache; None where that cannot be written."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR") or Path(base) / "jaxform" / "compiled")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return folder
-
-
 def _use_compile_cache() -> None:
+    """Keeps compiled programs between runs in the user's cache folder; does without where that cannot be written."""
     import jax
 
-    folder = _cache_folder()
-    if folder is not None:
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        folder = Path(base) / "jaxform" / "compiled"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            return
         jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    # Many small programs together take longer than one large one.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
 def _open_folder(folder: Path, force: bool) -> None:

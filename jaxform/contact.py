@@ -62,6 +62,8 @@ def land(
     near: Near,
     mold: Mold,
     grid: SearchGrid,
+    *,
+    differentiable: bool = True,
 ) -> Landing:
     """Puts the nodes that crossed the mold in this step where they met it; they stay there.
 
@@ -74,6 +76,7 @@ def land(
         near: The window's list.
         mold: The mold.
         grid: Its search structure.
+        differentiable: Whether derivatives can be taken.
     """
     touch = touch_distance(grid)
 
@@ -82,33 +85,12 @@ def land(
         return _landed(before, landing, mass, time, mold, chosen)
 
     paths = jax.lax.stop_gradient((before, landing.positions))
-    met = jax.lax.cond(reached, lambda: _any_meets(*paths, landing.stuck, near, touch), lambda: jnp.asarray(False))
-    return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
-
-
-def land_in_place(
-    before: jax.Array,
-    landing: Landing,
-    reached: jax.Array,
-    mass: jax.Array,
-    time: jax.Array,
-    near: Near,
-    mold: Mold,
-    grid: SearchGrid,
-) -> Landing:
-    """The same as `land` without a derivative: a loop that is entered when something lands, since it copies nothing."""
-    touch = touch_distance(grid)
-
-    def more(carry: tuple[jax.Array, Landing]) -> jax.Array:
-        return carry[0]
-
-    def pull(carry: tuple[jax.Array, Landing]) -> tuple[jax.Array, Landing]:
-        landing = carry[1]
-        chosen = _first_met(before, landing.positions, landing.stuck, near, touch)
-        return jnp.asarray(False), _landed(before, landing, mass, time, mold, chosen)
-
-    met = _any_meets(before, landing.positions, landing.stuck, near, touch, ~reached)
-    return jax.lax.while_loop(more, pull, (met, landing))[1]
+    met = _any_meets(*paths, landing.stuck, reached, near, touch)
+    if differentiable:
+        return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
+    # A loop that is entered once, when something lands: other than a branch it copies nothing.
+    again = lambda carry: (jnp.asarray(False), pull(before, carry[1], mass, mold))  # noqa: E731
+    return jax.lax.while_loop(lambda carry: carry[0], again, (met, landing))[1]
 
 
 def _block(
@@ -126,18 +108,13 @@ def _block(
 
 
 def _any_meets(
-    before: jax.Array,
-    after: jax.Array,
-    stuck: jax.Array,
-    near: Near,
-    touch: jax.Array,
-    none: jax.Array | bool = False,
+    before: jax.Array, after: jax.Array, stuck: jax.Array, reached: jax.Array, near: Near, touch: jax.Array
 ) -> jax.Array:
     """Whether any listed pair meets in this step; looks no further than the first block where one does.
 
-    It is not looked at all where `none` is known to meet.
+    It does not look at all where no node has `reached` far enough to touch.
     """
-    count = jnp.where(none, 0, near.count)
+    count = jnp.where(reached, near.count, 0)
 
     def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
         return (carry[0] < count) & ~carry[1]

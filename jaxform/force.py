@@ -24,7 +24,7 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxform.blocks import over_blocks
 from jaxform.materials import Material
-from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, stress, stress_factors
+from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, rows_of, stress, stress_factors
 
 
 class Elements(NamedTuple):
@@ -97,7 +97,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
 
     It is written `into` room from `no_corners`: carried from step to step, it is neither cleared nor copied.
     """
-    rows = _rows(load.positions)
+    rows = rows_of(load.positions)
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
         first, edge1, edge2, normal = _geometry(rows, triangles)
@@ -107,9 +107,8 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         s = _once(stress(g, inverse, factors))
         push = _scaled(_pressure_share(load.pressure, area), normal)
         pull2, pull3 = _pulls(s, edge1, edge2)
-        corners = [(push[k] + pull2[k] + pull3[k], push[k] - pull2[k], push[k] - pull3[k]) for k in range(3)]
         arm = minus(first, elements.origin)
-        return corners, [_used(area) * dot(arm, normal)]
+        return _shares(push, pull2, pull3), [_used(area) * dot(arm, normal)]
 
     corners, (volume,) = _over(work, elements, (load.thickness,), into)
     return corners, volume / 6.0
@@ -154,12 +153,6 @@ def no_corners(positions: jax.Array, elements: Elements) -> Corners:
     return [jnp.zeros(elements.triangles.shape, positions.dtype) for _ in range(3)]
 
 
-def _rows(positions: jax.Array) -> Vector:
-    """Taken apart once, outside the loop over the blocks."""
-    x, y, z = positions
-    return x, y, z
-
-
 def _once[T](values: T) -> T:
     """Values that are worked out once and kept, for all their uses."""
     return jax.lax.optimization_barrier(values)
@@ -181,8 +174,13 @@ def _pressure_share(pressure: jax.Array, area: jax.Array) -> jax.Array:
     return jnp.where(area > 0.0, pressure / 6.0, 0.0)
 
 
-def _scaled(factor: jax.Array, v: Vector) -> Vector:
+def _scaled(factor: jax.Array | float, v: Vector) -> Vector:
     return factor * v[0], factor * v[1], factor * v[2]
+
+
+def _shares(push: Vector, pull2: Vector, pull3: Vector) -> list[Vector]:
+    """What the three corners get, component by component."""
+    return [(p + a + b, p - a, p - b) for p, a, b in zip(push, pull2, pull3, strict=True)]
 
 
 def _pulls(s: Metric, edge1: Vector, edge2: Vector) -> tuple[Vector, Vector]:
@@ -210,8 +208,8 @@ def _metric_change(edge1: Vector, edge2: Vector, w1: Vector, w2: Vector) -> Metr
 
 def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, jax.Array]:
     """Derivative of `_force` along `change`, linear in it; a missing part of `change` is None."""
-    rows = _rows(load.positions)
-    moved = None if change.positions is None else _rows(change.positions)
+    rows = rows_of(load.positions)
+    moved = None if change.positions is None else rows_of(change.positions)
     thickened = () if change.thickness is None else (change.thickness,)
     parameters, structure = jax.tree.flatten(load.material)
     varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
@@ -248,8 +246,7 @@ def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, j
         if change.pressure is not None:
             push = plus(push, _scaled(_pressure_share(change.pressure, area), normal))
         pull2, pull3, push = _once((pull2, pull3, push))
-        corners = [(push[k] + pull2[k] + pull3[k], push[k] - pull2[k], push[k] - pull3[k]) for k in range(3)]
-        return corners, [volume]
+        return _shares(push, pull2, pull3), [volume]
 
     corners, (volume,) = _over(work, elements, (load.thickness, *thickened), no_corners(load.positions, elements))
     return _nodal(corners, elements), volume / 6.0
@@ -269,8 +266,8 @@ def _along_parameter(
 
 def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
     """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
-    rows = _rows(load.positions)
-    pushed = None if nodal is None else _rows(nodal)
+    rows = rows_of(load.positions)
+    pushed = None if nodal is None else rows_of(nodal)
     parameters, structure = jax.tree.flatten(load.material)
     moves, thickens, presses = wanted[:3]
     varies = any(wanted[3:]) and pushed is not None
@@ -284,7 +281,7 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
         if pushed is not None:
             w0, w1, w2 = edges(pushed, triangles)
             w1, w2 = _once((w1, w2))
-            total = plus(_scaled(3.0 * jnp.ones_like(area), w0), plus(w1, w2))
+            total = plus(_scaled(3.0, w0), plus(w1, w2))
             g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
             if moves:
                 s, ds = jax.jvp(
@@ -293,8 +290,8 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
                 (s, ds) = _once((s, ds))
                 pull1, pull2 = _pulls(ds, edge1, edge2)
                 more1, more2 = _pulls(s, w1, w2)
-                edge1_cotangent = _scaled(-jnp.ones_like(area), plus(pull1, more1))
-                edge2_cotangent = _scaled(-jnp.ones_like(area), plus(pull2, more2))
+                edge1_cotangent = _scaled(-1.0, plus(pull1, more1))
+                edge2_cotangent = _scaled(-1.0, plus(pull2, more2))
                 turn = _scaled(_pressure_share(load.pressure, area), total)
             # Minus half the change of the metric, against the derivative of the stress.
             halves = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])

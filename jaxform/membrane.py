@@ -44,6 +44,12 @@ def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, 
     return first, minus(corner(triangles[1]), first), minus(corner(triangles[2]), first)
 
 
+def rows_of(positions: jax.Array) -> Vector:
+    """The rows of (3, n), taken apart once: for loops over blocks, which would do it again for each."""
+    x, y, z = positions
+    return x, y, z
+
+
 def minus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
     """Difference of two vectors, component by component."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]

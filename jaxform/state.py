@@ -159,12 +159,12 @@ def account(positions: jax.Array, scene: Scene, sheet_body: Body) -> tuple[jax.A
     """Strain energy [J] and enclosed volume [m^3] of nodes (3, n_node) [m], in one pass; not differentiable."""
     elements = sheet_body.whole.elements
     thickness = sheet_body.thickness[sheet_body.whole.element]
-    x, y, z = positions
+    rows = membrane.rows_of(positions)
 
     def work(
         triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array
     ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
-        first, edge1, edge2 = membrane.edges((x, y, z), triangles)
+        first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
         strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
         energy = area * thickness * scene.material.energy(strain.i1, strain.i2)

@@ -197,12 +197,21 @@ def _touch(
 ) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None and now.near is not None
-    land = contact.land if moved.room is None else contact.land_in_place
     landing = contact.Landing(
         moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.wall, moved.contact_loss
     )
     reached = jnp.asarray(taken.reached) if scene.solver.skip_far else jnp.asarray(True)
-    landing = land(before.positions, landing, reached, now.mass, time, now.near, scene.mold, scene.tables.grid)
+    landing = contact.land(
+        before.positions,
+        landing,
+        reached,
+        now.mass,
+        time,
+        now.near,
+        scene.mold,
+        scene.tables.grid,
+        differentiable=moved.room is None,
+    )
     return dataclasses.replace(
         moved,
         positions=landing.positions,

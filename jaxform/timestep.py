@@ -63,12 +63,11 @@ def _limit(
 
 def _bound(state: State, scene: Scene, packed: Packed) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension."""
-    positions, bounds = packed.taken(state.positions), scene.tables.bound[packed.element]
+    rows, bounds = membrane.rows_of(packed.taken(state.positions)), scene.tables.bound[packed.element]
     moving = can_move(state, scene)[packed.element]
-    x, y, z = positions
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array, moving: jax.Array) -> Any:
-        return [(membrane.stiffness((x, y, z), triangles, inverse, bound, moving & (area > 0.0), scene.material),)], []
+        return [(membrane.stiffness(rows, triangles, inverse, bound, moving & (area > 0.0), scene.material),)], []
 
     elements = packed.elements
     inputs = elements.triangles, elements.inverse_metric, elements.area, bounds, moving

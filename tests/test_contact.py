@@ -60,7 +60,7 @@ def _tangled() -> Mold:
 _MOLDS = {
     "mixed": _mixed,
     "tangled": _tangled,
-    "fine torus": lambda: figures.library_mold(
+    "fine torus": lambda: figures.mold_from_mesh(
         trimesh.creation.torus(1.0, 0.3, major_sections=200, minor_sections=100)
     ),
     **{name: figures.MOLDS[name] for name in ("box-insert", "bottle-half", "ribs", "icosphere")},
