@@ -18,6 +18,7 @@ from jaxform.penetration import first_crossing
 from jaxform.pytree import as_real
 from jaxform.scene import DESIGNABLE, STEPS_PER_WINDOW, Parison, Pressure, Scene, Sheet, Solver, Tables, require
 from jaxform.search import SearchGrid, build_grid
+from jaxform.store import Store
 
 _MOST_STEPS = 20_000_000
 
@@ -30,8 +31,18 @@ def build_scene(
     solver: Solver,
     mold: Mold | None = None,
     name: str = "scene",
+    store: Store | None = None,
 ) -> Scene:
     """Builds a scene: validates it and does all host work.
+
+    Args:
+        parison: The sheet.
+        material: Its law.
+        pressure: The pressure history.
+        solver: Options of the time integration.
+        mold: The mold; None for free inflation.
+        name: What the scene is called.
+        store: Where the mold's search structure is kept between runs; nowhere by default.
 
     Raises:
         InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
@@ -41,7 +52,7 @@ def build_scene(
     _check_material(material)
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
-    grid = None if mold is None else _search_grid(mold, positions, triangles)
+    grid = None if mold is None else _search_grid(mold, positions, triangles, store)
     if mold is not None and grid is not None:
         _check_start(positions, triangles, mold, grid)
     sheet = _reference_sheet(parison)
@@ -120,11 +131,11 @@ def _reference_sheet(parison: Parison) -> Sheet:
     return Sheet(triangles, inverse, area, as_real(origin))
 
 
-def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray) -> SearchGrid:
+def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:
     """Made for nodes that move a quarter of an element's side within a window: a tenth of the speed of sound."""
     corners = positions[triangles]
     side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
-    return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side)
+    return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side, store)
 
 
 def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: SearchGrid | None) -> int:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from jaxform.files import SceneDocument
     from jaxform.result import Result
     from jaxform.scene import Scene
+    from jaxform.store import Store
 
 DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 
@@ -72,30 +73,39 @@ def _scenes(_: argparse.Namespace) -> int:
     return DONE
 
 
-def _prepare(arguments: argparse.Namespace) -> Callable[..., None]:
-    """Sets the precision and the compile cache; returns what prints for people."""
+def _prepare(arguments: argparse.Namespace) -> tuple[Callable[..., None], Store]:
+    """Sets the precision and what is kept between runs; returns what prints for people, and the store."""
     import warnings
 
     import jax
 
+    from jaxform.store import Store
+
     # Asked for on the command line, so the reminder that Python users get is not needed.
     warnings.filterwarnings("ignore", message="jaxform computes in float32")
     jax.config.update("jax_enable_x64", arguments.dtype == "float64")
-    _use_compile_cache()
-    return (lambda *_: None) if arguments.quiet else print
+    folder = _cache_folder()
+    if folder is not None:
+        _use_compile_cache(folder / "compiled")
+    store = Store(None if folder is None else folder / "made")
+    return (lambda *_: None) if arguments.quiet else print, store
 
 
-def _use_compile_cache() -> None:
-    """Keeps compiled programs between runs in the user's cache folder; does without where that cannot be written."""
+def _cache_folder() -> Path | None:
+    """In the user's cache folder; None where that cannot be written."""
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxform"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder
+
+
+def _use_compile_cache(folder: Path) -> None:
+    """Keeps compiled programs between runs, in a folder or where the environment says."""
     import jax
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        folder = Path(base) / "jaxform" / "compiled"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            return
         jax.config.update("jax_compilation_cache_dir", str(folder))
     # Many small programs together take longer than one large one.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -139,23 +149,43 @@ def _progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] |
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    say = _prepare(arguments)
+    say, store = _prepare(arguments)
     from jaxform import files
     from jaxform.output import Frames
 
     document = files.read_scene(arguments.source)
     reference = files.read_reference(document)
-    scene = files.build(document)
+    scene = files.build(document, store)
     _open_folder(arguments.out, arguments.force)
     frames = Frames(arguments.out, document.model.output.frames)
-    result = _run(scene, frames, not arguments.quiet)
+    with _meanwhile(_draw_nothing):
+        result = _run(scene, frames, not arguments.quiet, store)
     summary = _write_part(arguments.out, scene, result, reference)
     frames.finish(scene, result)
     _tell(say, summary, arguments.out)
     return _exit_status(result)
 
 
-def _run(scene: Scene, frames: Any, show: bool) -> Result:
+def _draw_nothing() -> None:
+    from jaxform import plots
+
+    plots.warm_up()
+
+
+@contextlib.contextmanager
+def _meanwhile(work: Callable[[], object]) -> Iterator[None]:
+    """Does something on another thread; most of a run needs none of Python's time."""
+    import threading
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+
+
+def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
     """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed."""
     from jaxform.simulation import Moment, run
 
@@ -174,7 +204,7 @@ def _run(scene: Scene, frames: Any, show: bool) -> Result:
             return interrupted
 
         watched = bar is not None or frames.count > 0
-        return run(scene, on_window=on_window if watched else None)
+        return run(scene, on_window=on_window if watched else None, store=store)
 
 
 def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> dict[str, Any]:
@@ -215,12 +245,12 @@ def _tell(say: Callable[..., None], summary: dict[str, Any], folder: Path) -> No
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    say = _prepare(arguments)
+    say, store = _prepare(arguments)
     from jaxform import files
 
     document = files.read_scene(arguments.source)
     files.read_reference(document)
-    scene = files.build(document)
+    scene = files.build(document, store)
     for line in _plan(document, scene):
         say(line)
     return DONE
@@ -259,11 +289,11 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
 
 
 def _optimize(arguments: argparse.Namespace) -> int:
-    say = _prepare(arguments)
+    say, store = _prepare(arguments)
     import optimize
     from jaxform import files, plots
 
-    study = optimize.load_study(arguments.source)
+    study = optimize.load_study(arguments.source, store)
     reference = files.read_reference(study.document)
     folder: Path = arguments.out
     _open_folder(folder, arguments.force)

@@ -22,6 +22,7 @@ from jaxform.mold import Mold, make_mold
 from jaxform.profiles import Profile
 from jaxform.pytree import as_real
 from jaxform.scene import Parison, Scene, make_parison, make_pressure, make_solver
+from jaxform.store import Store
 from jaxform.validation import validate
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
@@ -106,8 +107,12 @@ def read_study(name_or_path: str | Path) -> StudyDocument:
     return StudyDocument(source.file, folder, source.data, model, scene)
 
 
-def build(document: SceneDocument) -> Scene:
+def build(document: SceneDocument, store: Store | None = None) -> Scene:
     """The scene of a document; host work.
+
+    Args:
+        document: The scene.
+        store: Where expensive host work is kept between runs; nowhere by default.
 
     Raises:
         InputError: A mesh cannot be read or simulated, or values do not fit together.
@@ -122,6 +127,7 @@ def build(document: SceneDocument) -> Scene:
             solver=make_solver(end_time=solver.end_time, damping=solver.damping, safety=solver.safety),
             mold=_mold(document),
             name=document.name,
+            store=store,
         )
 
 

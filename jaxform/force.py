@@ -25,9 +25,11 @@ from jax.interpreters import ad, batching, mlir
 from jaxform.blocks import over_blocks
 from jaxform.materials import Material
 from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, rows_of, stress, stress_factors
+from jaxform.pytree import pytree
 
 
-class Elements(NamedTuple):
+@pytree
+class Elements:
     """The elements that the force is worked out for; no derivative is taken with respect to them.
 
     Arrays over elements have room for whole blocks; beyond the elements in use they hold others of area 0.

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 _DIVISIONS = 6  # of an element's sides
 _TIE = 1e-9  # of the mold's size: triangles as near as that are equally near
+_AT_FIRST = 8  # pieces of triangles that are looked for near a point
 _CHUNK = 200_000  # pairs of point and triangle looked at together
 
 
@@ -42,12 +43,13 @@ def penetration(positions: Array, triangles: NDArray[np.integer], wall: NDArray[
         mold: The mold.
     """
     walls = _Walls(mold, wall)
-    share = _lattice(_DIVISIONS)
     corners = positions[triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
-    points = np.einsum("pc,tck->tpk", share, corners).reshape(-1, 3)
-    depth = np.maximum(-walls.heights(np.concatenate([positions, points]), longest), 0.0)
-    of_nodes, of_points = np.split(depth, [len(positions)])
+    suspect = walls.behind_some(corners, longest)
+    nodes = np.unique(triangles[suspect])
+    points = np.einsum("pc,tck->tpk", _lattice(_DIVISIONS), corners[suspect]).reshape(-1, 3)
+    depth = np.maximum(-walls.heights(np.concatenate([positions[nodes], points]), longest), 0.0)
+    of_nodes, of_points = np.split(depth, [len(nodes)])
     place = points[np.argmax(of_points)] if len(points) else np.zeros(3)
     return Penetration(float(of_nodes.max(initial=0.0)), float(of_points.max(initial=0.0)), place)
 
@@ -75,13 +77,28 @@ class _Walls:
         self.open_side = np.isin(side @ [len(mold.vertices), 1], key)
         self.open_corner = np.isin(triangles, open_edge)
 
+    def behind_some(self, corners: Array, farthest: float) -> NDArray[np.bool_]:
+        """Which elements with these corners (n, 3, 3) [m] are partly behind the plane of some triangle near them.
+
+        No other can be through the mold: an element that is before the planes of all that may be nearest to its
+        points, as everywhere in a hollow, is before the mold.
+        """
+        middle = corners.mean(1)
+        extent = np.linalg.norm(corners - middle[:, None], axis=2).max(1)
+        element, triangle = self._pairs(middle, extent, farthest)
+        away = corners[element] - self.corners[triangle, :1]
+        height = np.einsum("pck,pk->pc", away, self.normal[triangle]).min(1)
+        found = np.zeros(len(corners), bool)
+        found[element[height < -_TIE * self.size]] = True
+        return found
+
     def heights(self, points: Array, farthest: float) -> Array:
         """Distance (n,) [m] of points (n, 3) from the mold, negative on its far side.
 
         Zero where it is more than `farthest`, where nothing is known of the sides, or where the nearest place is on
         the rim of an open mold, beyond which there is no wall.
         """
-        point, triangle = self._pairs(points, farthest)
+        point, triangle = self._pairs(points, np.zeros(len(points)), farthest)
         if not len(point):
             return np.zeros(len(points))
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
@@ -98,19 +115,25 @@ class _Walls:
         rim[point[tied & at_rim]] = True
         return np.where(rim | (nearest > farthest), 0.0, result)
 
-    def _pairs(self, points: Array, farthest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Points and the triangles that may be nearest to them."""
+    def _pairs(self, points: Array, extent: Array, farthest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Points and the triangles that may be nearest to them, or to what is within an extent (n,) [m] of them."""
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
         pieces, owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / 200))
         middle = pieces.mean(1)
         radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
         tree = KDTree(middle)
-        reach = tree.query(points, distance_upper_bound=farthest + radius)[0] + radius
-        near = np.flatnonzero(np.isfinite(reach))
-        lists = tree.query_ball_point(points[near], reach[near])
-        point = np.repeat(near, [len(found) for found in lists])
-        triangle = owner[np.concatenate([np.zeros(0, int), *map(np.asarray, lists)]).astype(int)]
-        key = np.unique(point * len(self.corners) + triangle)
+        nearest = tree.query(points)[0]
+        near = np.flatnonzero(nearest <= farthest + extent + radius)
+        reach = nearest + 2 * extent + radius * (1 + _TIE)
+        keys, wanted = [near[:0]], _AT_FIRST
+        while len(near):
+            # So many of the nearest at once; the few points with more of them in reach are asked again.
+            away, piece = tree.query(points[near], k=wanted, distance_upper_bound=reach[near].max())
+            within = away <= reach[near, None]
+            key = near[:, None] * len(self.corners) + owner[np.where(within, piece, 0)]
+            keys.append(np.unique(key[within]))
+            near, wanted = near[within[:, -1] & (wanted < len(pieces))], 4 * wanted
+        key = np.unique(np.concatenate(keys))
         return key // len(self.corners), key % len(self.corners)
 
     def _examine(self, points: Array, triangle: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:

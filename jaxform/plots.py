@@ -100,6 +100,11 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     _save(figure, path)
 
 
+def warm_up() -> None:
+    """Imports and sets up what a picture needs, half of what a first one takes."""
+    _figure(1, 1, "").add_axes((0, 0, 1, 1), projection="3d")
+
+
 def _figure(width: float, height: float, title: str) -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

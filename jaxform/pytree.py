@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 from dataclasses import dataclass, field
 from typing import Any, dataclass_transform
 
 import jax
 import jax.numpy as jnp
+from jax import export
 from numpy.typing import ArrayLike
 
 
@@ -18,7 +20,15 @@ def static(**kwargs: Any) -> Any:
 @dataclass_transform(frozen_default=True, field_specifiers=(field, static))
 def pytree[T](cls: type[T]) -> type[T]:
     """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`."""
-    return jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
+    made = jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
+    # So that traced programs that take or give it can be kept in files; choices are numbers, texts and tuples of them.
+    export.register_pytree_node_serialization(
+        made,
+        serialized_name=f"{cls.__module__}.{cls.__qualname__}",
+        serialize_auxdata=lambda choices: repr(choices).encode(),
+        deserialize_auxdata=lambda text: ast.literal_eval(text.decode()),
+    )
+    return made
 
 
 def as_real(value: ArrayLike) -> jax.Array:

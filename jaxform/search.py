@@ -7,15 +7,15 @@ dismissed by one look-up, and a near one is compared with the few triangles of i
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from jaxform.pytree import as_real, pytree, static
+from jaxform.store import Store
 
 Array = NDArray[np.float64]
 
@@ -72,34 +72,49 @@ class _Frame(NamedTuple):
     shape: NDArray[np.int64]
 
 
-def build_grid(vertices: Array, triangles: NDArray[np.integer], travel: float = 0.0) -> SearchGrid:
+def build_grid(
+    vertices: Array, triangles: NDArray[np.integer], travel: float = 0.0, store: Store | None = None
+) -> SearchGrid:
     """The search structure of a mold.
 
     Args:
         vertices: (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
         travel: How far the sheet's nodes may well move within a window [m]; a coarse mold's grid is made for it.
+        store: Where the cells' lists are kept between runs; nowhere by default.
     """
     corners = np.asarray(vertices, float)[np.asarray(triangles)]
     frame = _frame(corners, travel)
     number = _along_a_curve(corners.mean(1), frame)
     corners = corners[number]
-    cell, triangle, distance, far = _near_pairs(corners, frame)
-    cells = np.arange(int(np.prod(frame.shape)))
+    place = np.array([*frame.corner, frame.width, frame.reach])
+    lists = (store or Store()).arrays("grid", (corners, place, frame.shape), lambda: _lists(corners, frame))
     return SearchGrid(
         corner=as_real(frame.corner),
         width=as_real(frame.width),
         reach=as_real(frame.reach),
         size=as_real(np.ptp(corners, axis=(0, 1)).max()),
-        bound=as_real(_distance_bound(cell, distance, frame)),
-        start=jnp.asarray(np.searchsorted(cell, np.append(cells, len(cells))), jnp.int32),
-        middle=jnp.asarray(np.searchsorted(2 * cell + far, 2 * cells + 1), jnp.int32),
-        listed=jnp.asarray(triangle, jnp.int32),
+        bound=as_real(lists["bound"]),
+        start=jnp.asarray(lists["start"]),
+        middle=jnp.asarray(lists["middle"]),
+        listed=jnp.asarray(lists["listed"]),
         number=jnp.asarray(number, jnp.int32),
         outlines=as_real(np.hstack([_spheres(corners), _planes(corners)])),
         frames=as_real(_frames(corners)),
         shape=(int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])),
     )
+
+
+def _lists(corners: Array, frame: _Frame) -> dict[str, NDArray[Any]]:
+    """What a grid's cells hold: `bound`, `start`, `middle` and `listed`."""
+    cell, triangle, distance, far = _near_pairs(corners, frame)
+    cells = np.arange(int(np.prod(frame.shape)))
+    return {
+        "bound": _distance_bound(cell, distance, frame),
+        "start": np.searchsorted(cell, np.append(cells, len(cells))).astype(np.int32),
+        "middle": np.searchsorted(2 * cell + far, 2 * cells + 1).astype(np.int32),
+        "listed": triangle.astype(np.int32),
+    }
 
 
 def _frame(corners: Array, travel: float) -> _Frame:
@@ -232,6 +247,8 @@ def _stencil_pairs(
 
 def _distance_bound(cell: NDArray[np.int64], distance: Array, frame: _Frame) -> Array:
     """Near the mold from the listed triangles, elsewhere from the distance between cells."""
+    from scipy import ndimage  # not needed where the lists are kept
+
     half_diagonal = _HALF_DIAGONAL * frame.width * (1 + _SLACK)
     nearest = np.full(int(np.prod(frame.shape)), np.inf)
     begin = np.flatnonzero(np.diff(cell, prepend=-1))

@@ -19,6 +19,7 @@ from jaxform.result import Result, Seconds, make_result
 from jaxform.scene import Scene, replace
 from jaxform.state import Body, State, Status, body, finished, initial_state
 from jaxform.stepping import window
+from jaxform.store import Store
 
 
 @functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
@@ -115,19 +116,21 @@ class Moment:
     result: Callable[[], Result]
 
 
-def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None) -> Result:
+def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, store: Store | None = None) -> Result:
     """Simulates a scene by the host's loop of the same windows; same numbers as `simulate`, no derivative.
 
     Args:
         scene: The scene.
         on_window: Called after every window with a `Moment`; a true answer stops the run, and its status says so.
             Without it the whole loop runs at once.
+        store: Where traced programs are kept between runs; nowhere by default.
     """
     began = time.perf_counter()
-    state, sheet_body = _begin(scene)
+    store = store or Store()
+    state, sheet_body = store.program(_begin, scene)(scene)
     take = 1 if on_window is not None else scene.tables.window_count
-    advance = _compiled(state, scene, sheet_body)
-    result = _make_result.lower(state, scene, sheet_body).compile()
+    advance = _compiled(state, scene, sheet_body, store)
+    result = store.program(_make_result, state, scene, sheet_body)
     ready = time.perf_counter()
     left, telling = scene.tables.window_count, 0.0
     while left > 0:
@@ -173,8 +176,10 @@ def _advance(state: State, scene: Scene, sheet_body: Body, most: jax.Array) -> t
     return state, finished(state, scene)
 
 
-def _compiled(state: State, scene: Scene, sheet_body: Body) -> Callable[..., tuple[State, jax.Array]]:
-    return _advance.lower(state, scene, sheet_body, jnp.int32(1)).compile()
+def _compiled(
+    state: State, scene: Scene, sheet_body: Body, store: Store | None = None
+) -> Callable[..., tuple[State, jax.Array]]:
+    return (store or Store()).program(_advance, state, scene, sheet_body, jnp.int32(1))
 
 
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:

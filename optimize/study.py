@@ -12,19 +12,24 @@ import numpy as np
 from jaxform import Scene, fields, files, schema
 from jaxform.errors import InputError
 from jaxform.profiles import Profile
+from jaxform.store import Store
 from optimize.objectives import Target
 from optimize.solvers import COLUMNS, Study
 from optimize.variables import PressureKnots, ThicknessProfile, Variable
 
 
-def load_study(name_or_path: str | Path) -> Study:
+def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
     """A study, built from a built-in name or a TOML file, with its scene.
+
+    Args:
+        name_or_path: The study.
+        store: Where expensive host work is kept between runs; nowhere by default.
 
     Raises:
         InputError: There is no such study or scene, or something in one of them is wrong.
     """
     document = files.read_study(name_or_path)
-    scene = files.build(document.scene)
+    scene = files.build(document.scene, store)
     solver = document.model.solver
     options = {
         name: getattr(solver, name)

@@ -64,7 +64,7 @@ iterations = 2
 def _own_cache() -> Iterator[None]:
     """The command keeps compiled programs; the tests keep theirs to themselves."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "_use_compile_cache", lambda: None)
+        patch.setattr(cli, "_cache_folder", lambda: None)
         yield
 
 

@@ -55,7 +55,7 @@ def test_what_sticks_is_packed_away() -> None:
     thickness = jnp.where(jnp.asarray(moving), sheet_body.thickness, 0.0)[whole.element]
     area = jnp.where(jnp.asarray(moving)[whole.element], whole.elements.area, 0.0)
     full = force.Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
-    expected, all_volume = force.force(full, whole.elements._replace(area=area))
+    expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area))
     np.testing.assert_allclose(packed.put_back(got), whole.put_back(expected), atol=1e-15)
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 

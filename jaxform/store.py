@@ -1,0 +1,128 @@
+"""What is expensive to make and the same every time, kept in files between runs: search grids and traced programs.
+
+The command line keeps one in the user's cache folder, beside JAX's own compiled programs. Names of files are digests
+of everything the content depends on, this package's source included, so that nothing in it can be out of date; what
+cannot be read or written is made anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+Arrays = Mapping[str, np.ndarray]
+_MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
+
+
+class Store:
+    """A folder of things kept; without a folder nothing is.
+
+    Attributes:
+        folder: Where; made when the first thing is written.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder
+
+    def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
+        """Named arrays.
+
+        Args:
+            name: What they are, in a word.
+            key: What they depend on: arrays, numbers, texts.
+            make: Makes them where they are not kept.
+        """
+        path = self._path(name, key)
+        if path is None:
+            return make()
+        with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            with np.load(path, allow_pickle=False) as kept:
+                found = {key: kept[key] for key in kept.files}
+            os.utime(path)
+            return found
+        arrays = make()
+        self._write(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
+        return arrays
+
+    def program(self, function: Any, *arguments: Any) -> Callable[..., Any]:
+        """A function compiled for arguments like these; where it is kept, it need not be traced.
+
+        Args:
+            function: Jitted; it depends on its arguments only.
+            arguments: Pytrees of arrays; the structure, shapes and types count, not the values.
+        """
+        leaves, tree = jax.tree.flatten(arguments)
+        kinds = [(np.shape(leaf), str(leaf.dtype)) for leaf in leaves]
+        path = self._path(function.__name__, (str(tree), str(kinds), jax.default_backend()))
+        if path is None:
+            return function.lower(*arguments).compile()
+        return _compiled(self._exported(path, function, arguments), arguments)
+
+    def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:
+        from jax import export
+
+        # A file that is damaged can fail in many ways, and each means the same.
+        with contextlib.suppress(Exception):
+            kept = export.deserialize(bytearray(path.read_bytes()))
+            os.utime(path)
+            return kept
+        made = export.export(function)(*arguments)
+        self._write(path, lambda file: file.write(made.serialize()))
+        return made
+
+    def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
+        if self.folder is None:
+            return None
+        digest = hashlib.sha256(_origin())
+        for part in key:
+            if isinstance(part, np.ndarray):
+                digest.update(f"{part.dtype}{part.shape}".encode())
+                digest.update(np.ascontiguousarray(part).tobytes())
+            else:
+                digest.update(repr(part).encode())
+        return self.folder / f"{name.strip('_')}-{digest.hexdigest()[:32]}"
+
+    def _write(self, path: Path, write: Callable[[Any], object]) -> None:
+        """All or nothing, since another run may read at any moment."""
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+                try:
+                    write(file)
+                except BaseException:
+                    Path(file.name).unlink()
+                    raise
+            Path(file.name).replace(path)
+            self._trim()
+
+    def _trim(self) -> None:
+        assert self.folder is not None
+        files = sorted(((file.stat(), file) for file in self.folder.iterdir()), key=lambda pair: -pair[0].st_mtime)
+        used = 0
+        for status, file in files:
+            used += status.st_size
+            if used > _MOST_BYTES:
+                file.unlink(missing_ok=True)
+
+
+def _compiled(exported: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+    return jax.jit(exported.call).lower(*arguments).compile()
+
+
+@functools.cache
+def _origin() -> bytes:
+    """A digest of what makes the things: this package's source, JAX, the precision."""
+    digest = hashlib.sha256(f"{jax.__version__} {jax.config.jax_enable_x64}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.digest()

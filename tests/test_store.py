@@ -1,0 +1,86 @@
+"""What is kept between runs is the same as what is made, and nothing that is wrong with the files does harm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import files, store
+from jaxform.simulation import run
+from jaxform.store import Store
+from tests.scenes import cup
+
+
+def _same(one: object, other: object) -> bool:
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def test_kept_programs_and_grids_give_the_same_run(tmp_path: Path) -> None:
+    kept = Store(tmp_path)
+    document = files.read_scene("dish")
+    first, again = files.build(document, kept), files.build(document, kept)
+    assert _same(first, jaxform.load("dish")) and _same(first, again)
+    assert len(list(tmp_path.iterdir())) == 1  # the grid
+    scene = cup(60, 2.0)
+    plain = jax.tree.leaves(run(scene))
+    names = set()
+    for _ in range(2):
+        result = run(scene, store=kept)
+        assert _same(jax.tree.leaves(result)[:-2], plain[:-2])  # but for the seconds
+        assert type(result) is jaxform.Result
+        now = set(tmp_path.iterdir())
+        assert not names or now == names
+        names = now
+    assert len(names) > 1
+
+
+@pytest.mark.parametrize("content", [b"", b"not a file of ours"])
+def test_a_damaged_file_is_made_anew(tmp_path: Path, content: bytes) -> None:
+    kept, made = Store(tmp_path), []
+
+    def make() -> dict[str, np.ndarray]:
+        made.append(1)
+        return {"x": np.arange(3)}
+
+    @jax.jit
+    def double(x: jax.Array) -> jax.Array:
+        return 2 * x
+
+    for _ in range(2):
+        kept.arrays("numbers", (1, "a"), make)
+        kept.program(double, jnp.ones(2))
+    assert len(made) == 1
+    for file in tmp_path.iterdir():
+        file.write_bytes(content)
+    assert np.array_equal(kept.arrays("numbers", (1, "a"), make)["x"], np.arange(3))
+    assert len(made) == 2
+    assert kept.program(double, jnp.ones(2))(jnp.ones(2)).tolist() == [2, 2]
+
+
+def test_what_differs_is_kept_apart(tmp_path: Path) -> None:
+    kept = Store(tmp_path)
+    for value in (1.0, 2.0):
+        kept.arrays("numbers", (np.array([value]),), lambda value=value: {"x": np.array(value)})
+    assert len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(TypeError):  # other shapes need another program
+        kept.program(jax.jit(lambda x: x), jnp.ones(2))(jnp.ones(3))
+
+
+def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    kept = Store(tmp_path / "file" / "folder")
+    assert kept.arrays("numbers", (), lambda: {"x": np.arange(2)})["x"].tolist() == [0, 1]
+
+
+def test_the_folder_does_not_grow_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "_MOST_BYTES", 10_000)
+    kept = Store(tmp_path)
+    for key in range(12):
+        kept.arrays("numbers", (key,), lambda: {"x": np.zeros(200)})
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
