@@ -91,7 +91,7 @@ def walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tupl
     flying = contact.Landing(
         end, end - begin, free, jnp.full(free.size, -1.0), jnp.zeros(free.size, jnp.int32), jnp.asarray(0.0)
     )
-    landed = contact.land(begin, flying, reached, jnp.ones(free.size), jnp.asarray(1.0), window, wall, grid)
+    landed = contact.land(flying, jnp.asarray(1.0), reached, jnp.ones(free.size), jnp.asarray(1.0), window, wall, grid)
     return landed.positions, landed.stuck, ~(window.overflow | near.left(end, window))
 
 

@@ -54,8 +54,8 @@ class Landing(NamedTuple):
 
 
 def land(
-    before: jax.Array,
     landing: Landing,
+    length: jax.Array,
     reached: jax.Array,
     mass: jax.Array,
     time: jax.Array,
@@ -68,8 +68,9 @@ def land(
     """Puts the nodes that crossed the mold in this step where they met it; they stay there.
 
     Args:
-        before: Positions (3, n_node) [m] before the step.
         landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
+        length: Of the step [s]: before it, a node was that long at its velocity away. Kept nowhere, the positions
+            before need not be copied.
         reached: Whether any node is far enough from the border's position to touch.
         mass: (n_node,) [kg].
         time: At the end of the step [s].
@@ -80,21 +81,34 @@ def land(
     """
     touch = touch_distance(grid)
 
-    def pull(before: jax.Array, landing: Landing, mass: jax.Array, mold: Mold) -> Landing:
-        chosen = _first_met(*jax.lax.stop_gradient((before, landing.positions)), landing.stuck, near, touch)
-        return _landed(before, landing, mass, time, mold, chosen)
+    def pull(landing: Landing, length: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
+        paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, length))
+        return _landed(landing, length, mass, time, mold, _first_met(paths, landing.stuck, near, touch))
 
-    paths = jax.lax.stop_gradient((before, landing.positions))
-    met = _any_meets(*paths, landing.stuck, reached, near, touch)
+    paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, length))
+    met = _any_meets(paths, landing.stuck, reached, near, touch)
     if differentiable:
-        return jax.lax.cond(met, jax.checkpoint(pull), lambda _, landing, *__: landing, before, landing, mass, mold)
+        return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, length, mass, mold)
     # A loop that is entered once, when something lands: other than a branch it copies nothing.
-    again = lambda carry: (jnp.asarray(False), pull(before, carry[1], mass, mold))  # noqa: E731
+    again = lambda carry: (jnp.asarray(False), pull(carry[1], length, mass, mold))  # noqa: E731
     return jax.lax.while_loop(lambda carry: carry[0], again, (met, landing))[1]
 
 
+class _Paths(NamedTuple):
+    """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s]."""
+
+    after: jax.Array
+    velocities: jax.Array
+    length: jax.Array
+
+    def ends(self, node: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Begin and end (3, n) [m] of nodes' (n,) paths."""
+        after = gather(self.after, node)
+        return after - self.length * gather(self.velocities, node), after
+
+
 def _block(
-    first: jax.Array, before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array
+    first: jax.Array, paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of the pairs from `first` on."""
 
@@ -102,14 +116,12 @@ def _block(
         return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
 
     node = cut(near.node)
-    beta, meets = _meet(gather(before, node), gather(after, node), cut(near.planes).T, touch)
+    beta, meets = _meet(*paths.ends(node), cut(near.planes).T, touch)
     used = first + jnp.arange(TEST_BLOCK) < near.count
     return node, cut(near.triangle), beta, meets & used & ~stuck[node]
 
 
-def _any_meets(
-    before: jax.Array, after: jax.Array, stuck: jax.Array, reached: jax.Array, near: Near, touch: jax.Array
-) -> jax.Array:
+def _any_meets(paths: _Paths, stuck: jax.Array, reached: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
     """Whether any listed pair meets in this step; looks no further than the first block where one does.
 
     It does not look at all where no node has `reached` far enough to touch.
@@ -120,17 +132,17 @@ def _any_meets(
         return (carry[0] < count) & ~carry[1]
 
     def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return carry[0] + TEST_BLOCK, jnp.any(_block(carry[0], before, after, stuck, near, touch)[3])
+        return carry[0] + TEST_BLOCK, jnp.any(_block(carry[0], paths, stuck, near, touch)[3])
 
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
 
-def _first_met(before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
+def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
     """The triangle (n_node,) that each node meets first in this step, -1 where none.
 
     Of two that are met at once the one with the higher number counts, every time.
     """
-    none = jnp.full(stuck.size, jnp.inf, before.dtype), jnp.full(stuck.size, -1, jnp.int32)
+    none = jnp.full(stuck.size, jnp.inf, paths.after.dtype), jnp.full(stuck.size, -1, jnp.int32)
 
     def more(carry: tuple[jax.Array, tuple[jax.Array, jax.Array]]) -> jax.Array:
         return carry[0] < near.count
@@ -139,7 +151,7 @@ def _first_met(before: jax.Array, after: jax.Array, stuck: jax.Array, near: Near
         carry: tuple[jax.Array, tuple[jax.Array, jax.Array]],
     ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         first, found = carry
-        block = _block(first, before, after, stuck, near, touch)
+        block = _block(first, paths, stuck, near, touch)
         return first + TEST_BLOCK, _taken_up(found, jax.lax.optimization_barrier(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1][1]
@@ -175,10 +187,10 @@ def _taken_up(
 
 
 def _landed(
-    before: jax.Array, landing: Landing, mass: jax.Array, time: jax.Array, mold: Mold, chosen: jax.Array
+    landing: Landing, length: jax.Array, mass: jax.Array, time: jax.Array, mold: Mold, chosen: jax.Array
 ) -> Landing:
     """The landing on the chosen triangles (n_node,); differentiable."""
-    lands = chosen >= 0
+    lands, before = chosen >= 0, landing.positions - length * landing.velocities
     point, fall = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)

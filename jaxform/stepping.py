@@ -102,7 +102,7 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     )
     if now.near is None:
         return moved
-    return _touch(moving, moved, taken, scene, now, now.begin + count * now.length)
+    return _touch(moved, taken, length, scene, now)
 
 
 class _Taken(NamedTuple):
@@ -187,30 +187,17 @@ def _kicked(
     return new, 0.25 * kick * damping * mass * membrane.dot(mean, mean)
 
 
-def _touch(
-    before: _Moving,
-    moved: _Moving,
-    taken: _Taken,
-    scene: Scene,
-    now: _Window,
-    time: jax.Array,
-) -> _Moving:
+def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: _Window) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None and now.near is not None
     landing = contact.Landing(
         moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.wall, moved.contact_loss
     )
     reached = jnp.asarray(taken.reached) if scene.solver.skip_far else jnp.asarray(True)
+    time = now.begin + moved.count * now.length
+    differentiable = moved.room is None
     landing = contact.land(
-        before.positions,
-        landing,
-        reached,
-        now.mass,
-        time,
-        now.near,
-        scene.mold,
-        scene.tables.grid,
-        differentiable=moved.room is None,
+        landing, length, reached, now.mass, time, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
     )
     return dataclasses.replace(
         moved,
