@@ -75,7 +75,7 @@ def disc_errors(
 
 def mean_stretch(scene: Scene, result: Result) -> float:
     """Square root of formed over initial area."""
-    return float(np.sqrt(formed_areas(result, scene).sum() / np.asarray(scene.tables.sheet.area).sum()))
+    return float(np.sqrt(formed_areas(result).sum() / np.asarray(scene.tables.sheet.area).sum()))
 
 
 def static_sphere_error(elements: int, a02: float, stretch: float) -> float:
@@ -130,7 +130,7 @@ def variation(scene: Scene, result: Result, reference: Mapping[str, np.ndarray])
     """Coefficient of variation of the wall over the formed part, the corner left out."""
     places = sections.initial_radius(scene)[np.asarray(scene.parison.triangles)].mean(1)
     away = away_from_corner(places, reference)
-    wall, area = np.asarray(result.element_thickness)[away], formed_areas(result, scene)[away]
+    wall, area = np.asarray(result.element_thickness)[away], formed_areas(result)[away]
     mean = np.average(wall, weights=area)
     return float(np.sqrt(np.average(np.square(wall - mean), weights=area)) / mean)
 

@@ -202,7 +202,7 @@ def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
     state, body = simulation._begin(scene)
     advance = simulation._compiled(state, scene, body)
-    count = jax.jit(lambda state: can_move(state, scene).sum())
+    count = jax.jit(lambda state: can_move(state, scene.tables.sheet).sum())
     moved, done = 0, False
     while not done:
         moving, before = int(count(state)), int(state.steps)

@@ -9,18 +9,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform import membrane
+from jaxform import bisection, membrane, topology
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.packing import make_assembly
 from jaxform.penetration import first_crossing
 from jaxform.pytree import as_real
-from jaxform.scene import DESIGNABLE, STEPS_PER_WINDOW, Parison, Pressure, Scene, Sheet, Solver, Tables, require
+from jaxform.scene import (
+    DESIGNABLE,
+    STEPS_PER_WINDOW,
+    Forest,
+    Parison,
+    Pressure,
+    Refinement,
+    Scene,
+    Sheet,
+    Solver,
+    Tables,
+    make_parison,
+    require,
+)
 from jaxform.search import SearchGrid, build_grid
 from jaxform.store import Store
 
 _MOST_STEPS = 20_000_000
+_BEND = 10.0  # degrees, from which two triangles of the mold make a bend
 
 
 def build_scene(
@@ -30,6 +44,8 @@ def build_scene(
     pressure: Pressure,
     solver: Solver,
     mold: Mold | None = None,
+    refinement: Refinement | None = None,
+    forest: bisection.Forest | None = None,
     name: str = "scene",
     store: Store | None = None,
 ) -> Scene:
@@ -41,6 +57,9 @@ def build_scene(
         pressure: The pressure history.
         solver: Options of the time integration.
         mold: The mold; None for free inflation.
+        refinement: Where the mesh becomes finer; None where it stays as it is.
+        forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
+            have the mean thickness of their edges' ends.
         name: What the scene is called.
         store: Where the mold's search structure is kept between runs; nowhere by default.
 
@@ -50,6 +69,8 @@ def build_scene(
     """
     _warn_of_float32()
     _check_material(material)
+    if refinement is not None and forest is None:
+        forest, parison = _planted(parison, refinement)
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
     grid = None if mold is None else _search_grid(mold, positions, triangles, store)
@@ -58,12 +79,17 @@ def build_scene(
     sheet = _reference_sheet(parison)
     bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
+    mobility, grown = as_real(~held.T), None
+    if refinement is not None and forest is not None:
+        grown = _grown(forest, refinement, sheet, mobility, mold, grid)
+        bound = grown.bound
     tables = Tables(
         sheet=sheet,
         assembly=make_assembly(triangles, len(positions)),
         bound=bound,
-        mobility=as_real(~held.T),
+        mobility=mobility,
         grid=grid,
+        forest=grown,
         window_count=_window_count(bound, material, solver, grid),
     )
     return Scene(
@@ -72,6 +98,7 @@ def build_scene(
         pressure=pressure,
         solver=solver,
         mold=mold,
+        refinement=refinement,
         tables=tables,
         name=name,
     )
@@ -129,6 +156,84 @@ def _reference_sheet(parison: Parison) -> Sheet:
     places = np.asarray(parison.positions)
     origin = [places[on_plane[:, k], k].mean() if on_plane[:, k].any() else 0.0 for k in range(3)]
     return Sheet(triangles, inverse, area, as_real(origin))
+
+
+def _planted(parison: Parison, refinement: Refinement) -> tuple[bisection.Forest, Parison]:
+    """The forest of a parison's mesh, and the parison with all its nodes."""
+    forest = bisection.build_forest(
+        np.asarray(parison.positions, float),
+        np.asarray(parison.triangles),
+        bisection.even_depth(refinement.deepest),
+        clamped=np.asarray(parison.clamped),
+        fixed=np.asarray(parison.fixed),
+    )
+    return forest, grown_parison(forest, bisection.extended(np.asarray(parison.thickness, float), forest))
+
+
+def grown_parison(forest: bisection.Forest, thickness: np.ndarray | float) -> Parison:
+    """The parison of a forest, with all its nodes, from their thickness [m]."""
+    triangles = forest.triangles[: forest.root_count]
+    return make_parison(forest.positions, triangles, thickness, forest.clamped, forest.fixed)
+
+
+def _grown(
+    forest: bisection.Forest,
+    refinement: Refinement,
+    sheet: Sheet,
+    mobility: jax.Array,
+    mold: Mold | None,
+    grid: SearchGrid | None,
+) -> Forest:
+    """The forest as the program needs it."""
+    triangles = jnp.asarray(forest.triangles.T)
+    inverse, area = membrane.reference_metric(as_real(forest.positions.T), triangles)
+    owner = np.zeros(len(forest.positions), np.int32)
+    inner = np.flatnonzero(forest.middle >= 0)[::-1]
+    owner[forest.middle[inner]] = inner
+    first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
+    # A cut through two triangles brings one node, a cut through one at the rim as well: there are fewer of these.
+    rooms = first_nodes + 64 + int(0.6 * refinement.elements)
+    turn = part = None
+    if mold is not None:
+        part, turn = topology.orientations(np.asarray(mold.triangles))
+    return Forest(
+        sheet=Sheet(triangles, inverse, area, sheet.origin),
+        bound=membrane.shape_bound(inverse, area),
+        partner=jnp.asarray(forest.partner),
+        middle=jnp.asarray(forest.middle),
+        half_edges=jnp.asarray(forest.half_edges.T),
+        corner_slots=jnp.asarray(forest.corner_slots.T),
+        ends=jnp.asarray(forest.ends.T),
+        owner=jnp.asarray(owner),
+        mobility=mobility,
+        bend=None if mold is None or grid is None or not refinement.base_level else bends(mold, grid),
+        turn=None if turn is None else jnp.asarray(turn, jnp.int32),
+        part=None if part is None else jnp.asarray(part, jnp.int32),
+        root_count=forest.root_count,
+        depth=forest.depth,
+        first_nodes=first_nodes,
+        part_count=0 if part is None else int(part.max()) + 1,
+        half_edge_count=int(forest.half_edges.max()) + 2,
+        slot_count=int(forest.corner_slots.max()) + 1,
+        node_room=min(rooms, len(forest.positions)),
+    )
+
+
+def bends(mold: Mold, grid: SearchGrid) -> jax.Array:
+    """Distance [m] of each cell's middle (n_cell,) to an edge at which the mold is bent, to half a cell or so."""
+    from scipy import ndimage
+
+    edges = topology.feature_edges(np.asarray(mold.vertices, float), np.asarray(mold.triangles), _BEND, rims=False)
+    shape, width = np.array(grid.shape), float(grid.width)
+    far = np.ones(grid.shape, bool)
+    if not len(edges):
+        return jnp.full(far.size, jnp.inf)
+    count = int(np.ceil(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).max() / (0.5 * width))) + 1
+    share = np.linspace(0.0, 1.0, count)[:, None, None]
+    points = ((1 - share) * edges[:, 0] + share * edges[:, 1]).reshape(-1, 3)
+    cell = np.clip(np.floor((points - np.asarray(grid.corner, float)) / width).astype(int), 0, shape - 1)
+    far[tuple(cell.T)] = False
+    return as_real(width * np.asarray(ndimage.distance_transform_edt(far)).ravel())
 
 
 def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:

@@ -260,8 +260,9 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     """What will be simulated and what is skipped, line by line."""
     import jax
 
+    from jaxform.body import body
     from jaxform.scene import STEPS_PER_WINDOW
-    from jaxform.state import body, initial_state
+    from jaxform.state import initial_state
     from jaxform.timestep import choose_step
 
     def first_step(scene: Scene) -> jax.Array:
@@ -328,7 +329,7 @@ def _tell_design(say: Callable[..., None], design: Any, folder: Path) -> None:
     from jaxform.result import wall_statistics
 
     spread = [
-        100 * wall_statistics(result, scene)["cv"]
+        100 * wall_statistics(result)["cv"]
         for scene, result in ((design.first_scene, design.first_result), (design.scene, design.result))
     ]
     first, best = design.history[0], min(design.history, key=lambda row: row["objective"])

@@ -8,20 +8,20 @@ import csv
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import catalog, fields, materials, meshes, molds, schema, shapes
-from jaxform.building import build_scene
+from jaxform import bisection, catalog, fields, materials, meshes, molds, schema, shapes
+from jaxform.building import build_scene, grown_parison
 from jaxform.errors import InputError
 from jaxform.mold import Mold, make_mold
 from jaxform.profiles import Profile
 from jaxform.pytree import as_real
-from jaxform.scene import Parison, Scene, make_parison, make_pressure, make_solver
+from jaxform.scene import Parison, Refinement, Scene, make_parison, make_pressure, make_refinement, make_solver
 from jaxform.store import Store
 from jaxform.validation import validate
 
@@ -120,8 +120,12 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
     model = document.model
     with _told_of(document.file):
         pressure, solver = model.pressure, model.solver
+        sheet = _sheet(document)
+        refinement, forest = _refinement(document, sheet)
         return build_scene(
-            parison=_parison(document),
+            parison=_parison(document, sheet, forest),
+            refinement=refinement,
+            forest=forest,
             material=_material(model.material),
             pressure=make_pressure(pressure.time, pressure.value, pressure.interpolation),
             solver=make_solver(end_time=solver.end_time, damping=solver.damping, safety=solver.safety),
@@ -164,10 +168,25 @@ def _told_of(file: str, key: str = "") -> Iterator[None]:
         raise error.within(file=file, key=key) from None
 
 
-def _parison(document: SceneDocument) -> Parison:
-    sheet = _sheet(document)
-    thickness = _thickness(document, sheet)
-    return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
+def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Forest | None) -> Parison:
+    if forest is None:
+        thickness = _thickness(document, sheet)
+        return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
+    given = {name: bisection.extended(values, forest) for name, values in sheet.fields.items()}
+    return grown_parison(forest, _thickness(document, replace(sheet, positions=forest.positions, fields=given)))
+
+
+def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinement | None, bisection.Forest | None]:
+    table = document.model.refinement
+    if table is None:
+        return None, None
+    roots, deepest = len(sheet.triangles), bisection.even_depth(max(table.max_level, table.base_level))
+    elements = min(table.elements or max(2048, 48 * roots), roots << deepest)
+    refinement = make_refinement(**table.model_dump(exclude={"elements"}), elements=elements)
+    made = bisection.build_forest(
+        sheet.positions, sheet.triangles, deepest, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap
+    )
+    return refinement, made
 
 
 def _sheet(document: SceneDocument) -> shapes.Sheet:

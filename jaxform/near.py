@@ -185,16 +185,18 @@ def _balls(
     return _Balls(center, radius, cell, bound, free & (bound < radius))
 
 
-def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
-    """Cell numbers and lower bounds on the distance to the mold [m], each (n_node,).
+def cells(positions: jax.Array, grid: SearchGrid) -> jax.Array:
+    """Cell numbers (n,) of positions (3, n) [m]; outside the grid the nearest cell's, whose bound and list hold too."""
+    place = jnp.floor((positions - grid.corner[:, None]) / grid.width).astype(jnp.int32)
+    i, j, k = jnp.clip(place, 0, jnp.asarray(grid.shape)[:, None] - 1)
+    return (i * grid.shape[1] + j) * grid.shape[2] + k
 
-    A node outside the grid takes the nearest cell, whose bound and list hold for it too.
-    """
-    last = jnp.asarray(grid.shape)[:, None] - 1
+
+def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
+    """Cell numbers and lower bounds on the distance to the mold [m], each (n_node,)."""
+    cell = cells(positions, grid)
     place = (positions - grid.corner[:, None]) / grid.width
-    i, j, k = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, last)
-    cell = (i * grid.shape[1] + j) * grid.shape[2] + k
-    outside = place - jnp.clip(place, 0.0, last + 1.0)
+    outside = place - jnp.clip(place, 0.0, jnp.asarray(grid.shape, place.dtype)[:, None])
     return cell, jnp.maximum(grid.bound[cell], grid.width * jnp.sqrt(dot(outside, outside)))
 
 
@@ -267,9 +269,9 @@ def _examined(
         # The barriers keep things from being worked out, and fetched from afar, again for each use.
         frame = jax.lax.optimization_barrier(grid.frames.at[triangle].get(mode="promise_in_bounds"))
         used = first + jnp.arange(TEST_BLOCK) < last
-        keep = used & (_distance(gather(balls.center, node), frame) <= balls.radius[node] + touch)
+        keep = used & (distance(gather(balls.center, node), frame) <= balls.radius[node] + touch)
         # A node touches a plane from as far as the contact's tolerance.
-        free_way = _distance(gather(start, node), frame) - 2 * touch
+        free_way = distance(gather(start, node), frame) - 2 * touch
         keep, free_way = jax.lax.optimization_barrier((keep, free_way))
         place, more = listed(keep, keep.size)
         pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
@@ -282,7 +284,7 @@ def _examined(
     return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]
 
 
-def _distance(points: jax.Array, frame: jax.Array) -> jax.Array:
+def distance(points: jax.Array, frame: jax.Array) -> jax.Array:
     """Distance (n,) [m] of points (3, n) from triangles of frames (n, 18), pair by pair."""
     d, normal, dual1, dual2, edge1, edge2 = frame.T.reshape(6, 3, -1)
     away = points - d

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxform import meshes
-from jaxform.result import Result, summarize
+from jaxform.result import Result, only_used, summarize
 from jaxform.scene import Scene
 from jaxform.simulation import Moment
 
@@ -28,7 +28,7 @@ def write_result(scene: Scene, result: Result, folder: str | Path) -> dict[str, 
 
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:
     """Writes the part as a mesh with data: initial position, thicknesses, time of contact, stretches, level."""
-    level = np.zeros(len(result.element_thickness), np.int32)
+    scene, result = only_used(scene, result)
     meshes.write_vtu(
         path,
         np.asarray(result.positions),
@@ -43,7 +43,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
             "thickness": np.asarray(result.element_thickness, float),
             "stretch_1": np.asarray(result.stretches[:, 0], float),
             "stretch_2": np.asarray(result.stretches[:, 1], float),
-            "level": level,
+            "level": np.asarray(result.level, np.int32),
         },
     )
 

@@ -75,14 +75,20 @@ def _depth(count: np.ndarray) -> int:
     return int(depths[np.argmin(3 * depths * len(count) + 60 * beyond + 5000 * (beyond > 0))])
 
 
-def pack(moving: jax.Array | None, sheet: Sheet, assembly: Assembly) -> Packed:
-    """Packs the elements (n_element,) that can move, and their nodes; all of them where `moving` is None."""
+def pack(
+    moving: jax.Array | None, sheet: Sheet, assembly: Assembly, counts: tuple[jax.Array, jax.Array] | None = None
+) -> Packed:
+    """Packs the elements (n_element,) that can move, and their nodes.
+
+    Where `moving` is None, all elements and nodes; or so many of the first of each as `counts` says.
+    """
     element_count, node_count = sheet.area.size, assembly.table.shape[1]
     room, places = padded(element_count), padded(node_count)
     if moving is None:
-        kept, count = jnp.ones(element_count, bool), jnp.int32(element_count)
+        count, node_total = counts or (jnp.int32(element_count), jnp.int32(node_count))
+        kept = jnp.arange(element_count) < count
         element, rank = jnp.minimum(jnp.arange(room), element_count - 1), jnp.arange(element_count)
-        place, node_total = jnp.arange(node_count), jnp.int32(node_count)
+        place = jnp.arange(node_count)
     else:
         kept, (element, count) = moving, listed(moving, room)
         rank = jnp.cumsum(moving, dtype=jnp.int32) - 1

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import sections
+from jaxform import sections, topology
 from jaxform.pytree import as_real
-from jaxform.result import Result, explain, wall_statistics
+from jaxform.result import Result, explain, only_used, wall_statistics
 from jaxform.scene import Scene
 
 Array = NDArray[np.float64]
@@ -36,6 +36,7 @@ def thickness_picture(
         result: The part.
         reference: An exact solution to dot over it: `initial_radius` [m], `arc` [m] from the axis, `thickness_ratio`.
     """
+    scene, result = only_used(scene, result)
     figure = _figure(16, 7, _title(scene, result))
     view = figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d")
     colors = _draw_part(view, scene, result, _scale([result]))
@@ -82,6 +83,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         after: Scene and part of the design.
         target: Wall thickness that is wanted everywhere [m], or None.
     """
+    before, after = only_used(*before), only_used(*after)
     figure = _figure(16, 12, "")
     scale = _scale([before[1], after[1]])
     for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
@@ -127,7 +129,7 @@ def _save(figure: Any, path: str | Path) -> None:
 
 
 def _title(scene: Scene, result: Result) -> str:
-    wall = wall_statistics(result, scene)
+    wall = wall_statistics(result)
     numbers = ", ".join(f"{words} {1e3 * wall[key]:.3g}" for key, words in _STATISTICS)
     text = f"{scene.name}: wall {numbers} mm (variation {100 * wall['cv']:.3g} %)"
     status = explain(result)
@@ -138,8 +140,8 @@ _STATISTICS = (("min", "least"), ("mean", "mean"), ("max", "largest"))
 
 
 def _part_words(words: str, part: Part) -> str:
-    scene, result = part
-    wall = wall_statistics(result, scene)
+    result = part[1]
+    wall = wall_statistics(result)
     return (
         f"{words}: variation {100 * wall['cv']:.3g} %, wall {1e3 * wall['min']:.3g} to {1e3 * wall['max']:.3g} mm, "
         f"{1e3 * float(result.mass):.3g} g"
@@ -207,23 +209,8 @@ def _draw_outline(axes: Any, scene: Scene) -> None:
 
     if scene.mold is None or len(scene.mold.triangles) > _MOLD_LINES:
         return
-    edges = feature_edges(np.asarray(scene.mold.vertices, float), np.asarray(scene.mold.triangles))
+    edges = topology.feature_edges(np.asarray(scene.mold.vertices, float), np.asarray(scene.mold.triangles))
     axes.add_collection3d(Line3DCollection(1e3 * edges, colors="#00000030", linewidths=0.6))
-
-
-def feature_edges(vertices: Array, triangles: NDArray[np.int32], angle: float = 20.0) -> Array:
-    """Edges (n, 2, 3) [m] of a surface at which it ends or bends by more than the angle [degrees]."""
-    corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    owner = np.repeat(np.arange(len(triangles)), 3)
-    edge, index, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(index.ravel(), kind="stable")
-    first = np.cumsum(count) - count
-    one, other = owner[order[first]], owner[order[first + np.minimum(count, 2) - 1]]
-    bent = np.abs(np.sum(normal[one] * normal[other], axis=1)) < np.cos(np.deg2rad(angle))
-    return vertices[edge[(count != 2) | bent]]
 
 
 def _set_box(axes: Any, points: Array, hangs: bool) -> None:

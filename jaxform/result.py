@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -9,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import membrane
+from jaxform.body import Body, levels, present_body
 from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
-from jaxform.state import Body, State, Status, kinetic_energy, last_work, strain_energy
+from jaxform.state import State, Status, kinetic_energy, last_work, strain_energy
 
 
 @pytree
@@ -25,6 +27,7 @@ class Energy:
         external_work: Sum of P dV.
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
     """
 
     strain: jax.Array
@@ -32,11 +35,12 @@ class Energy:
     external_work: jax.Array
     damping_loss: jax.Array
     contact_loss: jax.Array
+    refinement_loss: jax.Array
 
     @property
     def balance_error(self) -> jax.Array:
         """What the account misses, relative to the external work (0 where nothing was done)."""
-        kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss
+        kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss + self.refinement_loss
         work = jnp.abs(self.external_work)
         return jnp.where(work > 0, jnp.abs(kept - self.external_work) / jnp.where(work > 0, work, 1.0), 0.0)
 
@@ -62,6 +66,10 @@ class Result:
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
         wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
             came from the far side of its normal; 0 where it does not touch the mold.
+        triangles: Node numbers of the elements (n_element, 3).
+        level: How often each was bisected from the scene's mesh (n_element,).
+        used: Elements that exist at the end (n_element,); the others have room only.
+        element_volume: Their volume (n_element,) [m^3], which they keep; 0 where not used.
         element_thickness: Final thickness of the elements (n_element,) [m].
         stretches: Larger and smaller principal stretch of the elements (n_element, 2).
         velocities: Final node velocities (n_node, 3) [m/s].
@@ -79,6 +87,10 @@ class Result:
     stuck: jax.Array
     contact_time: jax.Array
     wall: jax.Array
+    triangles: jax.Array
+    level: jax.Array
+    used: jax.Array
+    element_volume: jax.Array
     element_thickness: jax.Array
     stretches: jax.Array
     velocities: jax.Array
@@ -92,32 +104,49 @@ class Result:
     seconds: Seconds | None = None
 
 
-def make_result(state: State, scene: Scene, sheet_body: Body) -> Result:
-    """The result of a state; pure, so it can be traced."""
-    sheet = scene.tables.sheet
+def make_result(state: State, scene: Scene, first: Body) -> Result:
+    """The result of a state, from the sheet as it was at first; pure, so it can be traced."""
+    now, forest, mesh = present_body(scene, state.mesh, first), scene.tables.forest, state.mesh
+    sheet = now.sheet
     _, edge1, edge2 = membrane.edges(state.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     ratio = 1.0 / jnp.sqrt(strain.determinant)
-    node_count = scene.parison.thickness.size
-    weight = membrane.sum_to_nodes(sheet.area, sheet.triangles, node_count)
-    nodal_ratio = membrane.sum_to_nodes(sheet.area * ratio, sheet.triangles, node_count) / weight
+    count = now.mass.size
+    weight = membrane.sum_to_nodes(sheet.area, sheet.triangles, count)
+    ratios = membrane.sum_to_nodes(sheet.area * ratio, sheet.triangles, count) / jnp.where(weight > 0.0, weight, 1.0)
+    active, node = jnp.ones(count, bool), jnp.arange(count)
+    triangles, level, used = sheet.triangles, jnp.zeros(sheet.area.size, jnp.int32), sheet.area > 0.0
+    if mesh is not None and forest is not None:
+        place = jnp.arange(forest.owner.size)
+        active, node = (place < forest.first_nodes) | (mesh.place > 0), mesh.place
+        triangles, level = forest.sheet.triangles[:, mesh.element], levels(mesh.element, forest)
+
+    def nodal(values: jax.Array, otherwise: jax.Array | float) -> jax.Array:
+        """In the order of the scene's nodes; what does not exist has another value."""
+        return values if mesh is None else jnp.where(active, values[..., node], otherwise)
+
     return Result(
-        positions=state.positions.T,
-        thickness=nodal_ratio * scene.parison.thickness,
-        active=jnp.ones(node_count, bool),
-        stuck=state.stuck,
-        contact_time=state.contact_time,
-        wall=state.wall,
-        element_thickness=sheet_body.thickness * ratio,
+        positions=nodal(state.positions, scene.parison.positions.T).T,
+        thickness=nodal(ratios, 0.0) * scene.parison.thickness,
+        active=active,
+        stuck=nodal(state.stuck, False),
+        contact_time=nodal(state.contact_time, -1.0),
+        wall=nodal(state.wall, 0),
+        triangles=triangles.T,
+        level=level,
+        used=used,
+        element_volume=sheet.area * now.thickness,
+        element_thickness=jnp.where(used, now.thickness * ratio, 0.0),
         stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
-        velocities=state.velocities.T,
-        mass=jnp.sum(scene.material.density * sheet.area * sheet_body.thickness),
+        velocities=nodal(state.velocities, 0.0).T,
+        mass=jnp.sum(scene.material.density * sheet.area * now.thickness),
         energy=Energy(
-            strain=strain_energy(state, scene, sheet_body),
-            kinetic=kinetic_energy(state, sheet_body.mass),
-            external_work=state.external_work + last_work(state, scene),
+            strain=strain_energy(state, scene, now),
+            kinetic=kinetic_energy(state, now.mass),
+            external_work=state.external_work + last_work(state, scene, sheet),
             damping_loss=state.damping_loss,
             contact_loss=state.contact_loss,
+            refinement_loss=state.refinement_loss,
         ),
         time=state.time,
         steps=state.steps,
@@ -134,6 +163,7 @@ _WORDS = {
     Status.CONTACT_OVERFLOW: "more pairs of node and mold triangle came near each other than there is room for",
     Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
     Status.STOPPED: "stopped by the caller",
+    Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than there is room for",
 }
 _MENDS = {
     Status.NON_FINITE: "lower solver.safety or the pressure",
@@ -141,6 +171,7 @@ _MENDS = {
     Status.WINDOWS_EXHAUSTED: "build the scene anew with the end time that is simulated",
     Status.CONTACT_OVERFLOW: "coarsen the mold or refine the parison",
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
+    Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
 }
 
 
@@ -158,15 +189,34 @@ def explain(result: Result) -> str:
     return "; ".join([*what, where, *mend])
 
 
-def formed_areas(result: Result, scene: Scene) -> np.ndarray:
-    """Final area (n_element,) [m^2] of the elements; thickness times area is kept from the initial sheet."""
-    initial = np.asarray(scene.parison.thickness)[np.asarray(scene.parison.triangles)].mean(1)
-    return np.asarray(scene.tables.sheet.area) * initial / np.asarray(result.element_thickness)
+def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
+    """The part with the nodes and elements alone that exist, for pictures and files: room is left out on the host."""
+    if scene.refinement is None:
+        return scene, result
+    active, used = np.asarray(result.active), np.asarray(result.used)
+    number = np.cumsum(active) - 1
+    triangles = number[np.asarray(result.triangles)[used]].astype(np.int32)
+    nodal = {"positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities"}
+    of_elements = {"level", "used", "element_volume", "element_thickness", "stretches"}
+    kept = {name: np.asarray(getattr(result, name))[active] for name in nodal}
+    kept |= {name: np.asarray(getattr(result, name))[used] for name in of_elements}
+    sheet = {name: np.asarray(getattr(scene.parison, name))[active] for name in ("positions", "thickness")}
+    sheet |= {name: np.asarray(getattr(scene.parison, name))[active] for name in ("clamped", "fixed")}
+    parison: Any = dataclasses.replace(scene.parison, triangles=triangles, **sheet)  # pyright: ignore
+    made: Any = dataclasses.replace(result, triangles=triangles, **kept)
+    return dataclasses.replace(scene, parison=parison, refinement=None), made
 
 
-def wall_statistics(result: Result, scene: Scene) -> dict[str, float]:
+def formed_areas(result: Result) -> np.ndarray:
+    """Final area (n_element,) [m^2] of the elements; 0 where not used."""
+    volume, wall = np.asarray(result.element_volume, float), np.asarray(result.element_thickness, float)
+    return volume / np.where(wall > 0.0, wall, 1.0)
+
+
+def wall_statistics(result: Result) -> dict[str, float]:
     """Least, mean and largest thickness [m] of the elements and its coefficient of variation, by formed area."""
-    area, wall = formed_areas(result, scene), np.asarray(result.element_thickness, float)
+    used = np.asarray(result.used)
+    area, wall = formed_areas(result)[used], np.asarray(result.element_thickness, float)[used]
     mean = float(np.average(wall, weights=area))
     spread = float(np.sqrt(np.average(np.square(wall - mean), weights=area)))
     return {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean}
@@ -174,15 +224,15 @@ def wall_statistics(result: Result, scene: Scene) -> dict[str, float]:
 
 def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     """The contents of summary.json as plain numbers and words."""
-    area = formed_areas(result, scene)
+    area = formed_areas(result)
     seconds = result.seconds or Seconds(0.0, 0.0)
     energy = {name: float(getattr(result.energy, name)) for name in Energy.__dataclass_fields__}
     beyond = penetrated(result, scene)
     return {
         "scene": scene.name,
         "status": explain(result),
-        "elements_initial": len(area),
-        "elements_final": len(area),
+        "elements_initial": len(scene.parison.triangles),
+        "elements_final": int(np.sum(result.used)),
         "nodes_final": int(np.sum(result.active)),
         "time": float(result.time),
         "steps": int(result.steps),
@@ -190,8 +240,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "windows_shortened": int(result.shortened),
         "compile_seconds": seconds.compile,
         "run_seconds": seconds.run,
-        "thickness": wall_statistics(result, scene),
-        "contact_fraction": float(area[_touching(result, scene)].sum() / area.sum()),
+        "thickness": wall_statistics(result),
+        "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         "mass": float(result.mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
@@ -204,11 +254,12 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     positions = np.asarray(result.positions, float)
     if scene.mold is None or not np.isfinite(positions).all():
         return Penetration(0.0, 0.0, np.zeros(3))
-    return penetration(positions, np.asarray(scene.parison.triangles), np.asarray(result.wall), scene.mold)
+    triangles = np.asarray(result.triangles)[np.asarray(result.used)]
+    return penetration(positions, triangles, np.asarray(result.wall), scene.mold)
 
 
-def _touching(result: Result, scene: Scene) -> np.ndarray:
+def _touching(result: Result) -> np.ndarray:
     """Elements with three stuck nodes (n_element,), at least one of which touches the mold."""
-    triangles = np.asarray(scene.parison.triangles)
+    triangles = np.asarray(result.triangles)
     stuck, touched = np.asarray(result.stuck)[triangles], (np.asarray(result.contact_time) > 0)[triangles]
     return stuck.all(1) & touched.any(1)

@@ -25,6 +25,7 @@ from jaxform.pytree import as_real, pytree, static
 from jaxform.search import SearchGrid
 
 STEPS_PER_WINDOW = 64
+_DEEPEST = 14
 _INTERPOLATIONS = ("linear", "cubic-ramp")
 
 
@@ -33,7 +34,7 @@ class Parison:
     """The initial sheet or tube.
 
     Attributes:
-        positions: Initial node positions (n_node, 3) [m].
+        positions: Initial node positions (n_node, 3) [m]; with refinement those of the whole forest, the mesh's first.
         triangles: Node numbers (n_element, 3); pressure acts along their normals (right-hand rule).
         thickness: Initial thickness at the nodes (n_node,) [m].
         clamped: Nodes that never move (n_node,).
@@ -128,6 +129,81 @@ class Assembly:
 
 
 @pytree
+class Refinement:
+    """Where the mesh becomes finer: elements are bisected at the borders of windows.
+
+    Attributes:
+        angle: Largest angle [degrees] of an element's and its neighbours' normals to their mean (paper, 3.3).
+        min_area: Smallest initial area of a part [m^2].
+        interval: Steps from one look at the mesh to the next, rounded up to whole windows.
+        max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
+        base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
+        jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
+        elements: Room for so many.
+    """
+
+    angle: jax.Array
+    min_area: jax.Array
+    jump: jax.Array | None
+    interval: int = static()
+    max_level: int = static()
+    base_level: int = static()
+    elements: int = static()
+
+    @property
+    def deepest(self) -> int:
+        """The highest level that an element is bisected to for what it looks like."""
+        return max(self.max_level, self.base_level)
+
+
+@pytree
+class Forest:
+    """Every triangle of the mesh bisected beforehand; see `jaxform.bisection`, which explains the numbering.
+
+    Attributes:
+        sheet: Initial geometry of all triangles.
+        bound: Largest eigenvalue of each triangle's shape gradients (n_triangle,) [1/m^2].
+        partner: The other triangle with the same refinement edge (n_triangle,).
+        middle: Node in the middle of the refinement edge (n_triangle,), -1 at the deepest level.
+        half_edges: (3, n_triangle).
+        corner_slots: (3, n_triangle).
+        ends: Of the edge that each node is the middle of (2, n_node).
+        owner: A triangle that each node is in the middle of the refinement edge of (n_node,); 0 for the first nodes.
+        mobility: 1 where a component of a node may move, else 0, (3, n_node).
+        bend: Distance of each cell of the search grid to a bent part of the mold (n_cell,) [m]; None where unused.
+        turn: 1 or -1 for each of the mold's triangles: in one part, those that turn the same way; None without mold.
+        part: The connected part that each of the mold's triangles belongs to; None without mold.
+        root_count: Triangles at level 0.
+        depth: The deepest level.
+        first_nodes: Nodes of the mesh before it is refined.
+        part_count: Connected parts of the mold.
+        half_edge_count: Numbers of half edges are below this.
+        slot_count: How many triangles can meet at a node.
+        node_room: Room for so many nodes.
+    """
+
+    sheet: Sheet
+    bound: jax.Array
+    partner: jax.Array
+    middle: jax.Array
+    half_edges: jax.Array
+    corner_slots: jax.Array
+    ends: jax.Array
+    owner: jax.Array
+    mobility: jax.Array
+    bend: jax.Array | None
+    turn: jax.Array | None
+    part: jax.Array | None
+    root_count: int = static()
+    depth: int = static()
+    first_nodes: int = static()
+    part_count: int = static()
+    half_edge_count: int = static()
+    slot_count: int = static()
+    node_room: int = static()
+
+
+@pytree
 class Tables:
     """What the host built for a scene; depends on its meshes and limits, not on the numbers to be designed.
 
@@ -137,6 +213,7 @@ class Tables:
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
         grid: Search structure of the mold, or None.
+        forest: What the mesh can be refined to, or None.
         window_count: Number of windows that a run may take.
     """
 
@@ -145,6 +222,7 @@ class Tables:
     bound: jax.Array
     mobility: jax.Array
     grid: SearchGrid | None
+    forest: Forest | None
     window_count: int = static()
 
 
@@ -157,6 +235,7 @@ class Scene:
     pressure: Pressure
     solver: Solver
     mold: Mold | None
+    refinement: Refinement | None
     tables: Tables
     name: str = static(default="scene")
 
@@ -250,6 +329,33 @@ def make_solver(*, end_time: float, damping: float | None = None, safety: float 
         require(np.isfinite(damping) and damping >= 0, "must not be negative", "solver.damping", damping)
     require(0 < safety <= 1, "must be in (0, 1]", "solver.safety", safety)
     return Solver(as_real(end_time), None if damping is None else as_real(damping), float(safety))
+
+
+def make_refinement(
+    *,
+    angle: float,
+    interval: int,
+    max_level: int,
+    elements: int,
+    min_area: float = 0.0,
+    base_level: int = 0,
+    jump: float | None = None,
+) -> Refinement:
+    """Where the mesh becomes finer; see `Refinement`.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+    require(0 < angle <= 180, "must be in (0, 180]", "refinement.angle", angle)
+    require(np.isfinite(min_area) and min_area >= 0, "must not be negative", "refinement.min_area", min_area)
+    require(interval >= 1, "must be at least 1", "refinement.interval", interval)
+    require(0 <= max_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.max_level", max_level)
+    require(0 <= base_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.base_level", base_level)
+    require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
+    require(jump is None or jump > 0, "must be positive", "refinement.jump", jump)
+    require(elements >= 1, "must be at least 1", "refinement.elements", elements)
+    uneven = None if jump is None else as_real(jump)
+    return Refinement(as_real(angle), as_real(min_area), uneven, interval, max_level, base_level, elements)
 
 
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:

@@ -6,7 +6,7 @@ the mesh or several numbers at once is checked where the scene is built.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag, field_validator, model_validator
 
@@ -277,6 +277,18 @@ Mold = Annotated[
 ]
 
 
+class Refinement(Table):
+    """Where the mesh becomes finer; see `jaxform.scene.Refinement`."""
+
+    angle: Annotated[float, Field(gt=0, le=180)] = 4.0
+    interval: Annotated[int, Field(ge=1)] = 100
+    max_level: Annotated[int, Field(ge=0, le=14)] = 6
+    min_area: NotNegative = 0.0
+    base_level: Annotated[int, Field(ge=0, le=14)] = 0
+    jump: Positive | None = None
+    elements: Annotated[int, Field(ge=1)] | None = None
+
+
 class Solver(Table):
     """Time integration."""
 
@@ -295,14 +307,13 @@ class Output(Table):
 class SceneFile(Table):
     """A scene file."""
 
-    later: ClassVar = {"refinement": "leave [refinement] out and give a fine parison"}
-
     name: str | None = None
     description: str = ""
     parison: Parison
     material: Material
     pressure: Pressure
     mold: Mold | None = None
+    refinement: Refinement | None = None
     solver: Solver
     output: Output = Output()
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform import grids, meshes, topology
+from jaxform.bisection import Snap
 from jaxform.errors import InputError
 from jaxform.meshes import Mesh
 from jaxform.profiles import Profile
@@ -35,6 +36,8 @@ class Sheet:
         clamped: Nodes that never move, shape (n,), bool.
         fixed: Components of the nodes that symmetry planes hold, shape (n, 3), bool.
         fields: Scalars at the nodes by name, shape (n,), float64.
+        snap: Puts the middles (k, 3) of edges with ends (k, 2, 3) [m] on the true surface or rim, told which (k,) are
+            on the boundary; None where edges are straight.
     """
 
     positions: NDArray[np.float64]
@@ -42,6 +45,7 @@ class Sheet:
     clamped: NDArray[np.bool_]
     fixed: NDArray[np.bool_]
     fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    snap: Snap | None = None
 
 
 def disc(
@@ -88,7 +92,24 @@ def disc(
         for k in range(ring_count)
     ]
     clamped = np.arange(starts[-1]) >= starts[-2]
-    return _sheet(np.concatenate(rings), np.concatenate(bands), clamped, symmetry)
+    return replace(_sheet(np.concatenate(rings), np.concatenate(bands), clamped, symmetry), snap=_to_rim(radius))
+
+
+def _to_rim(radius: float) -> Snap:
+    """Middles of the rim's chords go to the circle."""
+
+    def snap(
+        middles: NDArray[np.float64], ends: NDArray[np.float64], boundary: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        on_rim = boundary & (np.abs(np.hypot(ends[..., 0], ends[..., 1]) - radius) <= 1e-9 * radius).all(1)
+        return np.where(on_rim[:, None], _scaled_to(middles, radius), middles)
+
+    return snap
+
+
+def _scaled_to(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    distance = np.linalg.norm(points, axis=1, keepdims=True)
+    return points * radius / np.where(distance > 0, distance, 1.0)
 
 
 def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray[np.float64], list[int]]:
@@ -191,7 +212,8 @@ def sphere(
     lattice, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     direction = np.sin(np.pi / 2 * lattice / division)
     positions = radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
+    sheet = _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
+    return replace(sheet, snap=lambda middles, _, __: _scaled_to(middles, radius))
 
 
 def bottle_half(

@@ -14,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxform.body import Body, body, present_body
 from jaxform.errors import InputError
+from jaxform.refinement import refined
 from jaxform.result import Result, Seconds, make_result
 from jaxform.scene import Scene, replace
-from jaxform.state import Body, State, Status, body, finished, initial_state
+from jaxform.state import State, Status, finished, initial_state
 from jaxform.stepping import window
 from jaxform.store import Store
 
@@ -38,7 +40,10 @@ def simulate(scene: Scene, *, windows_per_checkpoint: int = 1) -> Result:
     count = scene.tables.window_count
 
     def unless_finished(state: State, _: None = None) -> tuple[State, None]:
-        take = lambda state: window(state, scene, sheet_body)  # noqa: E731
+        def take(state: State) -> State:
+            state, now = refined(state, scene, present_body(scene, state.mesh, sheet_body))
+            return window(state, scene, now)
+
         take = jax.checkpoint(take) if windows_per_checkpoint else take
         return jax.lax.cond(finished(state, scene) | (state.windows >= count), lambda state: state, take, state), None
 
@@ -166,13 +171,15 @@ def _begin(scene: Scene) -> tuple[State, Body]:
 def _advance(state: State, scene: Scene, sheet_body: Body, most: jax.Array) -> tuple[State, jax.Array]:
     """At most so many windows."""
 
-    def going(carry: tuple[State, jax.Array]) -> jax.Array:
-        return (carry[1] < most) & ~finished(carry[0], scene)
+    def going(carry: tuple[State, Body, jax.Array]) -> jax.Array:
+        return (carry[2] < most) & ~finished(carry[0], scene)
 
-    def take(carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
-        return window(carry[0], scene, sheet_body, differentiable=False), carry[1] + 1
+    def take(carry: tuple[State, Body, jax.Array]) -> tuple[State, Body, jax.Array]:
+        state, now = refined(carry[0], scene, carry[1])
+        return window(state, scene, now, differentiable=False), now, carry[2] + 1
 
-    state, _ = jax.lax.while_loop(going, take, (state, jnp.int32(0)))
+    first = state, present_body(scene, state.mesh, sheet_body), jnp.int32(0)
+    state = jax.lax.while_loop(going, take, first)[0]
     return state, finished(state, scene)
 
 

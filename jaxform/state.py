@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import over_blocks
-from jaxform.packing import Packed, pack
+from jaxform.body import Body, Mesh, first_mesh
 from jaxform.pytree import as_real, pytree
-from jaxform.scene import Scene
+from jaxform.scene import Scene, Sheet
 
 
 class Status(enum.IntFlag):
@@ -23,6 +23,7 @@ class Status(enum.IntFlag):
     CONTACT_OVERFLOW = 8
     CONTACT_MISSED = 16
     STOPPED = 32
+    REFINEMENT_OVERFLOW = 64
 
 
 @pytree
@@ -44,6 +45,8 @@ class State:
         retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
+        mesh: Which triangles of the forest there are; None without refinement.
+        refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
     """
@@ -63,44 +66,25 @@ class State:
     retries: jax.Array
     mode: jax.Array | None
     rate: jax.Array
+    mesh: Mesh | None
+    refinement_loss: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
     status: jax.Array
 
 
-@pytree
-class Body:
-    """What stays the same over a run and follows from the scene's leaves.
-
-    Attributes:
-        thickness: Initial thickness of the elements (n_element,) [m].
-        mass: Lumped mass of the nodes (n_node,) [kg].
-        compliance: Mobility over mass (3, n_node) [1/kg].
-        whole: All elements and nodes, packed.
-    """
-
-    thickness: jax.Array
-    mass: jax.Array
-    compliance: jax.Array
-    whole: Packed
-
-
-def body(scene: Scene) -> Body:
-    """Element thickness and lumped masses of a scene."""
-    sheet = scene.tables.sheet
-    thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
-    share = scene.material.density * sheet.area * thickness / 3.0
-    mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
-    whole = pack(None, sheet, scene.tables.assembly)
-    return Body(thickness, mass, scene.tables.mobility / mass, whole)
-
-
 def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
-    positions = scene.parison.positions.T
+    forest = scene.tables.forest
+    mesh = None if forest is None else first_mesh(scene)
+    positions, mobility, sheet = scene.parison.positions.T, scene.tables.mobility, scene.tables.sheet
+    if mesh is not None and forest is not None:
+        # Nodes that do not exist yet are held where the first node is.
+        there = jnp.arange(mesh.node.size) < mesh.node_count
+        positions, mobility = positions[:, mesh.node], jnp.where(there, forest.mobility[:, mesh.node], 0.0)
     zero, none = as_real(0.0), jnp.int32(0)
-    held = jnp.all(scene.tables.mobility == 0.0, axis=0)
+    held = jnp.all(mobility == 0.0, axis=0)
     return State(
         positions=positions,
         velocities=jnp.zeros_like(positions),
@@ -109,7 +93,7 @@ def initial_state(scene: Scene) -> State:
         wall=jnp.zeros(held.size, jnp.int32),
         time=zero,
         step_length=zero,
-        volume=enclosed_volume(positions, scene),
+        volume=enclosed_volume(positions, sheet),
         external_work=zero,
         damping_loss=zero,
         contact_loss=zero,
@@ -117,6 +101,8 @@ def initial_state(scene: Scene) -> State:
         retries=none,
         mode=_any_mode(positions) if scene.solver.sharp_step else None,
         rate=zero,
+        mesh=mesh,
+        refinement_loss=zero,
         steps=none,
         windows=none,
         shortened=none,
@@ -137,10 +123,10 @@ def finished(state: State, scene: Scene) -> jax.Array:
     return done | jnp.all(state.stuck) if scene.solver.end_early else done
 
 
-def can_move(state: State, scene: Scene) -> jax.Array:
+def can_move(state: State, sheet: Sheet) -> jax.Array:
     """Elements (n_element,) of which a node can still move."""
-    first, second, third = (state.stuck[corner] for corner in scene.tables.sheet.triangles)
-    return ~(first & second & third)
+    first, second, third = (state.stuck[corner] for corner in sheet.triangles)
+    return ~(first & second & third) & (sheet.area > 0.0)
 
 
 def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
@@ -150,7 +136,7 @@ def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
 
 def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     """Strain energy [J]."""
-    sheet = scene.tables.sheet
+    sheet = sheet_body.sheet
     volume = sheet.area * sheet_body.thickness
     return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
@@ -181,13 +167,14 @@ def last_pressure(state: State, scene: Scene) -> jax.Array:
     return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.step_length, state.time])))
 
 
-def last_work(state: State, scene: Scene) -> jax.Array:
+def last_work(state: State, scene: Scene, sheet: Sheet) -> jax.Array:
     """External work of the last step [J]; the account inside the loop lags, as the volume comes with the next force."""
-    return last_pressure(state, scene) * (enclosed_volume(state.positions, scene) - state.volume)
+    return last_pressure(state, scene) * (enclosed_volume(state.positions, sheet) - state.volume)
 
 
-def enclosed_volume(positions: jax.Array, scene: Scene, counted: jax.Array | float = 1.0) -> jax.Array:
+def enclosed_volume(positions: jax.Array, sheet: Sheet, counted: jax.Array | float = 1.0) -> jax.Array:
     """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count."""
-    first, edge1, edge2 = membrane.edges(positions, scene.tables.sheet.triangles)
-    arm = membrane.minus(first, scene.tables.sheet.origin)
+    first, edge1, edge2 = membrane.edges(positions, sheet.triangles)
+    arm = membrane.minus(first, sheet.origin)
+    counted = jnp.where(sheet.area > 0.0, counted, 0.0)
     return jnp.sum(counted * membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0

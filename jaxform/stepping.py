@@ -16,12 +16,13 @@ import jax.numpy as jnp
 
 from jaxform import contact, membrane
 from jaxform.blocks import over_blocks, total
+from jaxform.body import Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
 from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
-from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Body, State, Status, account, can_move, enclosed_volume, last_pressure
+from jaxform.scene import STEPS_PER_WINDOW, Scene, Sheet
+from jaxform.state import State, Status, account, can_move, enclosed_volume, last_pressure
 from jaxform.timestep import choose_step
 
 _MOST_RETRIES = 12
@@ -231,7 +232,7 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
         compliance=packed.taken(sheet_body.compliance),
         begin=state.time,
         length=length,
-        idle_volume=_idle_volume(state, scene, packed),
+        idle_volume=_idle_volume(state, scene, sheet_body.sheet, packed),
         near=_list_near(moving, scene, length),
     )
 
@@ -251,7 +252,7 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
 def _packed(state: State, scene: Scene, sheet_body: Body) -> Packed:
     if scene.mold is None or not scene.solver.skip_stuck:
         return sheet_body.whole
-    return pack(can_move(state, scene), scene.tables.sheet, scene.tables.assembly)
+    return pack(can_move(state, sheet_body.sheet), sheet_body.sheet, sheet_body.assembly)
 
 
 def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
@@ -272,10 +273,10 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
     )
 
 
-def _idle_volume(state: State, scene: Scene, packed: Packed) -> jax.Array | float:
+def _idle_volume(state: State, scene: Scene, sheet: Sheet, packed: Packed) -> jax.Array | float:
     if scene.mold is None or not scene.solver.skip_stuck:
         return 0.0
-    return enclosed_volume(state.positions, scene, jnp.where(packed.kept, 0.0, 1.0))
+    return enclosed_volume(state.positions, sheet, jnp.where(packed.kept, 0.0, 1.0))
 
 
 def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving) -> _Moving:
@@ -343,7 +344,8 @@ def _health(moving: _Moving, state: State, scene: Scene, sheet_body: Body, now: 
     speed_square = membrane.dot(moving.velocities, moving.velocities)
     finite = jnp.isfinite(total(moving.positions) + total(speed_square))
     strain, volume = account(state.positions, scene, sheet_body)
-    held = strain + 0.5 * total(now.mass * speed_square) + state.damping_loss + state.contact_loss
+    held = strain + 0.5 * total(now.mass * speed_square)
+    held += state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
     scale = scene.material.stiffness() * total(now.packed.elements.area * now.thickness)
     # Near rest the strain energy is the rounding of I1 - 3.

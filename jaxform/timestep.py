@@ -15,11 +15,12 @@ import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import over_blocks, total
+from jaxform.body import Body
 from jaxform.force import Load, force_change
 from jaxform.membrane import Vector
 from jaxform.packing import Packed
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Body, State, can_move
+from jaxform.state import State, can_move
 
 _RUNGS_PER_OCTAVE = 8
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
@@ -51,7 +52,7 @@ def _limit(
     state: State, scene: Scene, sheet_body: Body, packed: Packed
 ) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     """The longest stable step [s], its mode and its squared frequency."""
-    bound = _bound(state, scene, packed)
+    bound = _bound(state, scene, sheet_body, packed)
     if state.mode is None:
         return bound, None, state.rate
     mode, rate, residual = _measured(state, scene, sheet_body, packed)
@@ -61,10 +62,10 @@ def _limit(
     return jnp.clip(sharp, bound, _MOST_SHARPENING * bound), mode, rate
 
 
-def _bound(state: State, scene: Scene, packed: Packed) -> jax.Array:
+def _bound(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension."""
-    rows, bounds = membrane.rows_of(packed.taken(state.positions)), scene.tables.bound[packed.element]
-    moving = can_move(state, scene)[packed.element]
+    rows, bounds = membrane.rows_of(packed.taken(state.positions)), sheet_body.bound[packed.element]
+    moving = can_move(state, sheet_body.sheet)[packed.element]
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array, moving: jax.Array) -> Any:
         return [(membrane.stiffness(rows, triangles, inverse, bound, moving & (area > 0.0), scene.material),)], []

@@ -79,6 +79,23 @@ def orientations(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDA
     return part, np.where(sheet[:count] == sheet[leader][part], 1, -1)
 
 
+def feature_edges(
+    vertices: NDArray[np.floating], triangles: NDArray[np.integer], angle: float = 20.0, *, rims: bool = True
+) -> NDArray[np.floating]:
+    """Edges (n, 2, 3) [m] of a surface at which it bends by more than the angle [degrees], or ends where rims count."""
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    edge, index, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(index.ravel(), kind="stable")
+    first = np.cumsum(count) - count
+    one, other = owner[order[first]], owner[order[first + np.minimum(count, 2) - 1]]
+    bent = np.abs(np.sum(normal[one] * normal[other], axis=1)) < np.cos(np.deg2rad(angle))
+    return vertices[edge[(count != 2) & rims | (count >= 2) & bent]]
+
+
 def components(triangles: NDArray[np.integer], node_count: int) -> NDArray[np.int32]:
     """Number of the connected part that each of `node_count` nodes belongs to, shape (n,)."""
     side = _sides(triangles)

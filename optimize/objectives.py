@@ -64,21 +64,20 @@ class Target:
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
         """Mean square of the relative deviation over the formed area."""
         deviation = result.thickness / self.wanted(result) - 1.0
-        weight = nodal_area(scene, result)
+        weight = nodal_area(result)
         return jnp.sum(weight * jnp.square(deviation)) / jnp.sum(weight)
 
 
-def formed_area(scene: Scene, result: Result) -> jax.Array:
-    """Final area of the elements (n_element,) [m^2]: an element keeps its volume."""
-    corners = scene.parison.thickness[scene.parison.triangles]
-    return scene.tables.sheet.area * jnp.mean(corners, axis=1) / result.element_thickness
+def formed_area(result: Result) -> jax.Array:
+    """Final area of the elements (n_element,) [m^2]: an element keeps its volume; 0 where it does not exist."""
+    return result.element_volume / jnp.where(result.used, result.element_thickness, 1.0)
 
 
-def nodal_area(scene: Scene, result: Result) -> jax.Array:
+def nodal_area(result: Result) -> jax.Array:
     """Final area that belongs to each node (n_node,) [m^2]: a third of that of its elements."""
-    share = formed_area(scene, result) / 3.0
-    area = jnp.zeros_like(scene.parison.thickness)
-    for corner in scene.parison.triangles.T:
+    share = formed_area(result) / 3.0
+    area = jnp.zeros_like(result.thickness)
+    for corner in result.triangles.T:
         area = area.at[corner].add(share)
     return area
 
@@ -95,7 +94,9 @@ class Wall(NamedTuple):
 
 def wall(scene: Scene, result: Result) -> Wall:
     """Statistics of the wall over the formed area; traced."""
-    area, thickness = formed_area(scene, result), result.element_thickness
+    area, thickness = formed_area(result), result.element_thickness
     mean = jnp.sum(area * thickness) / jnp.sum(area)
     variance = jnp.sum(area * jnp.square(thickness - mean)) / jnp.sum(area)
-    return Wall(jnp.min(thickness), mean, jnp.sqrt(variance) / mean, result.mass, result.status)
+    return Wall(
+        jnp.min(jnp.where(result.used, thickness, jnp.inf)), mean, jnp.sqrt(variance) / mean, result.mass, result.status
+    )

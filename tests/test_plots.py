@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import plots, sections, shapes, state
+from jaxform import body, plots, sections, shapes, state, topology
 from jaxform.result import Result
 from tests import scenes
 
@@ -31,7 +31,7 @@ def _at_rest(sheet: shapes.Sheet, end_time: float = 1.0) -> tuple[jaxform.Scene,
 def _result(scene: jaxform.Scene) -> Result:
     from jaxform.result import make_result
 
-    return make_result(state.initial_state(scene), scene, state.body(scene))
+    return make_result(state.initial_state(scene), scene, body.body(scene))
 
 
 SHEETS = {
@@ -93,7 +93,7 @@ def test_feature_edges_of_a_box_are_its_edges() -> None:
         [0, 2, 6],
         [0, 6, 4],
     ]
-    edges = plots.feature_edges(corners, np.array(faces, np.int32))
+    edges = topology.feature_edges(corners, np.array(faces, np.int32))
     assert len(edges) == 12
     np.testing.assert_allclose(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1), 1.0)
 

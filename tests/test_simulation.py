@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import molds, shapes, state, stepping
+from jaxform import body, molds, shapes, state, stepping
 from jaxform.state import Status
 from tests import scenes
 
@@ -209,12 +209,10 @@ def test_the_run_ends_when_nothing_can_move() -> None:
 def test_no_mold_no_contact_code() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     free = str(
-        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, state.body(scene)))(scene)
+        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, body.body(scene)))(scene)
     )
     with_mold = str(
-        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, state.body(scene)))(
-            scenes.cup()
-        )
+        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, body.body(scene)))(scenes.cup())
     )
     # Lists are packed with running counts; without a mold there is nothing to list.
     assert "cumsum" not in free

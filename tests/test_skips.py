@@ -12,8 +12,9 @@ import pytest
 import jaxform
 from benchmarks.bench import without
 from jaxform import blocks, force, membrane, packing, shapes, simulation, timestep
+from jaxform.body import body
 from jaxform.scene import Sheet
-from jaxform.state import body, initial_state
+from jaxform.state import initial_state
 from tests import scenes
 
 
