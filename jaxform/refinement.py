@@ -17,7 +17,7 @@ from jaxform.body import NEVER, Body, Mesh, levels, refined_body, relisted
 from jaxform.near import cells
 from jaxform.newborn import settled
 from jaxform.scene import STEPS_PER_WINDOW, Forest, Refinement, Scene
-from jaxform.state import State, Status, enclosed_volume, kinetic_energy, strain_energy
+from jaxform.state import State, Status, any_mode, enclosed_volume, kinetic_energy, strain_energy
 
 
 def refined(state: State, scene: Scene, sheet_body: Body) -> tuple[State, Body]:
@@ -206,7 +206,7 @@ def _born(state: State, old: Mesh, mesh: Mesh, scene: Scene, body: Body) -> Stat
         velocities=jnp.where(held, 0.0, velocities),
         stuck=jnp.where(free, False, state.stuck),
         contact_time=jnp.where(free, -1.0, jnp.where(held, 0.0, state.contact_time)),
-        mode=None if state.mode is None else mode,
+        mode=None if state.mode is None else jnp.where(new, jnp.max(jnp.abs(mode)) * any_mode(mode), mode),
         rate=jnp.zeros_like(state.rate),
         mesh=mesh,
     )

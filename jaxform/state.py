@@ -99,7 +99,7 @@ def initial_state(scene: Scene) -> State:
         contact_loss=zero,
         peak_work=zero,
         retries=none,
-        mode=_any_mode(positions) if scene.solver.sharp_step else None,
+        mode=any_mode(positions) if scene.solver.sharp_step else None,
         rate=zero,
         mesh=mesh,
         refinement_loss=zero,
@@ -110,7 +110,7 @@ def initial_state(scene: Scene) -> State:
     )
 
 
-def _any_mode(positions: jax.Array) -> jax.Array:
+def any_mode(positions: jax.Array) -> jax.Array:
     """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
     count = jnp.arange(positions.size, dtype=positions.dtype)
     return jnp.sin(12.9898 * count + 78.233 * jnp.square(jnp.sin(count))).reshape(positions.shape)

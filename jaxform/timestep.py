@@ -24,7 +24,7 @@ from jaxform.state import State, can_move
 
 _RUNGS_PER_OCTAVE = 8
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
-_COLD_ITERATIONS, _ITERATIONS = 16, 1
+_COLD_ITERATIONS, _AFTER_BIRTHS, _ITERATIONS = 16, 8, 1
 _MOST_SHARPENING = 2.0  # how far beyond the elements' bound the step may go
 
 
@@ -98,7 +98,7 @@ def _measured(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> t
 
     start = jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0)
     start = start / jnp.sqrt(jnp.maximum(product(start, start), jnp.finfo(mass.dtype).tiny))
-    count = jnp.where(state.windows == 0, _COLD_ITERATIONS, _ITERATIONS)
+    count = jnp.where(state.rate == 0.0, jnp.where(state.windows == 0, _COLD_ITERATIONS, _AFTER_BIRTHS), _ITERATIONS)
     zero = jnp.zeros((), mass.dtype)
     mode, rate, residual = jax.lax.fori_loop(0, count, iterate, (start, zero, zero))
     return packed.put_back(mode), rate, residual

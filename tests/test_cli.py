@@ -119,6 +119,7 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "external_work",
         "damping_loss",
         "contact_loss",
+        "refinement_loss",
         "balance_error",
     }
     assert summary["energy"]["balance_error"] < 1e-2
