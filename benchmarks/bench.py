@@ -200,13 +200,13 @@ def show_skips() -> Table:
 
 def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
-    state, body = simulation._begin(scene)
-    advance = simulation._compiled(state, scene, body)
+    state, body, taken = simulation._begin(scene)
+    advance = simulation._compiled(state, scene, body, taken)
     count = jax.jit(lambda state: can_move(state, scene.tables.sheet).sum())
     moved, done = 0, False
     while not done:
         moving, before = int(count(state)), int(state.steps)
-        state, done = advance(state, scene, body, jnp.int32(1))
+        state, taken, done = advance(state, scene, body, taken, jnp.int32(1))
         moved += moving * (int(state.steps) - before)
     return moved, int(state.steps)
 
@@ -242,8 +242,8 @@ def show_whole_run() -> Table:
 def show_parts(window: int = 20) -> Table:
     """Cost of the parts of a step and of a window's border on the dish [us], all elements moving."""
     scene = jaxform.load("dish")
-    state, body = simulation._begin(scene)
-    state, _ = simulation._compiled(state, scene, body)(state, scene, body, jnp.int32(window))
+    state, body, taken = simulation._begin(scene)
+    state = simulation._compiled(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
     packed, grid = jax.jit(lambda state: stepping._packed(state, scene, body)), scene.tables.grid
     assert grid is not None
     border = {

@@ -94,7 +94,8 @@ def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
         u, w = ([a - b for a, b in zip(corner, first, strict=True)] for corner in (second, third))
         shares = jax.lax.optimization_barrier(_corners(u, w, inverse, weight, jax.lax.optimization_barrier))
         rows = [jnp.stack([jnp.pad(share[k], (0, room - count)) for share in shares]) for k in range(3)]
-        return jnp.stack(force.assembled(jax.lax.optimization_barrier(rows), elements.slots))[:, : x.shape[1]]
+        found = force.assembled(jax.lax.optimization_barrier(rows), elements.slots, elements.row_count)
+        return jnp.stack(found)[:, : x.shape[1]]
 
     return nodal
 
@@ -161,7 +162,8 @@ def _own(sheet: Sheet, dtype: Any) -> Callable[[int], Any]:
             x, v, corners, volume = state
             load = force.Load(x, thickness, pressure, law)
             corners, volume = force.corner_forces(load, whole.elements, corners)
-            v = v + step * jnp.stack(force.assembled(corners, whole.elements.slots)) * compliance
+            nodal = force.assembled(corners, whole.elements.slots, whole.elements.row_count)
+            v = v + step * jnp.stack(nodal) * compliance
             return x + step * v, v, corners, volume
 
         room = force.no_corners(x, whole.elements)

@@ -83,6 +83,6 @@ def best_in_turns(runs: dict[str, Callable[[], Any]], rounds: int = 7) -> dict[s
 
 def whole_loop(scene: Scene) -> Callable[[], State]:
     """The whole loop of a scene's run, compiled; it gives the last state."""
-    state, body = simulation._begin(scene)
-    advance, most = simulation._compiled(state, scene, body), jnp.int32(scene.tables.window_count)
-    return lambda: advance(state, scene, body, most)[0]
+    begun = simulation._begin(scene)
+    advance, most = simulation._compiled(begun[0], scene, *begun[1:]), jnp.int32(scene.tables.window_count)
+    return lambda: advance(begun[0], scene, *begun[1:], most)[0]

@@ -65,7 +65,8 @@ def over_blocks(
         return flat, [total + term.astype(real) for total, term in zip(totals, terms, strict=True)]
 
     flat = [array.reshape(-1) for array in into]
-    real = next(leaf.dtype for leaf in jax.tree.leaves((inputs, into)) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    kinds = [leaf.dtype for leaf in jax.tree.leaves((inputs, into)) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    real = kinds[0] if kinds else jnp.float32
     zeros = [jnp.zeros(BLOCK, real) for _ in range(sums)]
     flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
     # Else the whole loop would be worked out again by whoever uses it twice.

@@ -135,6 +135,11 @@ def relisted(mesh: Mesh, forest: Forest) -> Mesh:
     return Mesh(mesh.split_at, element, neighbor, count, mesh.node, mesh.place, mesh.node_count)
 
 
+def node_room(elements: int, first_nodes: int, most: int) -> int:
+    """Room for nodes that goes with that for elements: a cut brings two elements or, at a rim, one, and one node."""
+    return min(first_nodes + 64 + int(0.6 * elements), most)
+
+
 def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
     """Of triangles (n,) of the forest."""
     begins = [forest.root_count * ((1 << level) - 1) for level in range(1, forest.depth + 1)]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import bisection, membrane, topology
+from jaxform.body import node_room
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
@@ -191,8 +192,6 @@ def _grown(
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
-    # A cut through two triangles brings one node, a cut through one at the rim as well: there are fewer of these.
-    rooms = first_nodes + 64 + int(0.6 * refinement.elements)
     turn = part = None
     if mold is not None:
         part, turn = topology.orientations(np.asarray(mold.triangles))
@@ -215,7 +214,7 @@ def _grown(
         part_count=0 if part is None else int(part.max()) + 1,
         half_edge_count=int(forest.half_edges.max()) + 2,
         slot_count=int(forest.corner_slots.max()) + 1,
-        node_room=min(rooms, len(forest.positions)),
+        node_room=node_room(refinement.elements, first_nodes, len(forest.positions)),
     )
 
 

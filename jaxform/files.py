@@ -181,7 +181,7 @@ def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinemen
     if table is None:
         return None, None
     roots, deepest = len(sheet.triangles), bisection.even_depth(max(table.max_level, table.base_level))
-    elements = min(table.elements or max(2048, 48 * roots), roots << deepest)
+    elements = min(table.elements or max(1024, 16 * roots), roots << deepest)
     refinement = make_refinement(**table.model_dump(exclude={"elements"}), elements=elements)
     made = bisection.build_forest(
         sheet.positions, sheet.triangles, deepest, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap

@@ -42,6 +42,7 @@ class Elements:
         slots: Where the corners' shares of each node are (depth, place): corner times room plus element.
         spill_node, spill_slot: Further shares (k,), of nodes with more elements than `slots` is deep.
         block_count, node_block_count: Blocks of elements, and of nodes, in use.
+        row_count: Rows of `slots` in use.
     """
 
     triangles: jax.Array
@@ -53,6 +54,7 @@ class Elements:
     spill_slot: jax.Array
     block_count: jax.Array
     node_block_count: jax.Array
+    row_count: jax.Array
 
 
 class Load(NamedTuple):
@@ -70,6 +72,8 @@ class Load(NamedTuple):
     pressure: jax.Array
     material: Material
 
+
+_USUAL_ROWS = 8  # of the shares of a node; all that are looked up without asking
 
 Corners = list[jax.Array]  # component by component, (3 corners, room)
 
@@ -116,9 +120,9 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     return corners, volume / 6.0
 
 
-def assembled(corners: Corners, slots: jax.Array) -> Vector:
-    """Sum (n,) at nodes of their shares, component by component; slots (depth, n) of `corners`."""
-    x, y, z = (_gathered(corner.reshape(-1), slots) for corner in corners)
+def assembled(corners: Corners, slots: jax.Array, row_count: jax.Array) -> Vector:
+    """Sum (n,) at nodes of their shares, component by component; slots (depth, n) of `corners`, rows in use."""
+    x, y, z = (_gathered(corner.reshape(-1), slots, row_count) for corner in corners)
     return x, y, z
 
 
@@ -130,16 +134,28 @@ def spilled(corners: Corners, elements: Elements) -> jax.Array | None:
     return jnp.zeros((3, elements.slots.shape[1]), shares.dtype).at[:, elements.spill_node].add(shares)
 
 
-def _gathered(flat: jax.Array, slots: jax.Array) -> jax.Array:
-    total = flat.at[slots[0]].get(mode="promise_in_bounds")
-    for slot in slots[1:]:
-        total = total + flat.at[slot].get(mode="promise_in_bounds")
-    return total
+def _gathered(flat: jax.Array, slots: jax.Array, row_count: jax.Array) -> jax.Array:
+    def taken(slot: jax.Array) -> jax.Array:
+        return flat.at[slot].get(mode="promise_in_bounds")
+
+    total = taken(slots[0])
+    for slot in slots[1:_USUAL_ROWS]:
+        total = total + taken(slot)
+    if len(slots) <= _USUAL_ROWS:
+        return total
+    # Few nodes have more, though any might: these rows are looked through only as far as they are in use.
+    return jax.lax.fori_loop(_USUAL_ROWS, row_count, lambda k, total: total + taken(slots[k]), total)
 
 
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:
-    """Sum of the corners' shares at all nodes (3, place)."""
-    nodal, spill = jnp.stack(assembled(corners, elements.slots)), spilled(corners, elements)
+    """Sum of the corners' shares at the nodes in use (3, place), 0 at the others."""
+
+    def work(slots: jax.Array) -> Any:
+        return [assembled(corners, slots, elements.row_count)], []
+
+    into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
+    (nodal,), _ = over_blocks(work, elements.node_block_count, (elements.slots,), into)
+    spill = spilled(corners, elements)
     return nodal if spill is None else nodal + spill
 
 

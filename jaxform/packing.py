@@ -7,11 +7,15 @@ of blocks in use is data.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.blocks import BLOCK, listed, padded
+from jaxform.blocks import BLOCK, listed, over_blocks, padded
 from jaxform.force import Elements
 from jaxform.pytree import pytree
 from jaxform.scene import Assembly, Sheet
@@ -80,19 +84,20 @@ def pack(
 ) -> Packed:
     """Packs the elements (n_element,) that can move, and their nodes.
 
-    Where `moving` is None, all elements and nodes; or so many of the first of each as `counts` says.
+    Where `moving` is None, all elements and nodes. There may be room for more of each than `counts` says.
     """
     element_count, node_count = sheet.area.size, assembly.table.shape[1]
     room, places = padded(element_count), padded(node_count)
+    counts = counts or (jnp.int32(element_count), jnp.int32(node_count))
     if moving is None:
-        count, node_total = counts or (jnp.int32(element_count), jnp.int32(node_count))
+        count, node_total = counts
         kept = jnp.arange(element_count) < count
         element, rank = jnp.minimum(jnp.arange(room), element_count - 1), jnp.arange(element_count)
         place = jnp.arange(node_count)
     else:
         kept, (element, count) = moving, listed(moving, room)
         rank = jnp.cumsum(moving, dtype=jnp.int32) - 1
-        place, node_total = _moved_first(_touched(moving, assembly))
+        place, node_total = _moved_first(_touched(moving, assembly, counts[1]))
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
 
@@ -101,25 +106,72 @@ def pack(
         owner = jnp.maximum(code, 0) >> 2
         return jnp.where(there & (code >= 0) & kept[owner], (code & 3) * room + rank[owner], count).astype(jnp.int32)
 
-    used = jnp.arange(room) < count
+    block_count, node_block_count = count // BLOCK + 1, -(-node_total // BLOCK)
+    triangles, inverse_metric, area = _columns(sheet, place, element, block_count)
+    shares, row_count = _shares(slots, assembly, node, exists, node_block_count)
     elements = Elements(
-        triangles=place[sheet.triangles[:, element]].astype(jnp.int32),
-        inverse_metric=sheet.inverse_metric[:, element],
-        area=jnp.where(used, sheet.area[element], 0.0),
+        triangles=triangles,
+        inverse_metric=inverse_metric,
+        area=jnp.where(jnp.arange(room) < count, area, 0.0),
         origin=sheet.origin,
-        slots=slots(assembly.table[:, node], exists),
+        slots=shares,
         spill_node=place[assembly.spill_node].astype(jnp.int32),
         spill_slot=slots(assembly.spill, jnp.asarray(True)),
-        block_count=count // BLOCK + 1,
-        node_block_count=-(-node_total // BLOCK),
+        block_count=block_count,
+        node_block_count=node_block_count,
+        row_count=row_count,
     )
     return Packed(node, place, element, exists, kept, elements)
 
 
-def _touched(moving: jax.Array, assembly: Assembly) -> jax.Array:
+def _columns(
+    sheet: Sheet, place: jax.Array, element: jax.Array, block_count: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Triangles (3, room) of places, inverse metric and area of the elements in the list; 0 beyond it."""
+
+    def work(element: jax.Array) -> Any:
+        corners = [place.at[row[element]].get(mode="promise_in_bounds") for row in sheet.triangles]
+        return [corners, [row[element] for row in sheet.inverse_metric], [sheet.area[element]]], []
+
+    room, real = element.size, sheet.area.dtype
+    into = [jnp.zeros((3, room), jnp.int32), jnp.zeros((3, room), real), jnp.zeros((1, room), real)]
+    (triangles, inverse_metric, area), _ = over_blocks(work, block_count, (element,), into)
+    return triangles, inverse_metric, area[0]
+
+
+def _shares(
+    slots: Callable[[jax.Array, jax.Array], jax.Array],
+    assembly: Assembly,
+    node: jax.Array,
+    exists: jax.Array,
+    node_block_count: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Where the shares of the nodes in use are (depth, place), and how many rows of it are in use."""
+
+    def work(node: jax.Array, exists: jax.Array) -> Any:
+        codes = [row[node] for row in assembly.table]
+        count = sum((code >= 0).astype(jnp.int32) for code in codes)
+        return [[slots(code, exists) for code in codes], [jnp.where(exists, count, 0)]], []
+
+    depth = assembly.table.shape[0]
+    into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]
+    (found, count), _ = over_blocks(work, node_block_count, (node, exists), into)
+    return found, jnp.max(count)
+
+
+def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:
     """Nodes (n_node,) of elements that can move."""
     table = assembly.table
-    touched = jnp.any((table >= 0) & moving[jnp.maximum(table, 0) >> 2], axis=0)
+
+    def work(node: jax.Array) -> Any:
+        codes = [row.at[node].get(mode="clip") for row in table]
+        touched = [(code >= 0) & moving[jnp.maximum(code, 0) >> 2] for code in codes]
+        return [[functools.reduce(jnp.logical_or, touched)]], []
+
+    places = padded(table.shape[1])
+    into = [jnp.zeros((1, places), bool)]
+    (found,), _ = over_blocks(work, -(-node_count // BLOCK), (jnp.arange(places, dtype=jnp.int32),), into)
+    touched = found[0, : table.shape[1]]
     if assembly.spill.size == 0:
         return touched
     return touched.at[assembly.spill_node].max(moving[assembly.spill >> 2])

@@ -7,21 +7,25 @@ design; the state of the new nodes flows through from their edges' ends.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import listed
-from jaxform.body import NEVER, Body, Mesh, levels, refined_body, relisted
+from jaxform.body import NEVER, Body, Mesh, levels, node_room, refined_body, relisted
 from jaxform.near import cells
 from jaxform.newborn import settled
 from jaxform.scene import STEPS_PER_WINDOW, Forest, Refinement, Scene
-from jaxform.state import State, Status, any_mode, enclosed_volume, kinetic_energy, strain_energy
+from jaxform.state import Schedule, State, Status, any_mode, enclosed_volume, kinetic_energy, strain_energy
 
 
-def refined(state: State, scene: Scene, sheet_body: Body) -> tuple[State, Body]:
-    """The state with more elements where the mesh needs them, at a border where it is time to look; and its body."""
+def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
+    """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
+
+    With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
+    """
     refinement, forest = scene.refinement, scene.tables.forest
     if refinement is None or forest is None:
         return state, sheet_body
@@ -32,7 +36,10 @@ def refined(state: State, scene: Scene, sheet_body: Body) -> tuple[State, Body]:
     def look() -> jax.Array:
         return closed(_marked(state, scene, sheet_body), mesh, forest)
 
-    split = jax.lax.cond(due, look, lambda: mesh.split_at != NEVER)
+    if schedule is not None and schedule.split_at is not None:
+        split = schedule.split_at <= state.windows
+    else:
+        split = jax.lax.cond(due, look, lambda: mesh.split_at != NEVER)
     grows = jnp.any(split & (mesh.split_at == NEVER))
     return jax.lax.cond(
         grows,
@@ -42,6 +49,34 @@ def refined(state: State, scene: Scene, sheet_body: Body) -> tuple[State, Body]:
         scene,
         sheet_body,
     )
+
+
+def can_have_more_room(scene: Scene) -> bool:
+    """Whether the forest has more elements than there is room for."""
+    forest, refinement = scene.tables.forest, scene.refinement
+    return forest is not None and refinement is not None and refinement.elements < forest.root_count << forest.depth
+
+
+def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
+    """A scene with twice the room for elements, and a state that found too little as it was before it did."""
+    forest, refinement, mesh = scene.tables.forest, scene.refinement, state.mesh
+    assert forest is not None and refinement is not None and mesh is not None
+    elements = min(2 * refinement.elements, forest.root_count << forest.depth)
+    nodes = node_room(elements, forest.first_nodes, forest.owner.size)
+    tables = dataclasses.replace(scene.tables, forest=dataclasses.replace(forest, node_room=nodes))
+    scene = dataclasses.replace(scene, tables=tables, refinement=dataclasses.replace(refinement, elements=elements))
+    nodal = ("positions", "velocities", "stuck", "contact_time", "wall", *(("mode",) if state.mode is not None else ()))
+    grown: dict[str, Any] = {name: _padded(getattr(state, name), nodes) for name in nodal}
+    grown["stuck"] = grown["stuck"].at[state.stuck.size :].set(True)
+    element = _padded(mesh.element, elements).at[mesh.element.size :].set(mesh.element[0])
+    neighbor = _padded(mesh.neighbor, elements).at[:, mesh.element.size :].set(-1)
+    grown["mesh"] = dataclasses.replace(mesh, element=element, neighbor=neighbor, node=_padded(mesh.node, nodes))
+    status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
+    return scene, dataclasses.replace(state, **grown, status=status)
+
+
+def _padded(values: jax.Array, count: int) -> jax.Array:
+    return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
 def closed(marked: jax.Array, mesh: Mesh, forest: Forest) -> jax.Array:
@@ -168,7 +203,7 @@ def _remeshed(old: Mesh, split: jax.Array, window: jax.Array, forest: Forest) ->
     total = old.node_count + count
     mesh = Mesh(split_at, old.element, old.neighbor, old.element_count, node, place, jnp.minimum(total, room))
     mesh = relisted(mesh, forest)
-    return mesh, (total <= room) & (mesh.element_count < mesh.element.size)
+    return mesh, (total <= room) & (mesh.element_count <= mesh.element.size)
 
 
 def _born(state: State, old: Mesh, mesh: Mesh, scene: Scene, body: Body) -> State:

@@ -14,7 +14,7 @@ from jaxform.body import Body, levels, present_body
 from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
-from jaxform.state import State, Status, kinetic_energy, last_work, strain_energy
+from jaxform.state import Schedule, State, Status, kinetic_energy, last_work, strain_energy
 
 
 @pytree
@@ -78,6 +78,7 @@ class Result:
         time: Simulated time [s].
         steps, windows, shortened: Steps and windows taken, and windows cut short by contact.
         status: Bits of `Status`; 0 when all went well.
+        schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
     """
 
@@ -101,11 +102,19 @@ class Result:
     windows: jax.Array
     shortened: jax.Array
     status: jax.Array
+    schedule: Schedule | None = None
     seconds: Seconds | None = None
 
 
-def make_result(state: State, scene: Scene, first: Body) -> Result:
-    """The result of a state, from the sheet as it was at first; pure, so it can be traced."""
+def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array, jax.Array] | None = None) -> Result:
+    """The result of a state; pure, so it can be traced.
+
+    Args:
+        state: The state.
+        scene: The scene.
+        first: The sheet as it was at first.
+        taken: The windows that were taken: length of the steps and their number (n_window,) each.
+    """
     now, forest, mesh = present_body(scene, state.mesh, first), scene.tables.forest, state.mesh
     sheet = now.sheet
     _, edge1, edge2 = membrane.edges(state.positions, sheet.triangles)
@@ -153,6 +162,7 @@ def make_result(state: State, scene: Scene, first: Body) -> Result:
         windows=state.windows,
         shortened=state.shortened,
         status=state.status,
+        schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
     )
 
 

@@ -16,47 +16,53 @@ from numpy.typing import ArrayLike
 
 from jaxform.body import Body, body, present_body
 from jaxform.errors import InputError
-from jaxform.refinement import refined
+from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result
 from jaxform.scene import Scene, replace
-from jaxform.state import State, Status, finished, initial_state
+from jaxform.state import Schedule, State, Status, finished, initial_state
 from jaxform.stepping import window
 from jaxform.store import Store
 
 
 @functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
-def simulate(scene: Scene, *, windows_per_checkpoint: int = 1) -> Result:
+def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_checkpoint: int = 1) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
     Differentiate through `replace`.
 
     Args:
         scene: The scene.
+        schedule: The decisions of an earlier run, from its result: taken as they are, the result is a smooth function
+            of the design as far as contact is. Without it every run decides for itself.
         windows_per_checkpoint: What the reverse derivative stores. 1: the state at every window's border; the steps
             of a window are worked out again. More: the state at every so many borders; windows are worked out once
             more in between, for less memory. 0: every step, nothing is worked out again.
     """
-    sheet_body = body(scene)
+    first = body(scene)
     count = scene.tables.window_count
 
-    def unless_finished(state: State, _: None = None) -> tuple[State, None]:
+    def unless_finished(state: State, _: None = None) -> tuple[State, tuple[jax.Array, jax.Array]]:
         def take(state: State) -> State:
-            state, now = refined(state, scene, present_body(scene, state.mesh, sheet_body))
-            return window(state, scene, now)
+            state, now = refined(state, scene, present_body(scene, state.mesh, first), schedule)
+            return window(state, scene, now, schedule)
 
         take = jax.checkpoint(take) if windows_per_checkpoint else take
-        return jax.lax.cond(finished(state, scene) | (state.windows >= count), lambda state: state, take, state), None
+        done = finished(state, scene) | (state.windows >= count)
+        state = jax.lax.cond(done, lambda state: state, take, state)
+        taken = state.last_length, state.last_count
+        return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), taken)
 
-    def several(state: State, _: None) -> tuple[State, None]:
+    def several(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array]]:
         return jax.lax.scan(unless_finished, state, length=windows_per_checkpoint)
 
     state = initial_state(scene)
     if windows_per_checkpoint > 1:
         groups = -(-count // windows_per_checkpoint)
-        state, _ = jax.lax.scan(jax.checkpoint(several), state, length=groups)
+        state, taken = jax.lax.scan(jax.checkpoint(several), state, length=groups)
+        taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
-        state, _ = jax.lax.scan(unless_finished, state, length=count)
-    return make_result(_closed(state, scene), scene, sheet_body)
+        state, taken = jax.lax.scan(unless_finished, state, length=count)
+    return make_result(_closed(state, scene), scene, first, jax.lax.stop_gradient(taken))
 
 
 def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:
@@ -93,9 +99,9 @@ def _side_by_side(scene: Scene, rows: Mapping[str, ArrayLike]) -> Result:
 @jax.jit
 def _whole(scene: Scene) -> Result:
     """A run without its host's loop."""
-    state, sheet_body = _begin(scene)
-    state, _ = _advance(state, scene, sheet_body, jnp.int32(scene.tables.window_count))
-    return make_result(_closed(state, scene), scene, sheet_body)
+    state, first, taken = _begin(scene)
+    state, taken, _ = _advance(state, scene, first, taken, jnp.int32(scene.tables.window_count))
+    return make_result(_closed(state, scene), scene, first, taken)
 
 
 def _closed(state: State, scene: Scene) -> State:
@@ -130,19 +136,30 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             Without it the whole loop runs at once.
         store: Where traced programs are kept between runs; nowhere by default.
     """
-    began = time.perf_counter()
     store = store or Store()
-    state, sheet_body = store.program(_begin, scene)(scene)
+    began = time.perf_counter()
+    state, first, taken = store.program(_begin, scene)(scene)
     take = 1 if on_window is not None else scene.tables.window_count
-    advance = _compiled(state, scene, sheet_body, store)
-    result = store.program(_make_result, state, scene, sheet_body)
-    ready = time.perf_counter()
-    left, telling = scene.tables.window_count, 0.0
+    advance = _compiled(state, scene, first, taken, store)
+    result = store.program(_make_result, state, scene, first, taken)
+    ready, telling = time.perf_counter(), 0.0
+    compiling = ready - began
+    left = scene.tables.window_count
     while left > 0:
-        state, done = advance(state, scene, sheet_body, jnp.int32(take))
+        state, taken, done = advance(state, scene, first, taken, jnp.int32(take))
         left -= take
+        if int(state.status) == Status.REFINEMENT_OVERFLOW and can_have_more_room(scene):
+            # One program for each size; the run goes on where it was.
+            paused = time.perf_counter()
+            scene, state = with_more_room(scene, state)
+            first, left = store.program(_begin, scene)(scene)[1], scene.tables.window_count - int(state.windows)
+            advance = _compiled(state, scene, first, taken, store)
+            result = store.program(_make_result, state, scene, first, taken)
+            compiling += time.perf_counter() - paused
+            telling += time.perf_counter() - paused
+            continue
         if on_window is not None:
-            moment = _moment(state, scene, functools.partial(result, state, scene, sheet_body))
+            moment = _moment(state, scene, functools.partial(result, state, scene, first, taken))
             told = time.perf_counter()
             stop = on_window(moment)
             telling += time.perf_counter() - told
@@ -152,41 +169,50 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
                 break
         if done:
             break
-    final = result(_closed(state, scene), scene, sheet_body)
+    final = result(_closed(state, scene), scene, first, taken)
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
-    seconds = Seconds(ready - began, time.perf_counter() - ready - telling)
+    seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     return dataclasses.replace(final, seconds=seconds)
 
 
 _make_result = jax.jit(make_result)
 
 
-@jax.jit
-def _begin(scene: Scene) -> tuple[State, Body]:
-    return initial_state(scene), body(scene)
+Taken = tuple[jax.Array, jax.Array]  # length of the steps and their number of each window (n_window,)
 
 
 @jax.jit
-def _advance(state: State, scene: Scene, sheet_body: Body, most: jax.Array) -> tuple[State, jax.Array]:
+def _begin(scene: Scene) -> tuple[State, Body, Taken]:
+    count = scene.tables.window_count
+    state = initial_state(scene)
+    return state, body(scene), (jnp.zeros(count, state.time.dtype), jnp.zeros(count, jnp.int32))
+
+
+@jax.jit
+def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Array) -> tuple[State, Taken, jax.Array]:
     """At most so many windows."""
 
-    def going(carry: tuple[State, Body, jax.Array]) -> jax.Array:
-        return (carry[2] < most) & ~finished(carry[0], scene)
+    def going(carry: tuple[State, Body, Taken, jax.Array]) -> jax.Array:
+        return (carry[3] < most) & ~finished(carry[0], scene)
 
-    def take(carry: tuple[State, Body, jax.Array]) -> tuple[State, Body, jax.Array]:
+    def take(carry: tuple[State, Body, Taken, jax.Array]) -> tuple[State, Body, Taken, jax.Array]:
+        at = carry[0].windows
         state, now = refined(carry[0], scene, carry[1])
-        return window(state, scene, now, differentiable=False), now, carry[2] + 1
+        state = window(state, scene, now, differentiable=False)
+        lengths, counts = carry[2]
+        taken = lengths.at[at].set(state.last_length), counts.at[at].set(state.last_count)
+        return state, now, taken, carry[3] + 1
 
-    first = state, present_body(scene, state.mesh, sheet_body), jnp.int32(0)
-    state = jax.lax.while_loop(going, take, first)[0]
-    return state, finished(state, scene)
+    begun = state, present_body(scene, state.mesh, first), taken, jnp.int32(0)
+    state, _, taken, _ = jax.lax.while_loop(going, take, begun)
+    return state, taken, finished(state, scene)
 
 
 def _compiled(
-    state: State, scene: Scene, sheet_body: Body, store: Store | None = None
-) -> Callable[..., tuple[State, jax.Array]]:
-    return (store or Store()).program(_advance, state, scene, sheet_body, jnp.int32(1))
+    state: State, scene: Scene, first: Body, taken: Taken, store: Store | None = None
+) -> Callable[..., tuple[State, Taken, jax.Array]]:
+    return (store or Store()).program(_advance, state, scene, first, taken, jnp.int32(1))
 
 
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:

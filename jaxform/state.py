@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +28,21 @@ class Status(enum.IntFlag):
 
 
 @pytree
+class Schedule:
+    """The decisions of a run, taken at its windows' borders; given to another run, they are taken as they are.
+
+    Attributes:
+        lengths: Of the steps of each window (n_window,) [s]; 0 for windows that were not taken.
+        counts: Steps of each window (n_window,).
+        split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
+    """
+
+    lengths: jax.Array
+    counts: jax.Array
+    split_at: jax.Array | None
+
+
+@pytree
 class State:
     """Where a simulation is.
 
@@ -47,6 +63,7 @@ class State:
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
         mesh: Which triangles of the forest there are; None without refinement.
         refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
+        last_length, last_count: Step length [s] and steps of the last window, taken or tried in vain.
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
     """
@@ -68,6 +85,8 @@ class State:
     rate: jax.Array
     mesh: Mesh | None
     refinement_loss: jax.Array
+    last_length: jax.Array
+    last_count: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
@@ -103,6 +122,8 @@ def initial_state(scene: Scene) -> State:
         rate=zero,
         mesh=mesh,
         refinement_loss=zero,
+        last_length=zero,
+        last_count=none,
         steps=none,
         windows=none,
         shortened=none,
@@ -160,6 +181,20 @@ def account(positions: jax.Array, scene: Scene, sheet_body: Body) -> tuple[jax.A
     inputs = elements.triangles, elements.inverse_metric, elements.area, thickness
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return energy, volume / 6.0
+
+
+def counted_volume(positions: jax.Array, sheet_body: Body, counted: jax.Array) -> jax.Array:
+    """As `enclosed_volume` [m^3], of the elements (n_element,) that count; in blocks, and not differentiable."""
+    elements, rows = sheet_body.whole.elements, membrane.rows_of(positions)
+    counted = jnp.pad(counted, (0, elements.area.size - counted.size))
+
+    def work(triangles: jax.Array, area: jax.Array, counted: jax.Array) -> Any:
+        first, edge1, edge2 = membrane.edges(rows, triangles)
+        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        return [], [jnp.where(counted & (area > 0.0), share, 0.0)]
+
+    _, (volume,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area, counted), [], sums=1)
+    return volume / 6.0
 
 
 def last_pressure(state: State, scene: Scene) -> jax.Array:

@@ -20,9 +20,9 @@ from jaxform.body import Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
 from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
-from jaxform.pytree import pytree
-from jaxform.scene import STEPS_PER_WINDOW, Scene, Sheet
-from jaxform.state import State, Status, account, can_move, enclosed_volume, last_pressure
+from jaxform.pytree import pytree, static
+from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.state import Schedule, State, Status, account, can_move, counted_volume, enclosed_volume, last_pressure
 from jaxform.timestep import choose_step
 
 _MOST_RETRIES = 12
@@ -58,6 +58,8 @@ class _Window:
         compliance: Mobility over mass (3, place) [1/kg].
         begin: Its begin [s].
         length: The step [s].
+        most: How many steps it takes.
+        scheduled: Whether a schedule says how many steps it takes, so that nothing else cuts it short.
         idle_volume: Enclosed by what is not worked through [m^3].
         near: The list of nodes near the mold; None where there is no mold.
     """
@@ -68,8 +70,10 @@ class _Window:
     compliance: jax.Array
     begin: jax.Array
     length: jax.Array
+    most: jax.Array | int
     idle_volume: jax.Array | float
     near: Near | None
+    scheduled: bool = static(default=False)
 
 
 def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _Window) -> _Moving:
@@ -147,7 +151,7 @@ def _taken_in_blocks(
 
     def work(old: Any, slots: jax.Array, spill: Any, nodes: Any, near: Any) -> Any:
         positions, velocities = old
-        nodal = assembled(corners, slots)
+        nodal = assembled(corners, slots, elements.row_count)
         if spill is not None:
             nodal = [own + more for own, more in zip(nodal, spill, strict=True)]
         velocities, losses = _kicked(nodal, velocities, nodes, kick, scene.solver.damping)
@@ -208,17 +212,19 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         contact_time=landing.contact_time,
         wall=landing.wall,
         contact_loss=landing.loss,
-        halted=moved.halted | taken.leaving,
+        halted=moved.halted | (moved.count >= now.most if now.scheduled else taken.leaving),
     )
 
 
-def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool = True) -> State:
-    """A fixed number of steps with the decisions taken at its border.
+def window(
+    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
+) -> State:
+    """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
 
     Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
     packed = _packed(state, scene, sheet_body)
-    length, mode, rate = choose_step(state, scene, sheet_body, packed)
+    length, mode, rate, most = _decided(state, scene, sheet_body, packed, schedule)
     index = jnp.arange(STEPS_PER_WINDOW)
     times = state.time + index * length
     pressure = scene.pressure.at(times)
@@ -232,7 +238,9 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
         compliance=packed.taken(sheet_body.compliance),
         begin=state.time,
         length=length,
-        idle_volume=_idle_volume(state, scene, sheet_body.sheet, packed),
+        most=most,
+        scheduled=schedule is not None,
+        idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
         near=_list_near(moving, scene, length),
     )
 
@@ -244,15 +252,31 @@ def window(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool
         moving, _ = jax.lax.scan(advance, moving, steps)
     else:
         moving = _until_halted(
-            lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving
+            lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
     return _close(dataclasses.replace(state, mode=mode, rate=rate), moving, scene, sheet_body, now)
+
+
+def _decided(
+    state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None
+) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array | int]:
+    """The step [s], the mode and squared frequency that it was measured with, and how many steps there are."""
+    if schedule is None:
+        return *choose_step(state, scene, sheet_body, packed), STEPS_PER_WINDOW
+    at = jnp.minimum(state.windows, schedule.lengths.size - 1)
+    planned = schedule.lengths[at]
+    most = jnp.where(planned > 0.0, jnp.maximum(schedule.counts[at], 1), STEPS_PER_WINDOW)
+    rest = (scene.solver.end_time - state.time) / most
+    # Beyond what was recorded, the rest in one window.
+    length = jnp.where(planned > 0.0, jnp.minimum(planned, jnp.maximum(rest, 0.0)), rest)
+    return jax.lax.stop_gradient(length), state.mode, state.rate, most
 
 
 def _packed(state: State, scene: Scene, sheet_body: Body) -> Packed:
     if scene.mold is None or not scene.solver.skip_stuck:
         return sheet_body.whole
-    return pack(can_move(state, sheet_body.sheet), sheet_body.sheet, sheet_body.assembly)
+    counts = None if state.mesh is None else (state.mesh.element_count, state.mesh.node_count)
+    return pack(can_move(state, sheet_body.sheet), sheet_body.sheet, sheet_body.assembly, counts)
 
 
 def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
@@ -273,15 +297,19 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
     )
 
 
-def _idle_volume(state: State, scene: Scene, sheet: Sheet, packed: Packed) -> jax.Array | float:
+def _idle_volume(
+    state: State, scene: Scene, sheet_body: Body, packed: Packed, differentiable: bool
+) -> jax.Array | float:
     if scene.mold is None or not scene.solver.skip_stuck:
         return 0.0
-    return enclosed_volume(state.positions, sheet, jnp.where(packed.kept, 0.0, 1.0))
+    if differentiable:
+        return enclosed_volume(state.positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return counted_volume(state.positions, sheet_body, ~packed.kept)
 
 
-def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving) -> _Moving:
+def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving, most: jax.Array | int) -> _Moving:
     def going(moving: _Moving) -> jax.Array:
-        return (moving.count < STEPS_PER_WINDOW) & ~moving.halted
+        return (moving.count < most) & ~moving.halted
 
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
@@ -321,7 +349,7 @@ def _close(
         peak_work=jnp.maximum(state.peak_work, jnp.abs(jax.lax.stop_gradient(moving.external_work))),
         steps=state.steps + moving.count,
         windows=state.windows + 1,
-        shortened=state.shortened + moving.halted,
+        shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
     status = _health(moving, new, scene, sheet_body, now) | state.status
     bad, retries = (status & Status.NON_FINITE) != 0, state.retries
@@ -335,7 +363,13 @@ def _close(
     kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
-        kept, status=status.astype(jnp.int32), retries=retries, windows=new.windows, shortened=shortened
+        kept,
+        status=status.astype(jnp.int32),
+        retries=retries,
+        windows=new.windows,
+        shortened=shortened,
+        last_length=now.length,
+        last_count=moving.count,
     )
 
 

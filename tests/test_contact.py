@@ -197,7 +197,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     watch = nearness.watch
 
     def windows() -> State:
-        state, body = simulation._begin(scene)
+        state, body, _ = simulation._begin(scene)
         advance = jax.jit(lambda state: stepping.window(state, scene, body))
         for _ in range(25):
             state = advance(state)

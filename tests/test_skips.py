@@ -36,7 +36,7 @@ def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
 
 def test_what_sticks_is_packed_away() -> None:
     scene = scenes.cup()
-    state, sheet_body = simulation._begin(scene)
+    state, sheet_body, _ = simulation._begin(scene)
     moving = np.zeros(scene.tables.sheet.area.size, bool)
     moving[[3, 4, 40]] = True
     packed = packing.pack(jnp.asarray(moving), scene.tables.sheet, scene.tables.assembly)
