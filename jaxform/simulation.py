@@ -44,7 +44,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
     def unless_finished(state: State, _: None = None) -> tuple[State, tuple[jax.Array, jax.Array]]:
         def take(state: State) -> State:
             state, now = refined(state, scene, present_body(scene, state.mesh, first), schedule)
-            return window(state, scene, now, schedule)
+            return _unless_full(state, scene, lambda state: window(state, scene, now, schedule))
 
         take = jax.checkpoint(take) if windows_per_checkpoint else take
         done = finished(state, scene) | (state.windows >= count)
@@ -199,7 +199,7 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
     def take(carry: tuple[State, Body, Taken, jax.Array]) -> tuple[State, Body, Taken, jax.Array]:
         at = carry[0].windows
         state, now = refined(carry[0], scene, carry[1])
-        state = window(state, scene, now, differentiable=False)
+        state = _unless_full(state, scene, lambda state: window(state, scene, now, differentiable=False))
         lengths, counts = carry[2]
         taken = lengths.at[at].set(state.last_length), counts.at[at].set(state.last_count)
         return state, now, taken, carry[3] + 1
@@ -207,6 +207,13 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
     begun = state, present_body(scene, state.mesh, first), taken, jnp.int32(0)
     state, _, taken, _ = jax.lax.while_loop(going, take, begun)
     return state, taken, finished(state, scene)
+
+
+def _unless_full(state: State, scene: Scene, take: Callable[[State], State]) -> State:
+    """A window, unless refinement found no room at its border: then the state is left for a run with more."""
+    if scene.refinement is None:
+        return take(state)
+    return jax.lax.cond(state.status == 0, take, lambda state: state, state)
 
 
 def _compiled(

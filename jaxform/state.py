@@ -134,7 +134,7 @@ def initial_state(scene: Scene) -> State:
 def any_mode(positions: jax.Array) -> jax.Array:
     """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
     count = jnp.arange(positions.size, dtype=positions.dtype)
-    return jnp.sin(12.9898 * count + 78.233 * jnp.square(jnp.sin(count))).reshape(positions.shape)
+    return jnp.sin(12.9898 * count + 78.233 * jnp.square(jnp.sin(count))).reshape(-1, 3).T
 
 
 def finished(state: State, scene: Scene) -> jax.Array:
