@@ -10,14 +10,17 @@ from jaxform.result import Result, explain, summarize
 from jaxform.scene import (
     Parison,
     Pressure,
+    Refinement,
     Scene,
     Solver,
     make_parison,
     make_pressure,
+    make_refinement,
     make_solver,
     replace,
 )
 from jaxform.simulation import Moment, run, simulate, simulate_batch
+from jaxform.state import Schedule
 
 __all__ = [
     "InputError",
@@ -28,8 +31,10 @@ __all__ = [
     "NeoHookean",
     "Parison",
     "Pressure",
+    "Refinement",
     "Result",
     "Scene",
+    "Schedule",
     "Solver",
     "build_scene",
     "explain",
@@ -37,6 +42,7 @@ __all__ = [
     "make_mold",
     "make_parison",
     "make_pressure",
+    "make_refinement",
     "make_solver",
     "molds",
     "replace",

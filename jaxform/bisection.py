@@ -161,12 +161,12 @@ def _rim(triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _still_sides(
     triangles: NDArray[np.int64], rim: NDArray[np.bool_], held: NDArray[np.bool_], clamped: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Sides (n, 3) that do not move: of a rim that does not, or with no triangle along them that does."""
+    """Sides (n, 3) that do not move: of a triangle that cannot, or of a rim that does not."""
     half = _half_edges(triangles)
-    moves = np.zeros(int(half.max(initial=0)) // 2 + 1, bool)
-    moves[half[~held] >> 1] = True
+    still = np.zeros(int(half.max(initial=0)) // 2 + 1, bool)
+    still[half[held] >> 1] = True
     ends = clamped[triangles] & clamped[np.roll(triangles, -1, axis=1)]
-    return ~moves[half >> 1] | rim & ends
+    return still[half >> 1] | rim & ends
 
 
 def _child_sides(sides: NDArray[np.bool_], cut: NDArray[np.bool_]) -> NDArray[np.bool_]:

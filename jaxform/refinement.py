@@ -7,7 +7,7 @@ design; the state of the new nodes flows through from their edges' ends.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,14 @@ from jaxform.near import cells
 from jaxform.newborn import settled
 from jaxform.scene import STEPS_PER_WINDOW, Forest, Refinement, Scene
 from jaxform.state import Schedule, State, Status, any_mode, enclosed_volume, kinetic_energy, strain_energy
+
+
+class Tree(NamedTuple):
+    """As much of a forest as closure needs."""
+
+    partner: jax.Array
+    root_count: int
+    depth: int
 
 
 def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
@@ -34,7 +42,7 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
     due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
 
     def look() -> jax.Array:
-        return closed(_marked(state, scene, sheet_body), mesh, forest)
+        return closure((mesh.split_at != NEVER) | _marked(state, scene, sheet_body), forest)
 
     if schedule is not None and schedule.split_at is not None:
         split = schedule.split_at <= state.windows
@@ -79,8 +87,8 @@ def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def closed(marked: jax.Array, mesh: Mesh, forest: Forest) -> jax.Array:
-    """Triangles (n_triangle,) that are bisected when those marked are, so that no node hangs on a side.
+def closure(split: jax.Array, tree: Forest | Tree) -> jax.Array:
+    """Triangles (n_triangle,) that are bisected when those of `split` are, so that no node hangs on a side.
 
     With a triangle its partner is bisected, and what has bisected parts is so itself. The least such set, so it does
     not depend on the order of the marks.
@@ -91,11 +99,11 @@ def closed(marked: jax.Array, mesh: Mesh, forest: Forest) -> jax.Array:
 
     def sweep(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         split = carry[0]
-        wider = split | split[forest.partner]
+        wider = split | split[tree.partner]
         levels, end = [], wider.size
         below = None
-        for level in range(forest.depth, -1, -1):
-            begin = forest.root_count * ((1 << level) - 1)
+        for level in range(tree.depth, -1, -1):
+            begin = tree.root_count * ((1 << level) - 1)
             part = wider[begin:end]
             if below is not None:
                 part = part | below[0::2] | below[1::2]
@@ -104,8 +112,7 @@ def closed(marked: jax.Array, mesh: Mesh, forest: Forest) -> jax.Array:
         wider = jnp.concatenate(levels[::-1])
         return wider, jnp.any(wider != split)
 
-    split = (mesh.split_at != NEVER) | marked
-    return jax.lax.while_loop(more, sweep, (split, jnp.any(marked)))[0]
+    return jax.lax.while_loop(more, sweep, (split, jnp.asarray(True)))[0]
 
 
 def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:

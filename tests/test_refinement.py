@@ -1,0 +1,191 @@
+"""Refinement in the run: what new nodes bring and take, replay, room, gradients, batches."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import body, meshes, output, refinement, result
+from jaxform.body import NEVER
+from jaxform.errors import InputError
+from jaxform.result import Result
+from jaxform.scene import Scene
+from jaxform.state import Schedule, State, initial_state
+from tests import scenes
+
+
+def cup(elements: int = 400, **options: float) -> Scene:
+    """The cup of the other tests, coarse at first."""
+    coarse = scenes.cup(20, 12.0)
+    assert coarse.mold is not None
+    chosen = {"angle": 5.0, "interval": 64, "max_level": 2, "base_level": 2, "elements": elements} | options
+    return jaxform.build_scene(
+        parison=coarse.parison,
+        material=coarse.material,
+        pressure=coarse.pressure,
+        solver=coarse.solver,
+        mold=coarse.mold,
+        refinement=jaxform.make_refinement(**chosen),  # pyright: ignore[reportArgumentType]
+    )
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return cup()
+
+
+@pytest.fixture(scope="module")
+def live(scene: Scene) -> Result:
+    return jaxform.simulate(scene)
+
+
+def grown(scene: Scene, seed: int) -> tuple[State, State, body.Body, body.Body]:
+    """A state moved and set in motion at random, and the same with a third of the elements bisected."""
+    random = np.random.default_rng(seed)
+    thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
+    scene = jaxform.replace(scene, {"parison.thickness": thickness})
+    state, first = initial_state(scene), body.body(scene)
+    free = ~state.stuck & (jnp.arange(state.stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
+    shape = state.positions.shape
+    state = dataclasses.replace(
+        state,
+        positions=state.positions + jnp.where(free, jnp.asarray(random.normal(0, 0.01, shape)), 0.0),
+        velocities=jnp.where(free, jnp.asarray(random.normal(0, 1, shape)), 0.0) * (first.compliance > 0),
+    )
+    mesh, forest = state.mesh, scene.tables.forest
+    assert mesh is not None and forest is not None
+    marks = np.zeros(forest.bound.size, bool)
+    marks[random.permutation(forest.root_count)[: forest.root_count // 3]] = True
+    split = refinement.closure(jnp.asarray(marks), forest)
+    after, now = refinement._grown(state, scene, first, split)
+    return state, after, first, now
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_new_nodes_keep_mass_and_momentum_whatever_the_thickness(seed: int) -> None:
+    # Nothing clamped and no mold: a sphere. Its new nodes lie on it, beyond their edges.
+    sheet = jaxform.shapes.sphere(radius=1.0, elements=32, symmetry="none")
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=1.0),
+        refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, elements=200),
+    )
+    before, after, first, now = grown(scene, seed)
+    assert before.mesh is not None and after.mesh is not None
+    assert int(after.mesh.element_count) > int(before.mesh.element_count) == 32
+
+    def there(state: State) -> jax.Array:
+        assert state.mesh is not None
+        return jnp.arange(state.stuck.size) < state.mesh.node_count
+
+    mass, new_mass = (jnp.where(there(s), b.mass, 0.0) for s, b in ((before, first), (after, now)))
+    np.testing.assert_allclose(jnp.sum(new_mass), jnp.sum(mass), rtol=1e-13)
+    assert first.volumes is not None
+    np.testing.assert_allclose(jnp.sum(new_mass), jnp.sum(first.volumes[-32 * 4 :]), rtol=1e-13)
+    momentum, new_momentum = jnp.sum(mass * before.velocities, axis=1), jnp.sum(new_mass * after.velocities, axis=1)
+    np.testing.assert_allclose(new_momentum, momentum, atol=1e-14 * float(jnp.sum(mass)))
+    # A flat cut changes no element's strain; what is lost is kinetic energy alone.
+    kinetic = [0.5 * jnp.sum(m * jnp.sum(s.velocities**2, 0)) for m, s in ((mass, before), (new_mass, after))]
+    assert 0 < float(after.refinement_loss) == pytest.approx(float(kinetic[0] - kinetic[1]), rel=1e-9)
+
+
+def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: Result) -> None:
+    ran = jaxform.run(scene)
+    assert jaxform.explain(live) == "ok"
+    assert len(scene.parison.triangles) * 3 < int(live.used.sum()) == int(ran.used.sum())
+    assert set(np.unique(np.asarray(live.level)[np.asarray(live.used)])) >= {1, 2}
+    np.testing.assert_allclose(ran.positions, live.positions, atol=1e-12)
+    np.testing.assert_allclose(ran.thickness, live.thickness, atol=1e-14)
+    assert float(live.energy.balance_error) < 1e-3
+    assert float(live.mass) == pytest.approx(float(jaxform.run(cup(max_level=1, base_level=0)).mass), rel=1e-12)
+    assert result.penetrated(live, scene).nodes < 1e-9
+    active = np.asarray(live.active)
+    assert np.isfinite(np.asarray(live.positions)).all() and np.isfinite(np.asarray(live.thickness)).all()
+    assert (np.asarray(live.thickness)[active] > 0).all() and not np.asarray(live.thickness)[~active].any()
+    np.testing.assert_array_equal(np.unique(np.asarray(live.triangles)[np.asarray(live.used)]), np.flatnonzero(active))
+
+
+def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> None:
+    again = jaxform.simulate(scene, schedule=live.schedule)
+    for name in ("positions", "thickness", "used", "steps", "windows", "shortened", "velocities"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(live, name), err_msg=name)
+    schedule = live.schedule
+    assert isinstance(schedule, Schedule) and int(schedule.counts.sum()) == int(live.steps)
+    assert schedule.split_at is not None and int((schedule.split_at != NEVER).sum()) > 10
+
+
+def test_the_gradient_of_a_replay_is_that_of_central_differences(scene: Scene, live: Result) -> None:
+    start = scene.parison.thickness
+    way = jnp.asarray(np.random.default_rng(0).normal(size=start.shape)) * start
+
+    @jax.jit
+    def uneven(share: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {"parison.thickness": start + share * way})
+        part = jaxform.simulate(changed, schedule=live.schedule)
+        area = part.element_volume / jnp.where(part.used, part.element_thickness, 1.0)
+        mean = jnp.sum(part.element_volume) / jnp.sum(area)
+        return jnp.sum(area * jnp.square(part.element_thickness / mean - 1.0)) / jnp.sum(area)
+
+    slope = jax.jit(jax.grad(uneven))(0.0)
+    size = 1e-5
+    assert (uneven(size) - uneven(-size)) / (2 * size) == pytest.approx(float(slope), rel=1e-6)
+
+
+def test_a_batch_is_single_runs(scene: Scene) -> None:
+    factors = np.array([0.9, 1.0, 1.15])
+    rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
+    together = jax.jit(jax.vmap(lambda rows: jaxform.simulate(jaxform.replace(scene, rows))))(
+        jax.tree.map(jnp.asarray, rows)
+    )
+    for k, factor in enumerate(factors):
+        alone = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": factor * scene.parison.thickness}))
+        np.testing.assert_array_equal(together.used[k], alone.used)
+        np.testing.assert_allclose(together.positions[k], alone.positions, atol=1e-10)
+
+
+def test_too_little_room_is_told_and_a_run_takes_more(scene: Scene, live: Result) -> None:
+    small = cup(40)
+    short = jaxform.simulate(small)
+    assert "room" in jaxform.explain(short) and "refinement.elements" in jaxform.explain(short)
+    grown = jaxform.run(small)
+    assert jaxform.explain(grown) == "ok"
+    assert int(grown.used.sum()) == int(live.used.sum())
+    np.testing.assert_allclose(grown.positions, live.positions, atol=1e-12)
+
+
+def test_files_and_pictures_have_the_nodes_that_exist(scene: Scene, live: Result, tmp_path: Path) -> None:
+    output.write_part(scene, live, tmp_path / "final.vtu")
+    mesh = meshes.read_mesh(tmp_path / "final.vtu")
+    assert len(mesh.triangles) == int(live.used.sum()) and len(mesh.positions) == int(live.active.sum())
+    shown, part = result.only_used(scene, live)
+    np.testing.assert_array_equal(mesh.triangles, part.triangles)
+    np.testing.assert_allclose(mesh.positions, part.positions)
+    summary = result.summarize(live, scene)
+    assert summary["elements_initial"] == len(scene.parison.triangles) < summary["elements_final"]
+    assert summary["nodes_final"] == len(mesh.positions) == len(shown.parison.positions)
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"angle": 0.0}, "angle"),
+        ({"max_level": 0}, "max_level"),
+        ({"max_level": 30}, "max_level"),
+        ({"interval": 0}, "interval"),
+        ({"jump": 0.0}, "jump"),
+        ({"min_area": -1.0}, "min_area"),
+    ],
+)
+def test_limits_out_of_range_are_told(options: dict[str, float], key: str) -> None:
+    usual = {"angle": 5.0, "interval": 64, "max_level": 2, "elements": 100}
+    with pytest.raises(InputError) as caught:
+        jaxform.make_refinement(**usual | options)  # pyright: ignore[reportArgumentType]
+    assert caught.value.key == f"refinement.{key}"
