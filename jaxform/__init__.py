@@ -6,6 +6,7 @@ from jaxform.errors import InputError
 from jaxform.files import load
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
 from jaxform.mold import Mold, make_mold
+from jaxform.refinement import fitted
 from jaxform.result import Result, explain, summarize
 from jaxform.scene import (
     Parison,
@@ -38,6 +39,7 @@ __all__ = [
     "Solver",
     "build_scene",
     "explain",
+    "fitted",
     "load",
     "make_mold",
     "make_parison",

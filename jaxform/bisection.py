@@ -21,6 +21,7 @@ from jaxform.errors import InputError
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int32]
+_MOST_TRIANGLES = 4_000_000
 Snap = Callable[[Array, Array, NDArray[np.bool_]], Array]
 
 
@@ -96,6 +97,10 @@ def build_forest(
     Raises:
         InputError: If an edge has more than two triangles, or two neighbours turn opposite ways.
     """
+    count = len(triangles) << (depth + 1)
+    if count > _MOST_TRIANGLES:
+        problem = f"the mesh bisected beforehand would have {count} triangles"
+        raise InputError(problem, "lower it, or begin with fewer elements", "refinement.max_level", depth)
     for bad, problem in (
         (topology.nonmanifold_edges(triangles), "an edge of more than two triangles cannot be refined"),
         (topology.inconsistent_edges(triangles), "neighbours that turn opposite ways cannot be refined"),

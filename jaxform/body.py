@@ -48,7 +48,7 @@ class Body:
         assembly: How nodes gather their force.
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         thickness: Initial thickness of the elements (n_element,) [m].
-        mass: Lumped mass of the nodes (n_node,) [kg].
+        mass: Lumped mass of the nodes (n_node,) [kg], with what fine elements are given to keep the step long.
         compliance: Mobility over mass (3, n_node) [1/kg].
         whole: All elements and nodes, packed.
         volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
@@ -168,7 +168,7 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
         origin=forest.sheet.origin,
     )
     volume = volumes[element]
-    share = jnp.where(used, scene.material.density * volume / 3.0, 0.0)
+    share = jnp.where(used, forest.heavier[element] * scene.material.density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
     heavy = jnp.where(exists, mass, 1.0)
     assembly = _assembly(sheet, forest.corner_slots[:, element], used, mesh.node.size, forest.slot_count)

@@ -192,12 +192,16 @@ def _grown(
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
+    bound = membrane.shape_bound(inverse, area)
+    unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
+    heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
     turn = part = None
     if mold is not None:
         part, turn = topology.orientations(np.asarray(mold.triangles))
     return Forest(
         sheet=Sheet(triangles, inverse, area, sheet.origin),
-        bound=membrane.shape_bound(inverse, area),
+        bound=bound if refinement.scaled_levels == 0 else bound / heavier,
+        heavier=jnp.ones_like(heavier) if refinement.scaled_levels == 0 else heavier,
         partner=jnp.asarray(forest.partner),
         middle=jnp.asarray(forest.middle),
         half_edges=jnp.asarray(forest.half_edges.T),

@@ -271,7 +271,14 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
 
     step = float(jax.jit(first_step)(scene))
     parison, law = scene.parison, document.model.material.model
-    yield f"{scene.name}: {len(parison.triangles)} elements, {len(parison.positions)} nodes, {law}"
+    forest, refinement = scene.tables.forest, scene.refinement
+    first = len(parison.positions) if forest is None else forest.first_nodes
+    yield f"{scene.name}: {len(parison.triangles)} elements, {first} nodes, {law}"
+    if forest is not None and refinement is not None:
+        yield (
+            f"refined up to level {refinement.deepest} of {forest.depth}, looked at every {refinement.interval} steps: "
+            f"{forest.bound.size} triangles bisected beforehand, room for {refinement.elements} elements at once"
+        )
     yield (
         f"to {float(scene.solver.end_time):.4g} s, first step {step:.3g} s, at most "
         f"{scene.tables.window_count} windows of {STEPS_PER_WINDOW} steps"
@@ -283,7 +290,7 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
         "the second invariant (the law has none)": law == "neo-hookean",
-        "refinement (none given)": True,
+        "refinement (none given)": scene.refinement is None,
         "frames (none wanted)": document.model.output.frames == 0,
     }
     yield "skipped: " + ", ".join(what for what, skip in skipped.items() if skip)

@@ -102,6 +102,25 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     _save(figure, path)
 
 
+def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) -> None:
+    """The part at several times, side by side, in colours of its wall.
+
+    Args:
+        path: Where the PNG goes.
+        scene: What was simulated.
+        results: The part at each time.
+    """
+    parts = [only_used(scene, result) for result in results]
+    figure, scale = _figure(5.5 * len(parts), 5.5, scene.name), _scale([part for _, part in parts])
+    for k, (shown, part) in enumerate(parts):
+        view = figure.add_axes((k / len(parts), 0.02, 0.96 / len(parts), 0.84), projection="3d")
+        colors = _draw_part(view, shown, part, scale, edges=True)
+        words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
+        figure.text((k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
+    figure.colorbar(colors, cax=figure.add_axes((0.985, 0.25, 0.004, 0.45)), label="wall [mm]")
+    _save(figure, path)
+
+
 def warm_up() -> None:
     """Imports and sets up what a picture needs, half of what a first one takes."""
     _figure(1, 1, "").add_axes((0, 0, 1, 1), projection="3d")
@@ -175,8 +194,8 @@ def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Arra
     return [images[0], *images[2:]] if open_front and len(images) == 4 else images
 
 
-def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, float]) -> Any:
-    """The part as shaded triangles; returns what a colour bar needs."""
+def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, float], edges: bool = False) -> Any:
+    """The part as shaded triangles, with their edges where asked for; returns what a colour bar needs."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -191,7 +210,8 @@ def _draw_part(axes: Any, scene: Scene, result: Result, scale: tuple[float, floa
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     bright = 0.72 + 0.28 * np.abs((normal / np.where(length > 0, length, 1.0)) @ _LIGHT)
     paint[:, :3] *= bright[:, None]
-    axes.add_collection3d(Poly3DCollection(faces, facecolors=paint, edgecolors=paint, linewidths=0.2))
+    lines: Any = "#00000060" if edges else paint
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=paint, edgecolors=lines, linewidths=0.2))
     _draw_outline(axes, scene)
     _set_box(axes, faces.reshape(-1, 3), hangs=_hangs(scene, result))
     return colors

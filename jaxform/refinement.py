@@ -7,18 +7,21 @@ design; the state of the new nodes flows through from their edges' ends.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
-from jaxform.blocks import listed
+from jaxform.blocks import BLOCK, listed, over_blocks, padded
 from jaxform.body import NEVER, Body, Mesh, levels, node_room, refined_body, relisted
 from jaxform.near import cells
 from jaxform.newborn import settled
-from jaxform.scene import STEPS_PER_WINDOW, Forest, Refinement, Scene
-from jaxform.state import Schedule, State, Status, any_mode, enclosed_volume, kinetic_energy, strain_energy
+from jaxform.scene import STEPS_PER_WINDOW, Forest, Scene
+from jaxform.state import Schedule, State, Status, account, any_mode, kinetic_energy
+
+_SPARE_BLOCKS = 2
 
 
 class Tree(NamedTuple):
@@ -65,14 +68,33 @@ def can_have_more_room(scene: Scene) -> bool:
     return forest is not None and refinement is not None and refinement.elements < forest.root_count << forest.depth
 
 
-def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
-    """A scene with twice the room for elements, and a state that found too little as it was before it did."""
-    forest, refinement, mesh = scene.tables.forest, scene.refinement, state.mesh
-    assert forest is not None and refinement is not None and mesh is not None
-    elements = min(2 * refinement.elements, forest.root_count << forest.depth)
+def fitted(scene: Scene, used: int) -> Scene:
+    """A scene with room for somewhat more elements than were `used` in a run of it: what is not used takes time too.
+
+    Any scene without refinement is as it was.
+    """
+    forest = scene.tables.forest
+    if forest is None:
+        return scene
+    return _with_room(scene, min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK)))
+
+
+def _with_room(scene: Scene, blocks: int) -> Scene:
+    forest, refinement = scene.tables.forest, scene.refinement
+    assert forest is not None and refinement is not None
+    elements = blocks * BLOCK
     nodes = node_room(elements, forest.first_nodes, forest.owner.size)
     tables = dataclasses.replace(scene.tables, forest=dataclasses.replace(forest, node_room=nodes))
-    scene = dataclasses.replace(scene, tables=tables, refinement=dataclasses.replace(refinement, elements=elements))
+    return dataclasses.replace(scene, tables=tables, refinement=dataclasses.replace(refinement, elements=elements))
+
+
+def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
+    """A scene with twice the room for elements, and a state that found too little as it was before it did."""
+    refinement, mesh = scene.refinement, state.mesh
+    assert refinement is not None and mesh is not None
+    scene = _with_room(scene, -(-2 * refinement.elements // BLOCK))
+    assert scene.refinement is not None and scene.tables.forest is not None
+    elements, nodes = scene.refinement.elements, scene.tables.forest.node_room
     nodal = ("positions", "velocities", "stuck", "contact_time", "wall", *(("mode",) if state.mode is not None else ()))
     grown: dict[str, Any] = {name: _padded(getattr(state, name), nodes) for name in nodal}
     grown["stuck"] = grown["stuck"].at[state.stuck.size :].set(True)
@@ -120,61 +142,78 @@ def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
     refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
     assert refinement is not None and forest is not None and mesh is not None
-    used = sheet_body.sheet.area > 0.0
-    small = 0.5 * sheet_body.sheet.area < refinement.min_area
-    level = levels(mesh.element, forest)
-    _, edge1, edge2 = membrane.edges(state.positions, sheet_body.sheet.triangles)
-    wanted = _bent(edge1, edge2, mesh.neighbor, refinement) & (level < refinement.max_level)
-    if refinement.jump is not None:
-        wanted |= _uneven(edge1, edge2, sheet_body, mesh.neighbor, refinement.jump) & (level < refinement.max_level)
-    if forest.bend is not None:
-        wanted |= _near_a_bend(state, scene, sheet_body, edge1, edge2) & (level < refinement.base_level)
-    marks = wanted & used & ~small
+    shapes = _shapes(state, scene, sheet_body)
+    sheet, fine = sheet_body.sheet, 0.5 * sheet_body.sheet.area < refinement.min_area
+    room = padded(mesh.element.size)
+    blocks = mesh.element_count // BLOCK + 1
+
+    def work(element: jax.Array, neighbor: jax.Array, own: jax.Array, fine: jax.Array, area: jax.Array) -> Any:
+        level = levels(element, forest)
+        wanted = _bent(own, neighbor, shapes, refinement.angle) & (level < refinement.max_level)
+        if refinement.jump is not None:
+            wanted |= _uneven(own, neighbor, shapes, refinement.jump) & (level < refinement.max_level)
+        if forest.bend is not None:
+            # A bent part of the mold is nearer than the longest side.
+            wanted |= (own[4] > 0.0) & (level < refinement.base_level)
+        return [[wanted & ~fine & (area > 0.0)]], []
+
+    lists = mesh.element, mesh.neighbor, shapes[:, : mesh.element.size], fine, sheet.area
+    inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - x.shape[-1])]) for x in lists)
+    (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, room), bool)])
     none = jnp.zeros(forest.bound.size, bool)
-    return none.at[jnp.where(marks, mesh.element, none.size)].set(True, mode="drop")
+    return none.at[jnp.where(marks[0, : mesh.element.size], mesh.element, none.size)].set(True, mode="drop")
 
 
-def _bent(edge1: membrane.Vector, edge2: membrane.Vector, neighbor: jax.Array, refinement: Refinement) -> jax.Array:
-    """Whether a normal of an element (n_element,) or a neighbour is far from the mean of the group's (paper, 3.3)."""
-    normal = jnp.stack(membrane.cross(edge1, edge2))
-    normal = normal / jnp.sqrt(jnp.maximum(membrane.dot(normal, normal), jnp.finfo(normal.dtype).tiny))
-    beside = [jnp.where(side >= 0, normal[:, side], 0.0) for side in neighbor]
-    mean = normal + sum(beside)
-    length = jnp.sqrt(membrane.dot(mean, mean))
-    limit = jnp.cos(jnp.deg2rad(refinement.angle)) * length
+def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+    """Unit normal, thickness [m], and by how much a bent part of the mold is nearer than the longest side (5, room)."""
+    elements, grid, forest = sheet_body.whole.elements, scene.tables.grid, scene.tables.forest
+    assert forest is not None
+    rows = membrane.rows_of(state.positions)
+    thickness = sheet_body.thickness[sheet_body.whole.element]
+
+    def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
+        first, edge1, edge2 = membrane.edges(rows, triangles)
+        normal = membrane.cross(edge1, edge2)
+        size = jnp.sqrt(jnp.maximum(membrane.dot(normal, normal), jnp.finfo(area.dtype).tiny))
+        x, y, z = (component / size for component in normal)
+        near = jnp.zeros_like(size)
+        if forest.bend is not None and grid is not None:
+            third = membrane.minus(edge2, edge1)
+            square = functools.reduce(jnp.maximum, (membrane.dot(e, e) for e in (edge1, edge2, third)))
+            middle = [p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)]
+            near = jnp.sqrt(square) - forest.bend[cells(jnp.stack(middle), grid)]
+        return [[x, y, z, 2.0 * area * thickness / size, near]], []
+
+    inputs = elements.triangles, elements.area, thickness
+    into = [jnp.zeros((5, thickness.size), thickness.dtype)]
+    (found,), _ = over_blocks(work, elements.block_count, inputs, into)
+    return found
+
+
+def _bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
+    """Whether a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
+    normal = own[0], own[1], own[2]
+    beside = []
+    for side in neighbor:
+        there = side >= 0
+        x, y, z = (jnp.where(there, row[jnp.maximum(side, 0)], 0.0) for row in shapes[:3])
+        beside.append((there, (x, y, z)))
+    mean = functools.reduce(membrane.plus, (other for _, other in beside), normal)
+    limit = jnp.cos(jnp.deg2rad(angle)) * jnp.sqrt(membrane.dot(mean, mean))
     bent = membrane.dot(normal, mean) < limit
-    for side, other in zip(neighbor, beside, strict=True):
-        bent |= (side >= 0) & (membrane.dot(other, mean) < limit)
+    for there, other in beside:
+        bent |= there & (membrane.dot(other, mean) < limit)
     return bent
 
 
-def _uneven(
-    edge1: membrane.Vector, edge2: membrane.Vector, sheet_body: Body, neighbor: jax.Array, jump: jax.Array
-) -> jax.Array:
-    """Whether an element (n_element,) is that much thicker or thinner than a neighbour."""
-    normal = membrane.cross(edge1, edge2)
-    now = jnp.maximum(membrane.dot(normal, normal), jnp.finfo(normal[0].dtype).tiny)
-    thickness = sheet_body.thickness * 2.0 * sheet_body.sheet.area / jnp.sqrt(now)
-    uneven = jnp.zeros(thickness.size, bool)
+def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
+    """Whether an element (n,) is that much thicker or thinner than a neighbour."""
+    uneven = jnp.zeros(own.shape[1], bool)
     for side in neighbor:
-        other = thickness[side]
-        uneven |= (side >= 0) & (jnp.maximum(other, thickness) > (1.0 + jump) * jnp.minimum(other, thickness))
+        other = shapes[3][jnp.maximum(side, 0)]
+        ratio = jnp.maximum(other, own[3]) / jnp.minimum(other, own[3])
+        uneven |= (side >= 0) & (ratio > 1.0 + jump)
     return uneven
-
-
-def _near_a_bend(
-    state: State, scene: Scene, sheet_body: Body, edge1: membrane.Vector, edge2: membrane.Vector
-) -> jax.Array:
-    """Whether a bent part of the mold is nearer to an element (n_element,) than its longest side."""
-    grid, forest = scene.tables.grid, scene.tables.forest
-    assert grid is not None and forest is not None and forest.bend is not None
-    third = membrane.minus(edge2, edge1)
-    longest = jnp.sqrt(
-        jnp.maximum(jnp.maximum(membrane.dot(edge1, edge1), membrane.dot(edge2, edge2)), membrane.dot(third, third))
-    )
-    first = membrane.gather(state.positions, sheet_body.sheet.triangles[0])
-    middle = first + (jnp.stack(edge1) + jnp.stack(edge2)) / 3.0
-    return forest.bend[cells(middle, grid)] < longest
 
 
 def _grown(state: State, scene: Scene, sheet_body: Body, split: jax.Array) -> tuple[State, Body]:
@@ -184,13 +223,16 @@ def _grown(state: State, scene: Scene, sheet_body: Body, split: jax.Array) -> tu
     mesh, fits = _remeshed(old, split, state.windows, forest)
     body = refined_body(scene, mesh, sheet_body.volumes)
     new = settled(_born(state, old, mesh, scene, body), old, mesh, scene, body)
-    before = strain_energy(state, scene, sheet_body) + kinetic_energy(state, sheet_body.mass)
-    after = strain_energy(new, scene, body) + kinetic_energy(new, body.mass)
-    lost = enclosed_volume(state.positions, sheet_body.sheet)
+    # What concerns the account alone carries no derivative.
+    (strain, volume), (new_strain, new_volume) = (
+        account(*jax.lax.stop_gradient((s.positions, scene, b))) for s, b in ((state, sheet_body), (new, body))
+    )
+    kinetic, new_kinetic = (
+        jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, sheet_body), (new, body))
+    )
+    loss = strain + kinetic - new_strain - new_kinetic
     new = dataclasses.replace(
-        new,
-        refinement_loss=state.refinement_loss + before - after,
-        volume=state.volume + enclosed_volume(new.positions, body.sheet) - lost,
+        new, refinement_loss=state.refinement_loss + loss, volume=state.volume + new_volume - volume
     )
     full = dataclasses.replace(state, status=state.status | Status.REFINEMENT_OVERFLOW)
     return jax.tree.map(lambda a, b: jnp.where(fits, a, b), (new, body), (full, sheet_body))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import membrane
-from jaxform.body import Body, levels, present_body
+from jaxform.body import Body, Mesh, levels, present_body
 from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
@@ -74,6 +74,7 @@ class Result:
         stretches: Larger and smaller principal stretch of the elements (n_element, 2).
         velocities: Final node velocities (n_node, 3) [m/s].
         mass: Of the modelled part [kg].
+        added_mass: What fine elements were given to keep the step long, relative to it.
         energy: The energy account.
         time: Simulated time [s].
         steps, windows, shortened: Steps and windows taken, and windows cut short by contact.
@@ -96,6 +97,7 @@ class Result:
     stretches: jax.Array
     velocities: jax.Array
     mass: jax.Array
+    added_mass: jax.Array
     energy: Energy
     time: jax.Array
     steps: jax.Array
@@ -149,6 +151,7 @@ def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array,
         stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
         velocities=nodal(state.velocities, 0.0).T,
         mass=jnp.sum(scene.material.density * sheet.area * now.thickness),
+        added_mass=_added_mass(scene, now, mesh),
         energy=Energy(
             strain=strain_energy(state, scene, now),
             kinetic=kinetic_energy(state, now.mass),
@@ -164,6 +167,13 @@ def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array,
         status=state.status,
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
     )
+
+
+def _added_mass(scene: Scene, now: Body, mesh: Mesh | None) -> jax.Array:
+    forest, volume = scene.tables.forest, now.sheet.area * now.thickness
+    if forest is None or mesh is None:
+        return jnp.zeros((), volume.dtype)
+    return jnp.sum(volume * (forest.heavier[mesh.element] - 1.0)) / jnp.sum(volume)
 
 
 _WORDS = {
@@ -253,6 +263,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "thickness": wall_statistics(result),
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         "mass": float(result.mass),
+        "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
         "energy": energy | {"balance_error": float(result.energy.balance_error)},

@@ -139,6 +139,7 @@ class Refinement:
         max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
+        scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
         elements: Room for so many.
     """
 
@@ -148,6 +149,7 @@ class Refinement:
     interval: int = static()
     max_level: int = static()
     base_level: int = static()
+    scaled_levels: int = static()
     elements: int = static()
 
     @property
@@ -163,6 +165,7 @@ class Forest:
     Attributes:
         sheet: Initial geometry of all triangles.
         bound: Largest eigenvalue of each triangle's shape gradients (n_triangle,) [1/m^2].
+        heavier: How many times its mass each triangle is given (n_triangle,).
         partner: The other triangle with the same refinement edge (n_triangle,).
         middle: Node in the middle of the refinement edge (n_triangle,), -1 at the deepest level.
         half_edges: (3, n_triangle).
@@ -184,6 +187,7 @@ class Forest:
 
     sheet: Sheet
     bound: jax.Array
+    heavier: jax.Array
     partner: jax.Array
     middle: jax.Array
     half_edges: jax.Array
@@ -339,6 +343,7 @@ def make_refinement(
     elements: int,
     min_area: float = 0.0,
     base_level: int = 0,
+    scaled_levels: int = 0,
     jump: float | None = None,
 ) -> Refinement:
     """Where the mesh becomes finer; see `Refinement`.
@@ -352,10 +357,13 @@ def make_refinement(
     require(0 <= max_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.max_level", max_level)
     require(0 <= base_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.base_level", base_level)
     require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
+    require(scaled_levels >= 0, "must not be negative", "refinement.scaled_levels", scaled_levels)
     require(jump is None or jump > 0, "must be positive", "refinement.jump", jump)
     require(elements >= 1, "must be at least 1", "refinement.elements", elements)
     uneven = None if jump is None else as_real(jump)
-    return Refinement(as_real(angle), as_real(min_area), uneven, interval, max_level, base_level, elements)
+    return Refinement(
+        as_real(angle), as_real(min_area), uneven, interval, max_level, base_level, scaled_levels, elements
+    )
 
 
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:

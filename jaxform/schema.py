@@ -285,6 +285,7 @@ class Refinement(Table):
     max_level: Annotated[int, Field(ge=0, le=14)] = 6
     min_area: NotNegative = 0.0
     base_level: Annotated[int, Field(ge=0, le=14)] = 0
+    scaled_levels: Annotated[int, Field(ge=0, le=14)] = 0
     jump: Positive | None = None
     elements: Annotated[int, Field(ge=1)] | None = None
 

@@ -7,6 +7,7 @@ shortens its step, and Adam goes back to the best design and halves its rate.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,6 +39,7 @@ COLUMNS: tuple[str, ...] = (
 _SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
 _TRIALS = 12
 _MEMORY = 10
+_REFRESH = 5  # iterations with the same decisions about the mesh
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ class Search:
         began: Clock at the begin [s].
         best: The best design so far.
         stopped: Whether the caller wants no more.
+        schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
     """
 
     study: Study
@@ -120,6 +123,7 @@ class Search:
     began: float = field(default_factory=time.perf_counter)
     best: _Point | None = None
     stopped: bool = False
+    schedule: jaxform.Schedule | None = None
 
     def __post_init__(self) -> None:
         splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
@@ -127,7 +131,7 @@ class Search:
         start = jnp.asarray(self.start)
         compute = jax.jit(jax.value_and_grad(self._objective, has_aux=True))
         # Compiled ahead, so that the seconds of the first evaluation are those of a simulation.
-        self._compute = compute.lower(start, self.study.scene).compile()
+        self._compute = compute.lower(start, self.study.scene, self.schedule).compile()
 
     @property
     def start(self) -> np.ndarray:
@@ -146,15 +150,15 @@ class Search:
         parts = self._parts(jnp.asarray(free))
         return {key: value for part, own in parts for key, value in part.document(own).items()}
 
-    def _objective(self, free: jax.Array, scene: Scene) -> tuple[jax.Array, Wall]:
+    def _objective(self, free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> tuple[jax.Array, Wall]:
         scene = jaxform.replace(scene, self.changes(free))
-        result = jaxform.simulate(scene)
+        result = jaxform.simulate(scene, schedule=schedule)
         return self.study.objective(scene, result), wall(scene, result)
 
     def __call__(self, free: np.ndarray) -> _Point:
         """Value and gradient at a design, infinite where its simulation fails; a row of the history."""
         began = time.perf_counter()
-        (value, report), gradient = self._compute(jnp.asarray(free), self.study.scene)
+        (value, report), gradient = self._compute(jnp.asarray(free), self.study.scene, self.schedule)
         point = _Point(free, float(value), np.asarray(gradient, float))
         self.simulations += (time.perf_counter() - began) / self.forward_seconds
         failed = bool(report.status) or not np.isfinite(point.value) or not np.all(np.isfinite(point.gradient))
@@ -164,6 +168,30 @@ class Search:
             self.best = point
         self._record(point, report)
         return point
+
+    def refreshed(self, point: _Point) -> _Point:
+        """The point with the decisions that a run of its design takes, where the mesh is refined and it is time.
+
+        In between the objective is smooth, for all simulations take the same decisions.
+        """
+        if self.schedule is None or self.iteration % _REFRESH:
+            return point
+        live = jaxform.run(jaxform.replace(self.study.scene, self.changes(jnp.asarray(point.free))))
+        self.simulations += 1.0
+        if int(live.status) or live.used.size != self._room:
+            return point
+        before = self.schedule, self.best
+        self.schedule, self.best = live.schedule, None
+        fresh = self(point.free)
+        if self.best is None:
+            self.schedule, self.best = before
+            return point
+        return fresh
+
+    @property
+    def _room(self) -> int:
+        refinement = self.study.scene.refinement
+        return 0 if refinement is None else refinement.elements
 
     def _record(self, point: _Point, report: Wall) -> None:
         numbers = (
@@ -203,7 +231,9 @@ def solve(study: Study, on_evaluation: Callable[[dict[str, Any]], object] | None
     # Once more, for the first run in a process is slower; this is the unit in which simulations are counted.
     again = jaxform.run(study.scene).seconds
     assert again is not None
-    search = Search(study, on_evaluation, max(again.run, 1e-6))
+    study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
+    schedule = None if study.scene.refinement is None else first.schedule
+    search = Search(study, on_evaluation, max(again.run, 1e-6), schedule=schedule)
     try:
         message = {"lbfgs": _lbfgs, "adam": _adam}[study.method](search, study)
     except KeyboardInterrupt:
@@ -251,7 +281,7 @@ def _lbfgs(search: Search, study: Study) -> str:
             return "stopped by the caller"
         if step is None:
             return "no step along the search direction makes it better"
-        point = step
+        point = search.refreshed(step)
     return f"{study.iterations} iterations done"
 
 
@@ -292,7 +322,7 @@ def _adam(search: Search, study: Study) -> str:
         if search.stopped:
             return "stopped by the caller"
         if np.isfinite(trial.value):
-            point = trial
+            point = search.refreshed(trial)
         else:
             assert search.best is not None
             rate, point, state = 0.5 * rate, search.best, transform.init(jnp.asarray(search.best.free))

@@ -171,3 +171,6 @@ def test_a_mesh_that_cannot_be_refined_is_refused() -> None:
         bisection.build_forest(positions, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]), 2)
     with pytest.raises(InputError, match="opposite"):
         bisection.build_forest(positions, np.array([[0, 1, 2], [0, 1, 3]]), 2)
+    with pytest.raises(InputError, match="would have") as caught:
+        bisection.build_forest(positions, np.array([[0, 1, 2]]), 30)
+    assert caught.value.key == "refinement.max_level"

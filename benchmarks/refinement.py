@@ -1,0 +1,287 @@
+"""What refinement buys and costs: stages, error against time, overhead, smoothness along a line. `make refine`."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.tri import Triangulation
+
+import jaxform
+from benchmarks.accuracy import away_from_corner
+from benchmarks.bench import _say, one_core
+from benchmarks.sheets import best_in_turns
+from jaxform import body, files, plots, refinement, simulation, stepping
+from jaxform.result import Result, only_used
+from jaxform.scene import Scene
+from jaxform.state import State, finished
+
+Row = dict[str, Any]
+_GRID = 240  # points along each side at which walls are compared
+_STAGES = 4  # of a picture
+
+
+def build(name: str, elements: int, limits: dict[str, Any], **changes: dict[str, Any]) -> Scene:
+    """A built-in scene with another number of elements and other tables, refined where there are limits."""
+    read = files.read_scene(name)
+    data = {key: table for key, table in read.data.items() if key != "refinement"}
+    changes |= {"parison": {"elements": elements} | changes.get("parison", {})}
+    if limits:
+        changes["refinement"] = {"interval": 64} | limits
+    for key, table in changes.items():
+        data[key] = data.get(key, {}) | table
+    return files.build(dataclasses.replace(read, model=type(read.model).model_validate(data)))
+
+
+def dish(elements: int, **limits: Any) -> Scene:
+    return build("dish", elements, limits)
+
+
+def box(elements: int, **limits: Any) -> Scene:
+    return build("box-insert", elements, limits)
+
+
+def tray(elements: int, **limits: Any) -> Scene:
+    """A large shallow tray with a small block in the middle of its bottom."""
+    mold = {"size": [0.6, 0.6], "depth": 0.06, "insert_size": [0.06, 0.06], "insert_height": 0.02}
+    return build("box-insert", elements, limits, mold=mold, parison={"size": [0.6, 0.6]})
+
+
+def wall_at_points(scene: Scene, result: Result) -> np.ndarray:
+    """The elements' thickness [m] at points all over the initial sheet; NaN outside."""
+    scene, result = only_used(scene, result)
+    start = np.asarray(scene.parison.positions)
+    low, high = start.min(0), start.max(0)
+    x, y = (low[k] + (np.arange(_GRID) + 0.5) / _GRID * (high[k] - low[k]) for k in range(2))
+    finder: Any = Triangulation(start[:, 0], start[:, 1], np.asarray(result.triangles)).get_trifinder()
+    found = finder(*np.meshgrid(x, y))
+    return np.where(found >= 0, np.asarray(result.element_thickness)[found], np.nan)
+
+
+def exact_dish(scene: Scene, result: Result) -> float:
+    """Relative rms error [%] of the dish's elements against the exact solution, the last of the corner left out."""
+    reference = files.read_reference(files.read_scene("dish"))
+    assert reference is not None
+    scene, result = only_used(scene, result)
+    triangles, start = np.asarray(result.triangles), np.asarray(scene.parison.positions)
+    place = np.hypot(*start[triangles].mean(1)[:, :2].T)
+    order = np.argsort(reference["initial_radius"])
+    exact = np.interp(place, reference["initial_radius"][order], reference["thickness_ratio"][order])
+    ratio = np.asarray(result.element_thickness) / np.asarray(scene.parison.thickness)[triangles].mean(1)
+    away = away_from_corner(place, reference)
+    weight = np.asarray(result.element_volume)[away]
+    return 100 * float(np.sqrt(np.average(np.square(ratio / exact - 1)[away], weights=weight)))
+
+
+def timed(scene: Scene) -> tuple[Scene, Result, float]:
+    """The scene with room for what its run needs, the part, and the seconds of the run."""
+    first = jaxform.run(scene)
+    scene = jaxform.fitted(scene, int(first.used.sum()))
+    seconds = [jaxform.run(scene).seconds for _ in range(4)]
+    return scene, jaxform.run(scene), min(each.run for each in seconds if each is not None)
+
+
+def curve(make: Callable[..., Scene], error: Callable[[Scene, Result], float], cases: list[Row]) -> list[Row]:
+    rows = []
+    for case in cases:
+        scene, part, seconds = timed(make(**case))
+        limits = {key: value for key, value in case.items() if key != "elements"}
+        rows.append(
+            {
+                "refined": str(limits) if limits else "",
+                "elements": case["elements"],
+                "final": int(part.used.sum()),
+                "steps": int(part.steps),
+                "error": error(scene, part),
+                "seconds": seconds,
+                "added mass": float(part.added_mass),
+                "status": jaxform.explain(part),
+            }
+        )
+        _say(rows[-1])
+    return rows
+
+
+def against(make: Callable[..., Scene], elements: int) -> Callable[[Scene, Result], float]:
+    """Relative rms error [%] over the initial sheet against a uniform mesh of so many elements."""
+    scene = make(elements)
+    fine = wall_at_points(scene, jaxform.run(scene))
+    return lambda scene, part: 100 * float(np.sqrt(np.nanmean(np.square(wall_at_points(scene, part) / fine - 1))))
+
+
+def uniform(*counts: int) -> list[Row]:
+    return [{"elements": count} for count in counts]
+
+
+def show_dish() -> list[Row]:
+    """The dish against the exact solution: uniform, and refined from 27 elements in the quarter."""
+    refined = [
+        {"elements": 27, "angle": angle, "max_level": level, "base_level": base}
+        for angle, level, base in ((4.0, 4, 4), (4.0, 5, 0), (8.0, 5, 5), (4.0, 6, 0), (4.0, 6, 6))
+    ]
+    return curve(dish, exact_dish, uniform(100, 350, 1365, 3000) + refined)
+
+
+def show_box() -> list[Row]:
+    """The box with insert against 16 000 uniform elements: uniform, and refined from 126."""
+    refined = [
+        {"elements": 128, "angle": angle, "max_level": level, "base_level": level, "scaled_levels": scaled}
+        for angle, level, scaled in ((12.0, 4, 0), (8.0, 6, 0), (12.0, 6, 0), (12.0, 6, 1), (12.0, 6, 2), (12.0, 6, 4))
+    ]
+    return curve(box, against(box, 16000), uniform(128, 500, 2000, 6000) + refined)
+
+
+def show_tray() -> list[Row]:
+    """A large tray with a small block against 16 000 uniform elements: uniform, and refined from 126."""
+    refined = [
+        {"elements": 128, "angle": angle, "max_level": level, "base_level": level, "scaled_levels": scaled}
+        for angle, level, scaled in ((12.0, 4, 0), (12.0, 6, 0), (20.0, 6, 0), (12.0, 6, 2))
+    ]
+    return curve(tray, against(tray, 16000), uniform(128, 500, 2000, 6000) + refined)
+
+
+def show_overhead() -> list[Row]:
+    """What looking at the mesh and making more of it takes of a run."""
+    rows = []
+    for name, scene in (
+        ("box-insert", box(128, angle=12.0, max_level=6, base_level=6)),
+        ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
+    ):
+        scene, part, seconds = timed(scene)
+        state, first, _ = simulation._begin(scene)
+        look = jax.jit(lambda state, now, scene=scene: refinement.refined(state, scene, now))
+        advance = jax.jit(lambda state, now, scene=scene: stepping.window(state, scene, now, differentiable=False))
+        now, spent, growths = body.present_body(scene, state.mesh, first), 0.0, 0
+        while not finished(state, scene):
+            spent += best_in_turns({"": functools.partial(look, state, now)}, 2)[""]
+            before = _count(state)
+            state, now = look(state, now)
+            growths += _count(state) > before
+            state = advance(state, now)
+        rows.append({"scene": name, "seconds": seconds, "borders": int(part.windows), "growths": growths})
+        rows[-1] |= {"refining": spent, "share": spent / seconds}
+        _say(rows[-1])
+    return rows
+
+
+def _count(state: State) -> int:
+    assert state.mesh is not None
+    return int(state.mesh.element_count)
+
+
+def show_smoothness(points: int = 41, span: float = 2e-4) -> list[Row]:
+    """The variance of a bowl's wall along a line in the space of designs: uniform mesh, replayed, live."""
+    limits = {"angle": 4.0, "max_level": 3, "base_level": 3}
+    rows = []
+    for name, scene, replays in (
+        ("uniform", build("bowl", 300, {}), False),
+        ("replayed", build("bowl", 38, limits), True),
+        ("live", build("bowl", 38, limits), False),
+    ):
+        start = scene.parison.thickness
+        place = jnp.asarray(np.asarray(scene.parison.positions))
+        way = start * jnp.sin(40.0 * place[:, 0]) * jnp.cos(30.0 * place[:, 1])
+        schedule = jaxform.run(scene).schedule if replays else None
+
+        @jax.jit
+        def uneven(share: jax.Array, scene=scene, start=start, way=way, schedule=schedule) -> jax.Array:
+            changed = jaxform.replace(scene, {"parison.thickness": start + share * way})
+            part = jaxform.simulate(changed, schedule=schedule)
+            area = part.element_volume / jnp.where(part.used, part.element_thickness, 1.0)
+            mean = jnp.sum(part.element_volume) / jnp.sum(area)
+            return jnp.sum(area * jnp.square(part.element_thickness / mean - 1.0)) / jnp.sum(area)
+
+        shares = np.linspace(-0.5 * span, 0.5 * span, points)
+        values = np.array([float(uneven(jnp.asarray(share))) for share in shares])
+        second = np.abs(np.diff(values, 2)).max() / values[points // 2]
+        rows.append({"mesh": name, "second difference": second, "shares": shares.tolist(), "values": values.tolist()})
+        print(f"  {name}: largest second difference {second:.2g} of the value", flush=True)
+    return rows
+
+
+def draw(found: dict[str, list[Row]], folder: Path) -> None:
+    """Error against time, and the objective along a line."""
+    curves = [name for name in ("dish", "box", "tray") if name in found]
+    if curves:
+        figure, rooms = plt.subplots(1, len(curves), figsize=(5 * len(curves), 4), layout="constrained", squeeze=False)
+        for axes, name in zip(rooms[0], curves, strict=True):
+            kinds = {"uniform": ("o-", lambda row: not row["refined"]), "refined": ("s", lambda row: row["refined"])}
+            for label, (style, kind) in kinds.items():
+                points = [(row["seconds"], row["error"]) for row in found[name] if kind(row)]
+                axes.plot(*zip(*points, strict=True), style, label=label)
+            axes.set(xscale="log", yscale="log", title=name, xlabel="run [s]", ylabel="wall, rms error [%]")
+            axes.grid(alpha=0.3, which="both")
+            axes.legend(frameon=False)
+        figure.savefig(folder / "refinement-error.png", dpi=110)
+    if "smoothness" in found:
+        figure, rooms = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+        for axes, row in zip(rooms, found["smoothness"], strict=True):
+            values = np.array(row["values"])
+            axes.plot(1e4 * np.array(row["shares"]), 1e6 * (values / values[len(values) // 2] - 1), ".-")
+            axes.set(title=row["mesh"], xlabel="along the line [1e-4]", ylabel="variance, change [1e-6]")
+            axes.grid(alpha=0.3)
+        figure.savefig(folder / "refinement-smoothness.png", dpi=110)
+
+
+def show_stages() -> list[Row]:
+    """Four stages of dish and box, drawn."""
+    rows = []
+    for name, scene in (
+        ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
+        ("box", box(128, angle=8.0, max_level=6, base_level=6)),
+    ):
+        scene = jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
+        parts: list[Result] = []
+        ends = np.linspace(0, 1, _STAGES + 1)[1:] * float(jaxform.run(scene).time)
+        jaxform.run(scene, on_window=lambda moment, ends=ends, parts=parts: _keep(moment, ends, parts))
+        plots.stages_picture(Path("docs") / f"{name}-stages.png", scene, parts)
+        rows.append({"scene": name, "elements": [int(part.used.sum()) for part in parts]})
+        _say(rows[-1])
+    return rows
+
+
+def _keep(moment: jaxform.Moment, ends: np.ndarray, parts: list[Result]) -> None:
+    if len(parts) < len(ends) and moment.time >= (1 - 1e-6) * ends[len(parts)]:
+        parts.append(moment.result())
+
+
+SECTIONS: dict[str, Callable[[], list[Row]]] = {
+    "dish": show_dish,
+    "box": show_box,
+    "tray": show_tray,
+    "overhead": show_overhead,
+    "smoothness": show_smoothness,
+    "stages": show_stages,
+}
+
+
+def main(names: list[str]) -> None:
+    """Runs the named sections, or all; writes JSON and pictures."""
+    jax.config.update("jax_enable_x64", True)
+    one_core()
+    found: dict[str, list[Row]] = {}
+    for name, section in SECTIONS.items():
+        if not names or name in names:
+            print(f"{name}: {section.__doc__}", flush=True)
+            found[name] = section()
+    folder = Path("out/bench")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "refinement.json").write_text(json.dumps(found, indent=2))
+    draw(found, folder)
+    print(f"written to {folder}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
