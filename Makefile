@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: accuracy bench contact pictures demo test lint lock clean environment
+.PHONY: accuracy bench contact refine pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -27,6 +27,10 @@ pictures: environment
 	.venv/bin/jaxform optimize dish-uniform-wall --out out/demo --force
 	cp out/dish/thickness.png docs/dish.png
 	cp out/demo/design.png docs/design.png
+
+# What refinement buys and costs, against exact and fine solutions; about ten minutes.
+refine: environment
+	.venv/bin/python -m benchmarks.refinement
 
 # Figures against exact solutions, of the gradient and of the study; about ten minutes.
 accuracy: environment

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import bench, formulations, peers, pictures, sheets
+from benchmarks import bench, formulations, peers, pictures, refinement, sheets
 
 
 def test_every_formulation_and_peer_steps_alike() -> None:
@@ -50,3 +50,12 @@ def test_the_share_of_moving_elements_is_counted() -> None:
     scene = scenes.cup()
     moved, steps = bench.moving_share(scene)
     assert 0.1 * steps * len(scene.parison.triangles) < moved < steps * len(scene.parison.triangles)
+
+
+def test_refinement_s_table_has_a_row_per_case(tmp_path: Path) -> None:
+    cases = [{"elements": 27}, {"elements": 27, "angle": 8.0, "max_level": 2}]
+    rows = refinement.curve(refinement.dish, refinement.exact_dish, cases)
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    assert rows[0]["final"] == 26 < rows[1]["final"] and rows[1]["error"] < rows[0]["error"]
+    refinement.draw({"dish": rows}, tmp_path)
+    assert (tmp_path / "refinement-error.png").stat().st_size > 10_000
