@@ -50,13 +50,15 @@ def dish(elements: int, **limits: Any) -> Scene:
 
 
 def box(elements: int, **limits: Any) -> Scene:
-    return build("box-insert", elements, limits)
+    """The box with insert at 20 kPa: the sheet has wrapped the insert, and small features sit in a large sheet."""
+    return build("box-insert", elements, limits, pressure={"value": [0.0, 2.0e4]})
 
 
 def tray(elements: int, **limits: Any) -> Scene:
     """A large shallow tray with a small block in the middle of its bottom."""
     mold = {"size": [0.6, 0.6], "depth": 0.06, "insert_size": [0.06, 0.06], "insert_height": 0.02}
-    return build("box-insert", elements, limits, mold=mold, parison={"size": [0.6, 0.6]})
+    size, pressure = {"size": [0.6, 0.6]}, {"value": [0.0, 2.0e4]}
+    return build("box-insert", elements, limits, mold=mold, parison=size, pressure=pressure)
 
 
 def wall_at_points(scene: Scene, result: Result) -> np.ndarray:
@@ -240,7 +242,7 @@ def show_stages() -> list[Row]:
     rows = []
     for name, scene in (
         ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
-        ("box", box(128, angle=8.0, max_level=6, base_level=6)),
+        ("box", jaxform.load("box-insert")),
     ):
         scene = jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
         parts: list[Result] = []

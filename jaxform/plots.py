@@ -113,11 +113,11 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
     parts = [only_used(scene, result) for result in results]
     figure, scale = _figure(5.5 * len(parts), 5.5, scene.name), _scale([part for _, part in parts])
     for k, (shown, part) in enumerate(parts):
-        view = figure.add_axes((k / len(parts), 0.02, 0.96 / len(parts), 0.84), projection="3d")
+        view = figure.add_axes((0.95 * k / len(parts), 0.02, 0.95 / len(parts), 0.84), projection="3d")
         colors = _draw_part(view, shown, part, scale, edges=True)
         words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
-        figure.text((k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
-    figure.colorbar(colors, cax=figure.add_axes((0.985, 0.25, 0.004, 0.45)), label="wall [mm]")
+        figure.text(0.95 * (k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
+    figure.colorbar(colors, cax=figure.add_axes((0.96, 0.25, 0.005, 0.45)), label="wall [mm]")
     _save(figure, path)
 
 
@@ -283,9 +283,9 @@ def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str,
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
     disc = sections.is_disc(before)
-    place = sections.initial_radius(before) if disc else np.asarray(before.parison.positions, float)[:, 0]
-    order = np.argsort(place)
     for scene, color, words in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
+        place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, 0]
+        order = np.argsort(place)
         thickness = np.asarray(scene.parison.thickness, float)[order]
         axes.plot(1e3 * place[order], 1e3 * thickness, color=color, label=words, linewidth=2)
     where = "initial radius" if disc else "initial x"
