@@ -45,7 +45,8 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
     due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
 
     def look() -> jax.Array:
-        return closure((mesh.split_at != NEVER) | _marked(state, scene, sheet_body), forest)
+        marked = _marked(state, scene, sheet_body)
+        return closure((mesh.split_at != NEVER) | marked, forest, jnp.any(marked))
 
     if schedule is not None and schedule.split_at is not None:
         split = schedule.split_at <= state.windows
@@ -109,11 +110,11 @@ def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def closure(split: jax.Array, tree: Forest | Tree) -> jax.Array:
+def closure(split: jax.Array, tree: Forest | Tree, changed: jax.Array | bool = True) -> jax.Array:
     """Triangles (n_triangle,) that are bisected when those of `split` are, so that no node hangs on a side.
 
     With a triangle its partner is bisected, and what has bisected parts is so itself. The least such set, so it does
-    not depend on the order of the marks.
+    not depend on the order of the marks. Where nothing has `changed` since it was closed, nothing is done.
     """
 
     def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
@@ -134,7 +135,7 @@ def closure(split: jax.Array, tree: Forest | Tree) -> jax.Array:
         wider = jnp.concatenate(levels[::-1])
         return wider, jnp.any(wider != split)
 
-    return jax.lax.while_loop(more, sweep, (split, jnp.asarray(True)))[0]
+    return jax.lax.while_loop(more, sweep, (split, jnp.asarray(changed)))[0]
 
 
 def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
