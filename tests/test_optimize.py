@@ -109,8 +109,8 @@ def test_a_failed_simulation_is_a_step_to_shorten() -> None:
     first = search(study.variables[0].start)
     honest, calls = search._compute, []
 
-    def failing(free: jax.Array, scene: jaxform.Scene) -> object:
-        (value, report), gradient = honest(free, scene)
+    def failing(free: jax.Array, scene: jaxform.Scene, schedule: None) -> object:
+        (value, report), gradient = honest(free, scene, schedule)
         calls.append(len(calls))
         if len(calls) == 2:
             value = jnp.asarray(jnp.nan)
