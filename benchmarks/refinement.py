@@ -42,6 +42,7 @@ def build(name: str, elements: int, limits: dict[str, Any], **changes: dict[str,
         changes["refinement"] = {"interval": 64} | limits
     for key, table in changes.items():
         data[key] = data.get(key, {}) | table
+    data["parison"] = {key: value for key, value in data["parison"].items() if key != "element_size"}
     return files.build(dataclasses.replace(read, model=type(read.model).model_validate(data)))
 
 
