@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
@@ -132,7 +134,7 @@ def relisted(mesh: Mesh, forest: Forest) -> Mesh:
     for side in half_edge:
         owner = owner.at[jnp.where(used, side, owner.size)].set(number, mode="drop", unique_indices=True)
     neighbor = jnp.where(used, owner[half_edge ^ 1], -1)
-    return Mesh(mesh.split_at, element, neighbor, count, mesh.node, mesh.place, mesh.node_count)
+    return dataclasses.replace(mesh, element=element, neighbor=neighbor, element_count=count)
 
 
 def node_room(elements: int, first_nodes: int, most: int) -> int:

@@ -193,17 +193,18 @@ def _grown(
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
     bound = membrane.shape_bound(inverse, area)
-    unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
-    heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
+    heavier = jnp.ones_like(bound)
+    if refinement.scaled_levels:
+        unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
+        heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
     turn = part = None
     if mold is not None:
         part, turn = topology.orientations(np.asarray(mold.triangles))
     return Forest(
         sheet=Sheet(triangles, inverse, area, sheet.origin),
-        bound=bound if refinement.scaled_levels == 0 else bound / heavier,
-        heavier=jnp.ones_like(heavier) if refinement.scaled_levels == 0 else heavier,
+        bound=bound / heavier,
+        heavier=heavier,
         partner=jnp.asarray(forest.partner),
-        middle=jnp.asarray(forest.middle),
         half_edges=jnp.asarray(forest.half_edges.T),
         corner_slots=jnp.asarray(forest.corner_slots.T),
         ends=jnp.asarray(forest.ends.T),

@@ -158,7 +158,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
     scene = files.build(document, store)
     _open_folder(arguments.out, arguments.force)
     frames = Frames(arguments.out, document.model.output.frames)
-    with _meanwhile(_draw_nothing):
+    with _meanwhile(_warm_up_plots):
         result = _run(scene, frames, not arguments.quiet, store)
     summary = _write_part(arguments.out, scene, result, reference)
     frames.finish(scene, result)
@@ -166,7 +166,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
     return _exit_status(result)
 
 
-def _draw_nothing() -> None:
+def _warm_up_plots() -> None:
     from jaxform import plots
 
     plots.warm_up()

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from jaxform import near
 from jaxform.blocks import listed
-from jaxform.body import Body, Mesh
+from jaxform.body import Mesh
 from jaxform.membrane import cross, dot
 from jaxform.mold import Mold
 from jaxform.scene import Forest, Scene
@@ -33,14 +33,27 @@ class _Nearest(NamedTuple):
     height: jax.Array
 
 
-def settled(state: State, old: Mesh, mesh: Mesh, scene: Scene, body: Body) -> State:
+class Births(NamedTuple):
+    """Which places (n,) have a new node, and the places of its edge's ends; any other place is both of its ends."""
+
+    new: jax.Array
+    first: jax.Array
+    second: jax.Array
+
+
+def births_of(old: Mesh, mesh: Mesh, forest: Forest) -> Births:
+    """What a mesh has that the old one had not."""
+    place = jnp.arange(mesh.node.size)
+    new = (place >= old.node_count) & (place < mesh.node_count)
+    return Births(new, *(jnp.where(new, mesh.place[end], place) for end in forest.ends[:, mesh.node]))
+
+
+def settled(state: State, births: Births, scene: Scene) -> State:
     """The state with the new nodes that are on the mold, or beyond it, put there; differentiable in their positions."""
     mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
     if mold is None or grid is None or forest is None:
         return state
-    place = jnp.arange(mesh.node.size)
-    new = (place >= old.node_count) & (place < mesh.node_count)
-    first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, mesh.node])
+    new, first, second = births
     positions = jax.lax.stop_gradient(state.positions)
     found = _nearest(positions, new & ~state.stuck, grid)
     side = _near_side(state.wall, found.triangle, forest)

@@ -8,28 +8,20 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxform import membrane
+from jaxform import bisection, membrane
 from jaxform.blocks import BLOCK, listed, over_blocks, padded
 from jaxform.body import NEVER, Body, Mesh, levels, node_room, refined_body, relisted
 from jaxform.near import cells
-from jaxform.newborn import settled
+from jaxform.newborn import Births, births_of, settled
 from jaxform.scene import STEPS_PER_WINDOW, Forest, Scene
 from jaxform.state import Schedule, State, Status, account, any_mode, kinetic_energy
 
 _SPARE_BLOCKS = 2
-
-
-class Tree(NamedTuple):
-    """As much of a forest as closure needs."""
-
-    partner: jax.Array
-    root_count: int
-    depth: int
 
 
 def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
@@ -110,7 +102,7 @@ def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def closure(split: jax.Array, tree: Forest | Tree, changed: jax.Array | bool = True) -> jax.Array:
+def closure(split: jax.Array, forest: Forest | bisection.Forest, changed: jax.Array | bool = True) -> jax.Array:
     """Triangles (n_triangle,) that are bisected when those of `split` are, so that no node hangs on a side.
 
     With a triangle its partner is bisected, and what has bisected parts is so itself. The least such set, so it does
@@ -122,11 +114,11 @@ def closure(split: jax.Array, tree: Forest | Tree, changed: jax.Array | bool = T
 
     def sweep(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         split = carry[0]
-        wider = split | split[tree.partner]
+        wider = split | split[forest.partner]
         levels, end = [], wider.size
         below = None
-        for level in range(tree.depth, -1, -1):
-            begin = tree.root_count * ((1 << level) - 1)
+        for level in range(forest.depth, -1, -1):
+            begin = forest.root_count * ((1 << level) - 1)
             part = wider[begin:end]
             if below is not None:
                 part = part | below[0::2] | below[1::2]
@@ -223,7 +215,8 @@ def _grown(state: State, scene: Scene, sheet_body: Body, split: jax.Array) -> tu
     assert forest is not None and old is not None and sheet_body.volumes is not None
     mesh, fits = _remeshed(old, split, state.windows, forest)
     body = refined_body(scene, mesh, sheet_body.volumes)
-    new = settled(_born(state, old, mesh, scene, body), old, mesh, scene, body)
+    births = births_of(old, mesh, forest)
+    new = settled(_born(state, mesh, births, scene, sheet_body.volumes), births, scene)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
         account(*jax.lax.stop_gradient((s.positions, scene, b))) for s, b in ((state, sheet_body), (new, body))
@@ -256,32 +249,27 @@ def _remeshed(old: Mesh, split: jax.Array, window: jax.Array, forest: Forest) ->
     return mesh, (total <= room) & (mesh.element_count <= mesh.element.size)
 
 
-def _born(state: State, old: Mesh, mesh: Mesh, scene: Scene, body: Body) -> State:
+def _born(state: State, mesh: Mesh, births: Births, scene: Scene, volumes: jax.Array) -> State:
     """New nodes move as the middles of their edges did; the momentum of all is what it was.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
     weighted by these the momentum is kept exactly.
     """
     forest = scene.tables.forest
-    assert forest is not None and body.volumes is not None
-    place = jnp.arange(mesh.node.size)
-    new = (place >= old.node_count) & (place < mesh.node_count)
-    first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, mesh.node])
-    weight = _weight(body.volumes, forest.owner[mesh.node], forest.ends[0, mesh.node], forest)
+    assert forest is not None
+    new, first, second = births
+    weight = _weight(volumes, forest.owner[mesh.node], forest.ends[0, mesh.node], forest)
     reference = scene.parison.positions[mesh.node].T
     moved = state.positions - reference
-    values = moved, state.velocities, state.mode if state.mode is not None else moved
 
-    def between(values: tuple[jax.Array, ...], _: None) -> tuple[tuple[jax.Array, ...], None]:
-        moved, velocities, mode = values
+    def between(values: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
+        moved, velocities = values
         mean = 0.5 * (moved[:, first] + moved[:, second])
         mixed = weight * velocities[:, first] + (1.0 - weight) * velocities[:, second]
-        middle = 0.5 * (mode[:, first] + mode[:, second])
-        pairs = (mean, moved), (mixed, velocities), (middle, mode)
-        return tuple(jnp.where(new, fresh, kept) for fresh, kept in pairs), None
+        return (jnp.where(new, mean, moved), jnp.where(new, mixed, velocities)), None
 
     # A new node can be the end of a newer one: as often as there can be generations at one border.
-    (moved, velocities, mode), _ = jax.lax.scan(between, values, length=forest.depth)
+    (moved, velocities), _ = jax.lax.scan(between, (moved, state.velocities), length=forest.depth)
     held = new & jnp.all(forest.mobility[:, mesh.node] == 0.0, axis=0)
     free = new & ~held
     positions = jnp.where(new, reference + jnp.where(held, 0.0, moved), state.positions)
@@ -291,10 +279,15 @@ def _born(state: State, old: Mesh, mesh: Mesh, scene: Scene, body: Body) -> Stat
         velocities=jnp.where(held, 0.0, velocities),
         stuck=jnp.where(free, False, state.stuck),
         contact_time=jnp.where(free, -1.0, jnp.where(held, 0.0, state.contact_time)),
-        mode=None if state.mode is None else jnp.where(new, jnp.max(jnp.abs(mode)) * any_mode(mode), mode),
+        mode=None if state.mode is None else _with_noise(state.mode, new),
         rate=jnp.zeros_like(state.rate),
         mesh=mesh,
     )
+
+
+def _with_noise(mode: jax.Array, new: jax.Array) -> jax.Array:
+    """A mode (3, n) in which the new nodes move without a pattern: between their neighbours they would hide theirs."""
+    return jnp.where(new, jnp.max(jnp.where(new, 0.0, jnp.abs(mode))) * any_mode(mode), mode)
 
 
 def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest) -> jax.Array:

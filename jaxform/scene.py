@@ -167,7 +167,6 @@ class Forest:
         bound: Largest eigenvalue of each triangle's shape gradients (n_triangle,) [1/m^2].
         heavier: How many times its mass each triangle is given (n_triangle,).
         partner: The other triangle with the same refinement edge (n_triangle,).
-        middle: Node in the middle of the refinement edge (n_triangle,), -1 at the deepest level.
         half_edges: (3, n_triangle).
         corner_slots: (3, n_triangle).
         ends: Of the edge that each node is the middle of (2, n_node).
@@ -189,7 +188,6 @@ class Forest:
     bound: jax.Array
     heavier: jax.Array
     partner: jax.Array
-    middle: jax.Array
     half_edges: jax.Array
     corner_slots: jax.Array
     ends: jax.Array

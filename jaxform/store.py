@@ -66,7 +66,7 @@ class Store:
         path = self._path(function.__name__, (str(tree), str(kinds), jax.default_backend()))
         if path is None:
             return function.lower(*arguments).compile()
-        return _compiled(self._exported(path, function, arguments), arguments)
+        return jax.jit(self._exported(path, function, arguments).call).lower(*arguments).compile()
 
     def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:
         from jax import export
@@ -113,10 +113,6 @@ class Store:
             used += status.st_size
             if used > _MOST_BYTES:
                 file.unlink(missing_ok=True)
-
-
-def _compiled(exported: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
-    return jax.jit(exported.call).lower(*arguments).compile()
 
 
 @functools.cache

@@ -109,9 +109,8 @@ def test_any_marks_give_a_conforming_mesh(seed: int, count: int, rounds: int) ->
 def test_closure_in_the_program_is_the_plain_one_and_does_not_depend_on_the_order() -> None:
     positions, triangles = random_mesh(3, 8)
     forest = bisection.build_forest(positions, triangles, DEPTH)
-    tables = shapes_forest(forest)
     random = np.random.default_rng(0)
-    close = jax.jit(lambda marks, split: refinement.closure(split | marks, tables))
+    close = jax.jit(lambda marks, split: refinement.closure(split | marks, forest))
     for _ in range(20):
         split = marked_mesh(forest, int(random.integers(10**6)), 3)
         marks = active_of(split, forest) & (random.uniform(size=len(split)) < 0.1) & (forest.middle >= 0)
@@ -121,10 +120,6 @@ def test_closure_in_the_program_is_the_plain_one_and_does_not_depend_on_the_orde
         for triangle in random.permutation(np.flatnonzero(marks)):
             one_by_one = plain_closure(one_by_one | (np.arange(len(split)) == triangle), forest)
         np.testing.assert_array_equal(one_by_one, expected)
-
-
-def shapes_forest(forest: Forest) -> refinement.Tree:
-    return refinement.Tree(jnp.asarray(forest.partner), forest.root_count, forest.depth)
 
 
 def test_children_halve_their_parent_and_nodes_know_their_edge() -> None:
