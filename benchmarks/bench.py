@@ -244,7 +244,7 @@ def show_parts(window: int = 20) -> Table:
     scene = jaxform.load("dish")
     state, body, taken = simulation._begin(scene)
     state = simulation._compiled(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
-    packed, grid = jax.jit(lambda state: stepping._packed(state, scene, body)), scene.tables.grid
+    packed, grid = jax.jit(lambda state: stepping.worked_through(state, scene, body)), scene.tables.grid
     assert grid is not None
     border = {
         "pack what can move": lambda: packed(state),

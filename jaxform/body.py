@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
-from jaxform.blocks import listed
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import Assembly, Forest, Scene, Sheet
@@ -18,25 +15,31 @@ NEVER = jnp.iinfo(jnp.int32).max
 
 @pytree
 class Mesh:
-    """Which triangles of the forest there are, in lists that are rebuilt only when some are bisected.
+    """Which triangles of the forest there are, in lists that grow with each that is bisected.
 
     Attributes:
         split_at: The window (n_triangle,) at whose border each triangle was bisected; NEVER where it was not.
         element: The triangles in use (element_room,), then others.
-        neighbor: Across each element's sides (3, element_room), -1 where there is none.
         element_count: How many are in use.
         node: The node at each place (node_room,), in the order in which they came to be.
         place: The place of each node (n_node,); 0 where there is no such node.
         node_count: How many there are.
+        side: The element with each half edge (n_half_edge,), -1 where there is none.
+        corner: Four times the element, and its corner, of those at each place (valence, node_room); -1 beyond them.
+        corner_count: How many they are (node_room,).
+        row: The row of `corner` in which each element's corners are (3, element_room).
     """
 
     split_at: jax.Array
     element: jax.Array
-    neighbor: jax.Array
     element_count: jax.Array
     node: jax.Array
     place: jax.Array
     node_count: jax.Array
+    side: jax.Array
+    corner: jax.Array
+    corner_count: jax.Array
+    row: jax.Array
 
 
 @pytree
@@ -75,7 +78,7 @@ def body(scene: Scene) -> Body:
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     share = scene.material.density * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
-    whole = pack(None, sheet, tables.assembly)
+    whole = pack(None, sheet, tables.assembly, stepped=not scene.packs_moving)
     return Body(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
 
 
@@ -104,37 +107,23 @@ def first_mesh(scene: Scene) -> Mesh:
     """The mesh before it is refined."""
     forest, refinement = scene.tables.forest, scene.refinement
     assert forest is not None and refinement is not None
+    roots, room = jnp.arange(forest.root_count, dtype=jnp.int32), refinement.elements
+    triangles, row = forest.sheet.triangles[:, : forest.root_count], forest.root_row
     node = jnp.arange(forest.node_room, dtype=jnp.int32)
-    node_count = forest.ends.shape[1]
-    place = jnp.arange(node_count, dtype=jnp.int32)
-    none = jnp.full(forest.sheet.area.size, NEVER, jnp.int32)
-    mesh = Mesh(
-        split_at=none,
-        element=jnp.zeros(refinement.elements, jnp.int32),
-        neighbor=jnp.zeros((3, refinement.elements), jnp.int32),
-        element_count=jnp.int32(0),
+    place = jnp.arange(forest.owner.size, dtype=jnp.int32)
+    corner = 4 * roots + jnp.arange(3, dtype=jnp.int32)[:, None]
+    return Mesh(
+        split_at=jnp.full(forest.bound.size, NEVER, jnp.int32),
+        element=jnp.zeros(room, jnp.int32).at[roots].set(roots),
+        element_count=jnp.int32(forest.root_count),
         node=jnp.where(node < forest.first_nodes, node, 0),
         place=jnp.where(place < forest.first_nodes, place, 0),
         node_count=jnp.int32(forest.first_nodes),
+        side=jnp.full(forest.half_edge_count, -1, jnp.int32).at[forest.half_edges[:, : roots.size]].set(roots),
+        corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, triangles].set(corner),
+        corner_count=jnp.zeros(node.size, jnp.int32).at[triangles].add(1),
+        row=jnp.zeros((3, room), jnp.int32).at[:, : roots.size].set(row),
     )
-    return relisted(mesh, forest)
-
-
-def relisted(mesh: Mesh, forest: Forest) -> Mesh:
-    """The lists of elements and neighbours anew, from what is bisected."""
-    active = _active(mesh.split_at, forest)
-    room = mesh.element.size
-    element, count = listed(active, room)
-    used = jnp.arange(room) < count
-    # What is not in use is a copy of the first element, without area.
-    element = jnp.where(used, element, element[0])
-    number = jnp.arange(room, dtype=jnp.int32)
-    half_edge = forest.half_edges[:, element]
-    owner = jnp.full(forest.half_edge_count, -1, jnp.int32)
-    for side in half_edge:
-        owner = owner.at[jnp.where(used, side, owner.size)].set(number, mode="drop", unique_indices=True)
-    neighbor = jnp.where(used, owner[half_edge ^ 1], -1)
-    return dataclasses.replace(mesh, element=element, neighbor=neighbor, element_count=count)
 
 
 def node_room(elements: int, first_nodes: int, most: int) -> int:
@@ -146,14 +135,6 @@ def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
     """Of triangles (n,) of the forest."""
     begins = [forest.root_count * ((1 << level) - 1) for level in range(1, forest.depth + 1)]
     return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
-
-
-def _active(split_at: jax.Array, forest: Forest) -> jax.Array:
-    """Triangles (n_triangle,) that are in use: their parent is bisected, they are not."""
-    split = split_at != NEVER
-    inner = split[: split.size - (forest.root_count << forest.depth)]
-    there = jnp.concatenate([jnp.ones(forest.root_count, bool), jnp.repeat(inner, 2)])
-    return there & ~split
 
 
 def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
@@ -173,7 +154,8 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
     share = jnp.where(used, forest.heavier[element] * scene.material.density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
     heavy = jnp.where(exists, mass, 1.0)
-    assembly = _assembly(sheet, forest.corner_slots[:, element], used, mesh.node.size, forest.slot_count)
+    none = jnp.zeros(0, jnp.int32)
+    assembly = Assembly(mesh.corner, none, none)
     return Body(
         sheet=sheet,
         assembly=assembly,
@@ -181,21 +163,6 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
         thickness=volume / forest.sheet.area[element],
         mass=heavy,
         compliance=jnp.where(exists, forest.mobility[:, mesh.node] / heavy, 0.0),
-        whole=pack(None, sheet, assembly, (mesh.element_count, mesh.node_count)),
+        whole=pack(None, sheet, assembly, (mesh.element_count, mesh.node_count), stepped=not scene.packs_moving),
         volumes=volumes,
     )
-
-
-def _assembly(sheet: Sheet, slots: jax.Array, used: jax.Array, node_count: int, slot_count: int) -> Assembly:
-    """As `packing.make_assembly`, in the program: the slots that are taken at each node are moved together."""
-    taken = jnp.zeros((slot_count, node_count), jnp.int32)
-    for slot, node in zip(slots, sheet.triangles, strict=True):
-        taken = taken.at[jnp.where(used, slot, slot_count), node].set(1, mode="drop")
-    rank = jnp.cumsum(taken, axis=0) - 1
-    table = jnp.full((slot_count, node_count), -1, jnp.int32)
-    code = 4 * jnp.arange(used.size, dtype=jnp.int32)
-    for corner, (slot, node) in enumerate(zip(slots, sheet.triangles, strict=True)):
-        row = jnp.where(used, rank[slot, node], slot_count)
-        table = table.at[row, node].set(code + corner, mode="drop")
-    none = jnp.zeros(0, jnp.int32)
-    return Assembly(table, none, none)

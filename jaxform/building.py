@@ -205,8 +205,10 @@ def _grown(
         bound=bound / heavier,
         heavier=heavier,
         partner=jnp.asarray(forest.partner),
+        middle=jnp.asarray(forest.middle),
         half_edges=jnp.asarray(forest.half_edges.T),
-        corner_slots=jnp.asarray(forest.corner_slots.T),
+        # Bisections come between the first triangles round a node, whose slots are every other one.
+        root_row=jnp.asarray(forest.corner_slots[: forest.root_count].T // 2),
         ends=jnp.asarray(forest.ends.T),
         owner=jnp.asarray(owner),
         mobility=mobility,
@@ -218,7 +220,7 @@ def _grown(
         first_nodes=first_nodes,
         part_count=0 if part is None else int(part.max()) + 1,
         half_edge_count=int(forest.half_edges.max()) + 2,
-        slot_count=int(forest.corner_slots.max()) + 1,
+        valence=int(forest.corner_slots.max()) + 1,
         node_room=node_room(refinement.elements, first_nodes, len(forest.positions)),
     )
 

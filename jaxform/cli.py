@@ -263,11 +263,12 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     from jaxform.body import body
     from jaxform.scene import STEPS_PER_WINDOW
     from jaxform.state import initial_state
+    from jaxform.stepping import worked_through
     from jaxform.timestep import choose_step
 
     def first_step(scene: Scene) -> jax.Array:
-        sheet_body = body(scene)
-        return choose_step(initial_state(scene), scene, sheet_body, sheet_body.whole)[0]
+        state, sheet_body = initial_state(scene), body(scene)
+        return choose_step(state, scene, sheet_body, worked_through(state, scene, sheet_body))[0]
 
     step = float(jax.jit(first_step)(scene))
     parison, law = scene.parison, document.model.material.model

@@ -1,19 +1,24 @@
-"""New nodes at the mold: where an element cut a corner of it, the middle of its side may be beyond.
+"""New nodes: in the middle of their edges, moving as these did; at the mold put there.
 
-The mold's near side is the one from which the nodes came that stick to it. A new node is judged by the place of the
-mold that is nearest to it: beyond, it is put there; on it, it sticks where its edge's ends do; before it, it is free.
+Where an element cut a corner of the mold, the middle of its side may be beyond. The mold's near side is the one from
+which the nodes came that stick to it. A new node is judged by the place of the mold that is nearest to it: beyond, it
+is put there; on it, it sticks where its edge's ends do; before it, it is free.
+
+Places are taken one after the other, and an edge's ends come before its middle: new nodes are worked through in
+blocks of places, and only as far as there are any.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import near
-from jaxform.blocks import listed
+from jaxform.blocks import BLOCK, listed
 from jaxform.body import Mesh
 from jaxform.membrane import cross, dot
 from jaxform.mold import Mold
@@ -33,59 +38,159 @@ class _Nearest(NamedTuple):
     height: jax.Array
 
 
-class Births(NamedTuple):
-    """Which places (n,) have a new node, and the places of its edge's ends; any other place is both of its ends."""
+class _Births(NamedTuple):
+    """A block of places from `begin` on: which (n,) have a new node, which node, and the places of its edge's ends."""
 
+    begin: jax.Array
     new: jax.Array
-    first: jax.Array
-    second: jax.Array
+    node: jax.Array
+    ends: tuple[jax.Array, jax.Array]
+
+    def own(self, values: jax.Array) -> jax.Array:
+        """The block of values (..., n_place)."""
+        return jax.lax.dynamic_slice_in_dim(values, self.begin, self.new.size, axis=values.ndim - 1)
+
+    def put(self, values: jax.Array, own: jax.Array) -> jax.Array:
+        """The values with others at the new nodes' places."""
+        own = jnp.where(self.new, own, self.own(values))
+        return jax.lax.dynamic_update_slice_in_dim(values, own, self.begin, axis=values.ndim - 1)
+
+    def chained(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
+        """What is joined from the values (..., n) at both ends of the edges: those outside, at new nodes its own."""
+        inside = [jnp.clip(end - self.begin, 0, self.new.size - 1) for end in self.ends]
+        newer = [self.new & (end >= self.begin) & self.new[at] for end, at in zip(self.ends, inside, strict=True)]
+
+        def again(own: jax.Array) -> jax.Array:
+            triples = zip(newer, inside, outside, strict=True)
+            return join(*(jnp.where(new, own[..., at], other) for new, at, other in triples))
+
+        def generation(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
+            own, waiting = carry
+            own = jax.lax.cond(jnp.any(waiting), again, lambda own: own, own)
+            waits = [new & waiting[at] for new, at in zip(newer, inside, strict=True)]
+            return (own, waits[0] | waits[1]), None
+
+        # At most as often as there can be generations at one border; mostly there are one or two.
+        return jax.lax.scan(generation, (join(*outside), newer[0] | newer[1]), length=depth)[0][0]
 
 
-def births_of(old: Mesh, mesh: Mesh, forest: Forest) -> Births:
-    """What a mesh has that the old one had not."""
-    place = jnp.arange(mesh.node.size)
-    new = (place >= old.node_count) & (place < mesh.node_count)
-    return Births(new, *(jnp.where(new, mesh.place[end], place) for end in forest.ends[:, mesh.node]))
+def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
+    """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
 
+    They move as the middles of their edges did; the momentum of all is what it was. Differentiable.
 
-def settled(state: State, births: Births, scene: Scene) -> State:
-    """The state with the new nodes that are on the mold, or beyond it, put there; differentiable in their positions."""
-    mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
-    if mold is None or grid is None or forest is None:
+    Args:
+        state: The state, with its own mesh.
+        mesh: The finer mesh.
+        scene: The scene.
+        volumes: Of all triangles of the forest (n_triangle,) [m^3].
+    """
+    forest, old = scene.tables.forest, state.mesh
+    assert forest is not None and old is not None
+    size = min(BLOCK, mesh.node.size)
+
+    def births(block: jax.Array) -> _Births:
+        nominal = old.node_count + block * size
+        begin = jnp.minimum(nominal, mesh.node.size - size)
+        place = begin + jnp.arange(size)
+        new = (place >= nominal) & (place < mesh.node_count)
+        node = jax.lax.dynamic_slice_in_dim(mesh.node, begin, size)
+        first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
+        return _Births(begin, new, node, (first, second))
+
+    def worked(state: State, work: Callable[[State, _Births], State]) -> State:
+        def one(state: State, block: jax.Array) -> tuple[State, None]:
+            any_left = old.node_count + block * size < mesh.node_count
+            return jax.lax.cond(any_left, lambda state: work(state, births(block)), lambda state: state, state), None
+
+        return jax.lax.scan(one, state, jnp.arange(-(-mesh.node.size // size)))[0]
+
+    state = worked(state, lambda state, births: _between(state, births, scene, volumes))
+    if scene.mold is None or scene.tables.grid is None:
         return state
-    new, first, second = births
-    positions = jax.lax.stop_gradient(state.positions)
-    found = _nearest(positions, new & ~state.stuck, grid)
-    side = _near_side(state.wall, found.triangle, forest)
-    edge = positions[:, first] - positions[:, second]
-    reachable = found.distance <= _FARTHEST * jnp.sqrt(dot(edge, edge))
-    touches = new & (side != 0) & (found.distance <= near.touch_distance(grid))
-    beyond = new & (side * found.height < 0) & reachable & ~touches
+    votes = _votes(state.wall, forest)
+    return worked(state, lambda state, births: _settled(state, births, scene, votes))
 
-    def sticks(stuck: jax.Array, _: None) -> tuple[jax.Array, None]:
-        # A new node can be the end of a newer one's edge.
-        return stuck | beyond | touches & stuck[first] & stuck[second], None
 
-    stuck, _ = jax.lax.scan(sticks, state.stuck, length=forest.depth)
-    lands = stuck & ~state.stuck
-    triangle = jnp.maximum(found.triangle, 0)
-    point = _closest(state.positions, mold, triangle, lands)
+def _between(state: State, births: _Births, scene: Scene, volumes: jax.Array) -> State:
+    """The state with the block's new nodes in the middle of their edges.
+
+    A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
+    weighted by these the momentum is kept exactly.
+    """
+    forest = scene.tables.forest
+    assert forest is not None
+    # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
+    reference = scene.parison.positions
+    start = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
+    moved = [state.positions[:, end] - begin for end, begin in zip(births.ends, start, strict=True)]
+    middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
+    weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
+    velocities = births.chained(
+        [state.velocities[:, end] for end in births.ends],
+        lambda first, second: weight * first + (1.0 - weight) * second,
+        forest.depth,
+    )
+    held = jnp.all(forest.mobility[:, births.node] == 0.0, axis=0)
     return dataclasses.replace(
         state,
-        positions=jnp.where(lands, point, state.positions),
-        velocities=jnp.where(lands, 0.0, state.velocities),
-        stuck=stuck,
-        contact_time=jnp.where(lands, state.time, state.contact_time),
-        wall=jnp.where(lands, side * (triangle + 1), state.wall),
+        positions=births.put(state.positions, reference[births.node].T + jnp.where(held, 0.0, middle)),
+        velocities=births.put(state.velocities, jnp.where(held, 0.0, velocities)),
+        stuck=births.put(state.stuck, held),
+        contact_time=births.put(state.contact_time, jnp.where(held, 0.0, -1.0)),
     )
 
 
-def _near_side(wall: jax.Array, triangle: jax.Array, forest: Forest) -> jax.Array:
-    """1 or -1 (n,) where the sheet is on the side of a triangle's normal or the other; 0 where nothing is known."""
+def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest) -> jax.Array:
+    """Share (n,) of an edge's first end in the velocity of its middle: of the mass that both lose."""
+    lost = jnp.zeros((2, owner.size), volumes.dtype)
+    for triangle, there in ((owner, True), (forest.partner[owner], forest.partner[owner] != owner)):
+        children = 2 * triangle + forest.root_count
+        # The first child keeps the edge's begin, the second its end; each end loses the other's part.
+        parts = volumes[jnp.minimum(children + 1, volumes.size - 1)], volumes[jnp.minimum(children, volumes.size - 1)]
+        turned = forest.sheet.triangles[1, triangle] != end
+        lost += jnp.where(there, jnp.stack([jnp.where(turned, parts[1], parts[0]), jnp.where(turned, *parts)]), 0.0)
+    return lost[0] / (lost[0] + lost[1])
+
+
+def _settled(state: State, births: _Births, scene: Scene, votes: jax.Array) -> State:
+    """The state with those of the block's new nodes put on the mold that are on it, or beyond it."""
+    mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
+    assert mold is not None and grid is not None and forest is not None
+    points, stuck = births.own(state.positions), births.own(state.stuck)
+    where = jax.lax.stop_gradient(points)
+    found = _nearest(where, births.new & ~stuck, grid)
+    side = _near_side(votes, found.triangle, forest)
+    begin, end = (jax.lax.stop_gradient(state.positions)[:, at] for at in births.ends)
+    reachable = found.distance <= _FARTHEST * jnp.sqrt(dot(begin - end, begin - end))
+    touches = births.new & (side != 0) & (found.distance <= near.touch_distance(grid))
+    beyond = births.new & (side * found.height < 0) & reachable & ~touches
+    ends = [state.stuck[at] for at in births.ends]
+    sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
+    lands = births.new & sticks & ~stuck
+    triangle = jnp.maximum(found.triangle, 0)
+    point = _closest(points, mold, triangle, lands)
+    return dataclasses.replace(
+        state,
+        positions=births.put(state.positions, jnp.where(lands, point, points)),
+        velocities=births.put(state.velocities, jnp.where(lands, 0.0, births.own(state.velocities))),
+        stuck=births.put(state.stuck, stuck | lands),
+        contact_time=births.put(state.contact_time, jnp.where(lands, state.time, births.own(state.contact_time))),
+        wall=births.put(state.wall, jnp.where(lands, side * (triangle + 1), births.own(state.wall))),
+    )
+
+
+def _votes(wall: jax.Array, forest: Forest) -> jax.Array:
+    """For each part of the mold how many nodes more touch it from the side of its normals than from the other."""
     assert forest.turn is not None and forest.part is not None
     touched = jnp.maximum(jnp.abs(wall) - 1, 0)
     votes = jnp.zeros(forest.part_count, jnp.int32)
-    votes = votes.at[forest.part[touched]].add(jnp.sign(wall) * forest.turn[touched])
+    return votes.at[forest.part[touched]].add(jnp.sign(wall) * forest.turn[touched])
+
+
+def _near_side(votes: jax.Array, triangle: jax.Array, forest: Forest) -> jax.Array:
+    """1 or -1 (n,) where the sheet is on the side of a triangle's normal or the other; 0 where nothing is known."""
+    assert forest.turn is not None and forest.part is not None
     chosen = jnp.maximum(triangle, 0)
     return jnp.where(triangle >= 0, jnp.sign(votes[forest.part[chosen]]) * forest.turn[chosen], 0)
 

@@ -80,11 +80,17 @@ def _depth(count: np.ndarray) -> int:
 
 
 def pack(
-    moving: jax.Array | None, sheet: Sheet, assembly: Assembly, counts: tuple[jax.Array, jax.Array] | None = None
+    moving: jax.Array | None,
+    sheet: Sheet,
+    assembly: Assembly,
+    counts: tuple[jax.Array, jax.Array] | None = None,
+    *,
+    stepped: bool = True,
 ) -> Packed:
     """Packs the elements (n_element,) that can move, and their nodes.
 
-    Where `moving` is None, all elements and nodes. There may be room for more of each than `counts` says.
+    Where `moving` is None, all elements and nodes. There may be room for more of each than `counts` says. What is not
+    `stepped`, only summed over, needs to know no node's shares.
     """
     element_count, node_count = sheet.area.size, assembly.table.shape[1]
     room, places = padded(element_count), padded(node_count)
@@ -108,7 +114,9 @@ def pack(
 
     block_count, node_block_count = count // BLOCK + 1, -(-node_total // BLOCK)
     triangles, inverse_metric, area = _columns(sheet, place, element, block_count)
-    shares, row_count = _shares(slots, assembly, node, exists, node_block_count)
+    shares, row_count = jnp.zeros((assembly.table.shape[0], places), jnp.int32), jnp.int32(0)
+    if stepped:
+        shares, row_count = _shares(slots, assembly, node, exists, node_block_count)
     elements = Elements(
         triangles=triangles,
         inverse_metric=inverse_metric,

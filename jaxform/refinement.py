@@ -13,12 +13,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform import bisection, membrane
+from jaxform import membrane
 from jaxform.blocks import BLOCK, listed, over_blocks, padded
-from jaxform.body import NEVER, Body, Mesh, levels, node_room, refined_body, relisted
+from jaxform.body import NEVER, Body, Mesh, levels, node_room, refined_body
 from jaxform.near import cells
-from jaxform.newborn import Births, births_of, settled
-from jaxform.scene import STEPS_PER_WINDOW, Forest, Scene
+from jaxform.newborn import born
+from jaxform.remeshing import Queue, bisected, closed, queued
+from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Schedule, State, Status, account, any_mode, kinetic_energy
 
 _SPARE_BLOCKS = 2
@@ -29,30 +30,40 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
 
     With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
     """
-    refinement, forest = scene.refinement, scene.tables.forest
-    if refinement is None or forest is None:
+    refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
+    if refinement is None or forest is None or mesh is None:
         return state, sheet_body
-    mesh = state.mesh
-    assert mesh is not None
-    due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
-
-    def look() -> jax.Array:
-        marked = _marked(state, scene, sheet_body)
-        return closure((mesh.split_at != NEVER) | marked, forest, jnp.any(marked))
-
     if schedule is not None and schedule.split_at is not None:
-        split = schedule.split_at <= state.windows
+        due = jnp.any((schedule.split_at <= state.windows) & (mesh.split_at == NEVER))
+        wanted = functools.partial(_planned, planned=schedule.split_at)
     else:
-        split = jax.lax.cond(due, look, lambda: mesh.split_at != NEVER)
-    grows = jnp.any(split & (mesh.split_at == NEVER))
+        due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
+        wanted = _wanted
     return jax.lax.cond(
-        grows,
-        lambda state, scene, body: _grown(state, scene, body, split),
+        due,
+        lambda state, scene, body: _grown(state, scene, body, *wanted(state, scene, body)),
         lambda state, _, body: (state, body),
         state,
         scene,
         sheet_body,
     )
+
+
+def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:
+    """What is bisected (n_triangle,) by plan at the latest now, and those of it that are not yet."""
+    mesh, forest = state.mesh, scene.tables.forest
+    assert mesh is not None and forest is not None
+    new = (planned <= state.windows) & (mesh.split_at == NEVER)
+    return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
+
+
+def _wanted(state: State, scene: Scene, sheet_body: Body) -> tuple[jax.Array, Queue]:
+    """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
+    mesh, forest = state.mesh, scene.tables.forest
+    assert mesh is not None and forest is not None
+    marked = _marked(state, scene, sheet_body)
+    wanted = jnp.where(marked, mesh.element, NEVER)
+    return closed(mesh.split_at, wanted, mesh.element_count, forest, state.windows)
 
 
 def can_have_more_room(scene: Scene) -> bool:
@@ -91,9 +102,15 @@ def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
     nodal = ("positions", "velocities", "stuck", "contact_time", "wall", *(("mode",) if state.mode is not None else ()))
     grown: dict[str, Any] = {name: _padded(getattr(state, name), nodes) for name in nodal}
     grown["stuck"] = grown["stuck"].at[state.stuck.size :].set(True)
-    element = _padded(mesh.element, elements).at[mesh.element.size :].set(mesh.element[0])
-    neighbor = _padded(mesh.neighbor, elements).at[:, mesh.element.size :].set(-1)
-    grown["mesh"] = dataclasses.replace(mesh, element=element, neighbor=neighbor, node=_padded(mesh.node, nodes))
+    beyond = _padded(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
+    grown["mesh"] = dataclasses.replace(
+        mesh,
+        element=_padded(mesh.element, elements),
+        node=_padded(mesh.node, nodes),
+        corner=beyond,
+        corner_count=_padded(mesh.corner_count, nodes),
+        row=_padded(mesh.row, elements),
+    )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
     return scene, dataclasses.replace(state, **grown, status=status)
 
@@ -102,36 +119,8 @@ def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def closure(split: jax.Array, forest: Forest | bisection.Forest, changed: jax.Array | bool = True) -> jax.Array:
-    """Triangles (n_triangle,) that are bisected when those of `split` are, so that no node hangs on a side.
-
-    With a triangle its partner is bisected, and what has bisected parts is so itself. The least such set, so it does
-    not depend on the order of the marks. Where nothing has `changed` since it was closed, nothing is done.
-    """
-
-    def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return carry[1]
-
-    def sweep(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        split = carry[0]
-        wider = split | split[forest.partner]
-        levels, end = [], wider.size
-        below = None
-        for level in range(forest.depth, -1, -1):
-            begin = forest.root_count * ((1 << level) - 1)
-            part = wider[begin:end]
-            if below is not None:
-                part = part | below[0::2] | below[1::2]
-            levels.append(part)
-            below, end = part, begin
-        wider = jnp.concatenate(levels[::-1])
-        return wider, jnp.any(wider != split)
-
-    return jax.lax.while_loop(more, sweep, (split, jnp.asarray(changed)))[0]
-
-
 def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
-    """Triangles (n_triangle,) of the forest that should be bisected for what they and their neighbours look like."""
+    """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
     state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
     refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
     assert refinement is not None and forest is not None and mesh is not None
@@ -150,11 +139,11 @@ def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
             wanted |= (own[4] > 0.0) & (level < refinement.base_level)
         return [[wanted & ~fine & (area > 0.0)]], []
 
-    lists = mesh.element, mesh.neighbor, shapes[:, : mesh.element.size], fine, sheet.area
+    across = mesh.side[forest.half_edges[:, mesh.element] ^ 1]
+    lists = mesh.element, across, shapes[:, : mesh.element.size], fine, sheet.area
     inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - x.shape[-1])]) for x in lists)
     (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, room), bool)])
-    none = jnp.zeros(forest.bound.size, bool)
-    return none.at[jnp.where(marks[0, : mesh.element.size], mesh.element, none.size)].set(True, mode="drop")
+    return marks[0, : mesh.element.size]
 
 
 def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
@@ -209,14 +198,36 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
     return uneven
 
 
-def _grown(state: State, scene: Scene, sheet_body: Body, split: jax.Array) -> tuple[State, Body]:
-    """The state with the new nodes, where there is room for all; else its status says so."""
+def _grown(state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue) -> tuple[State, Body]:
+    """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
+    mesh = state.mesh
+    assert mesh is not None
+    fits = (mesh.element_count + queue.count <= mesh.element.size) & (
+        mesh.node_count + queue.node_count <= mesh.node.size
+    )
+    choice = jnp.where(queue.count == 0, 0, jnp.where(fits, 1, 2))
+    full = state.status | Status.REFINEMENT_OVERFLOW
+    return jax.lax.switch(
+        choice,
+        (
+            lambda state, _, body: (state, body),
+            lambda state, scene, body: _with_parts(state, scene, body, split_at, queue),
+            lambda state, _, body: (dataclasses.replace(state, status=full), body),
+        ),
+        state,
+        scene,
+        sheet_body,
+    )
+
+
+def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue) -> tuple[State, Body]:
+    """The state with the queue's triangles bisected."""
     forest, old = scene.tables.forest, state.mesh
     assert forest is not None and old is not None and sheet_body.volumes is not None
-    mesh, fits = _remeshed(old, split, state.windows, forest)
+    mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
     body = refined_body(scene, mesh, sheet_body.volumes)
-    births = births_of(old, mesh, forest)
-    new = settled(_born(state, mesh, births, scene, sheet_body.volumes), births, scene)
+    new = born(state, mesh, scene, sheet_body.volumes)
+    mode = None if state.mode is None else _with_noise(state.mode, old, mesh)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
         account(*jax.lax.stop_gradient((s.positions, scene, b))) for s, b in ((state, sheet_body), (new, body))
@@ -225,78 +236,18 @@ def _grown(state: State, scene: Scene, sheet_body: Body, split: jax.Array) -> tu
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, sheet_body), (new, body))
     )
     loss = strain + kinetic - new_strain - new_kinetic
-    new = dataclasses.replace(
-        new, refinement_loss=state.refinement_loss + loss, volume=state.volume + new_volume - volume
-    )
-    full = dataclasses.replace(state, status=state.status | Status.REFINEMENT_OVERFLOW)
-    return jax.tree.map(lambda a, b: jnp.where(fits, a, b), (new, body), (full, sheet_body))
-
-
-def _remeshed(old: Mesh, split: jax.Array, window: jax.Array, forest: Forest) -> tuple[Mesh, jax.Array]:
-    """The mesh with more triangles bisected, and whether there is room for it."""
-    split_at = jnp.where(split & (old.split_at == NEVER), window, old.split_at).astype(jnp.int32)
-    born = split[forest.owner] & (old.split_at[forest.owner] == NEVER)
-    born = born & (jnp.arange(born.size) >= forest.first_nodes)
-    room = old.node.size
-    found, count = listed(born, room)
-    rank = jnp.cumsum(born, dtype=jnp.int32) - 1
-    place = jnp.where(born, jnp.minimum(old.node_count + rank, room - 1), old.place)
-    index = jnp.arange(room) - old.node_count
-    node = jnp.where((index >= 0) & (index < count), found[jnp.maximum(index, 0)], old.node)
-    total = old.node_count + count
-    mesh = Mesh(split_at, old.element, old.neighbor, old.element_count, node, place, jnp.minimum(total, room))
-    mesh = relisted(mesh, forest)
-    return mesh, (total <= room) & (mesh.element_count <= mesh.element.size)
-
-
-def _born(state: State, mesh: Mesh, births: Births, scene: Scene, volumes: jax.Array) -> State:
-    """New nodes move as the middles of their edges did; the momentum of all is what it was.
-
-    A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
-    weighted by these the momentum is kept exactly.
-    """
-    forest = scene.tables.forest
-    assert forest is not None
-    new, first, second = births
-    weight = _weight(volumes, forest.owner[mesh.node], forest.ends[0, mesh.node], forest)
-    reference = scene.parison.positions[mesh.node].T
-    moved = state.positions - reference
-
-    def between(values: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
-        moved, velocities = values
-        mean = 0.5 * (moved[:, first] + moved[:, second])
-        mixed = weight * velocities[:, first] + (1.0 - weight) * velocities[:, second]
-        return (jnp.where(new, mean, moved), jnp.where(new, mixed, velocities)), None
-
-    # A new node can be the end of a newer one: as often as there can be generations at one border.
-    (moved, velocities), _ = jax.lax.scan(between, (moved, state.velocities), length=forest.depth)
-    held = new & jnp.all(forest.mobility[:, mesh.node] == 0.0, axis=0)
-    free = new & ~held
-    positions = jnp.where(new, reference + jnp.where(held, 0.0, moved), state.positions)
     return dataclasses.replace(
-        state,
-        positions=positions,
-        velocities=jnp.where(held, 0.0, velocities),
-        stuck=jnp.where(free, False, state.stuck),
-        contact_time=jnp.where(free, -1.0, jnp.where(held, 0.0, state.contact_time)),
-        mode=None if state.mode is None else _with_noise(state.mode, new),
-        rate=jnp.zeros_like(state.rate),
+        new,
         mesh=mesh,
-    )
+        mode=mode,
+        rate=jnp.zeros_like(state.rate),
+        refinement_loss=state.refinement_loss + loss,
+        volume=state.volume + new_volume - volume,
+    ), body
 
 
-def _with_noise(mode: jax.Array, new: jax.Array) -> jax.Array:
+def _with_noise(mode: jax.Array, old: Mesh, mesh: Mesh) -> jax.Array:
     """A mode (3, n) in which the new nodes move without a pattern: between their neighbours they would hide theirs."""
+    place = jnp.arange(mesh.node.size)
+    new = (place >= old.node_count) & (place < mesh.node_count)
     return jnp.where(new, jnp.max(jnp.where(new, 0.0, jnp.abs(mode))) * any_mode(mode), mode)
-
-
-def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest) -> jax.Array:
-    """Share (n,) of an edge's first end in the velocity of its middle: of the mass that both lose."""
-    lost = jnp.zeros((2, owner.size), volumes.dtype)
-    for triangle, there in ((owner, True), (forest.partner[owner], forest.partner[owner] != owner)):
-        children = 2 * triangle + forest.root_count
-        # The first child keeps the edge's begin, the second its end; each end loses the other's part.
-        parts = volumes[jnp.minimum(children + 1, volumes.size - 1)], volumes[jnp.minimum(children, volumes.size - 1)]
-        turned = forest.sheet.triangles[1, triangle] != end
-        lost += jnp.where(there, jnp.stack([jnp.where(turned, parts[1], parts[0]), jnp.where(turned, *parts)]), 0.0)
-    return lost[0] / (lost[0] + lost[1])

@@ -167,8 +167,9 @@ class Forest:
         bound: Largest eigenvalue of each triangle's shape gradients (n_triangle,) [1/m^2].
         heavier: How many times its mass each triangle is given (n_triangle,).
         partner: The other triangle with the same refinement edge (n_triangle,).
+        middle: Node in the middle of the refinement edge (n_triangle,), -1 at the deepest level.
         half_edges: (3, n_triangle).
-        corner_slots: (3, n_triangle).
+        root_row: For the corners (3, root_count) of the first triangles: which of their node's triangles they are.
         ends: Of the edge that each node is the middle of (2, n_node).
         owner: A triangle that each node is in the middle of the refinement edge of (n_node,); 0 for the first nodes.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
@@ -180,7 +181,7 @@ class Forest:
         first_nodes: Nodes of the mesh before it is refined.
         part_count: Connected parts of the mold.
         half_edge_count: Numbers of half edges are below this.
-        slot_count: How many triangles can meet at a node.
+        valence: How many triangles can meet at a node.
         node_room: Room for so many nodes.
     """
 
@@ -188,8 +189,9 @@ class Forest:
     bound: jax.Array
     heavier: jax.Array
     partner: jax.Array
+    middle: jax.Array
     half_edges: jax.Array
-    corner_slots: jax.Array
+    root_row: jax.Array
     ends: jax.Array
     owner: jax.Array
     mobility: jax.Array
@@ -201,7 +203,7 @@ class Forest:
     first_nodes: int = static()
     part_count: int = static()
     half_edge_count: int = static()
-    slot_count: int = static()
+    valence: int = static()
     node_room: int = static()
 
 
@@ -240,6 +242,11 @@ class Scene:
     refinement: Refinement | None
     tables: Tables
     name: str = static(default="scene")
+
+    @property
+    def packs_moving(self) -> bool:
+        """Whether windows work through what can still move alone."""
+        return self.mold is not None and self.solver.skip_stuck
 
 
 # What `replace` may put in, and the least value it may have (None: any).

@@ -133,8 +133,9 @@ def initial_state(scene: Scene) -> State:
 
 def any_mode(positions: jax.Array) -> jax.Array:
     """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
-    count = jnp.arange(positions.size, dtype=positions.dtype)
-    return jnp.sin(12.9898 * count + 78.233 * jnp.square(jnp.sin(count))).reshape(-1, 3).T
+    mixed = (jnp.arange(positions.size, dtype=jnp.uint32) + 1) * jnp.uint32(2654435761)
+    mixed = (mixed ^ (mixed >> 15)) * jnp.uint32(2246822519)
+    return ((mixed >> 8).astype(positions.dtype) / 2**23 - 1.0).reshape(positions.shape)
 
 
 def finished(state: State, scene: Scene) -> jax.Array:

@@ -223,7 +223,7 @@ def window(
 
     Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
-    packed = _packed(state, scene, sheet_body)
+    packed = worked_through(state, scene, sheet_body)
     length, mode, rate, most = _decided(state, scene, sheet_body, packed, schedule)
     index = jnp.arange(STEPS_PER_WINDOW)
     times = state.time + index * length
@@ -272,8 +272,9 @@ def _decided(
     return jax.lax.stop_gradient(length), state.mode, state.rate, most
 
 
-def _packed(state: State, scene: Scene, sheet_body: Body) -> Packed:
-    if scene.mold is None or not scene.solver.skip_stuck:
+def worked_through(state: State, scene: Scene, sheet_body: Body) -> Packed:
+    """The elements and nodes of a window that begins now."""
+    if not scene.packs_moving:
         return sheet_body.whole
     counts = None if state.mesh is None else (state.mesh.element_count, state.mesh.node_count)
     return pack(can_move(state, sheet_body.sheet), sheet_body.sheet, sheet_body.assembly, counts)
@@ -300,7 +301,7 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
 def _idle_volume(
     state: State, scene: Scene, sheet_body: Body, packed: Packed, differentiable: bool
 ) -> jax.Array | float:
-    if scene.mold is None or not scene.solver.skip_stuck:
+    if not scene.packs_moving:
         return 0.0
     if differentiable:
         return enclosed_volume(state.positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))

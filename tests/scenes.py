@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from jaxform import molds, shapes
+from jaxform import molds, refinement, remeshing, shapes
+from jaxform.body import NEVER, Body
 from jaxform.materials import Material
+from jaxform.scene import Scene
+from jaxform.shapes import Sheet
+from jaxform.state import State
 
 
 def real(value: float) -> jnp.ndarray:
@@ -61,3 +66,23 @@ def cup(elements: int = 60, end_time: float = 20.0) -> jaxform.Scene:
 
 def pole(scene: jaxform.Scene) -> int:
     return int(np.argmin(np.linalg.norm(np.asarray(scene.parison.positions)[:, :2], axis=1)))
+
+
+def refinable(sheet: Sheet, elements: int) -> Scene:
+    """A sheet without mold or pressure, with room for so many elements."""
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [0.0]),
+        solver=jaxform.make_solver(end_time=1.0),
+        refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, elements=elements),
+    )
+
+
+def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tuple[State, Body]:
+    """A state with wanted elements (element_room,) bisected, and what that asks for; and its body."""
+    mesh, forest = state.mesh, scene.tables.forest
+    assert mesh is not None and forest is not None
+    numbers = jnp.where(wanted, mesh.element, NEVER)
+    found = remeshing.closed(mesh.split_at, numbers, mesh.element_count, forest, state.windows)
+    return refinement._grown(state, scene, sheet, *found)

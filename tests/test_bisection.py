@@ -10,9 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from jaxform import bisection, refinement, shapes, topology
+from jaxform import bisection, shapes, topology
 from jaxform.bisection import Forest
+from jaxform.body import NEVER
 from jaxform.errors import InputError
+from jaxform.remeshing import Queue, closed
 
 DEPTH = 4
 
@@ -110,12 +112,22 @@ def test_closure_in_the_program_is_the_plain_one_and_does_not_depend_on_the_orde
     positions, triangles = random_mesh(3, 8)
     forest = bisection.build_forest(positions, triangles, DEPTH)
     random = np.random.default_rng(0)
-    close = jax.jit(lambda marks, split: refinement.closure(split | marks, forest))
+    number = np.arange(len(forest.triangles))
+
+    @jax.jit
+    def close(marks: jax.Array, split: jax.Array) -> tuple[jax.Array, Queue]:
+        split_at = jnp.where(split, 0, NEVER)
+        return closed(split_at, jnp.where(marks, number, NEVER), jnp.int32(number.size), forest, jnp.int32(7))
+
     for _ in range(20):
         split = marked_mesh(forest, int(random.integers(10**6)), 3)
         marks = active_of(split, forest) & (random.uniform(size=len(split)) < 0.1) & (forest.middle >= 0)
         expected = plain_closure(split | marks, forest)
-        np.testing.assert_array_equal(close(jnp.asarray(marks), jnp.asarray(split)), expected)
+        split_at, queue = close(jnp.asarray(marks), jnp.asarray(split))
+        np.testing.assert_array_equal(split_at, np.where(split, 0, np.where(expected, 7, NEVER)))
+        new = np.flatnonzero(expected & ~split)
+        np.testing.assert_array_equal(queue.triangle[: int(queue.count)], new)
+        assert int(queue.count) == len(new) and int(queue.node_count) == len(np.unique(forest.middle[new]))
         one_by_one = split
         for triangle in random.permutation(np.flatnonzero(marks)):
             one_by_one = plain_closure(one_by_one | (np.arange(len(split)) == triangle), forest)

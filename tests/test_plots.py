@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import body, plots, refinement, sections, shapes, state, topology
+from jaxform import body, plots, sections, shapes, state, topology
 from jaxform.result import Result, make_result
 from tests import scenes
 
@@ -121,19 +121,9 @@ def test_pictures_of_a_search(tmp_path: Path) -> None:
 
 
 def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -> None:
-    sheet = shapes.disc(radius=1.0, elements=12, symmetry="quarter")
-    scene = jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
-        material=scenes.mooney(0.1),
-        pressure=jaxform.make_pressure([0.0], [0.0]),
-        solver=jaxform.make_solver(end_time=1.0),
-        refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, elements=60),
-    )
+    scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
     first, begun = body.body(scene), state.initial_state(scene)
-    forest = scene.tables.forest
-    assert forest is not None
-    split = refinement.closure(jnp.arange(forest.bound.size) < 4, forest)
-    finer = refinement._grown(begun, scene, first, split)[0]
+    finer = scenes.bisected(scene, begun, first, jnp.arange(60) < 4)[0]
     before, after = (scene, make_result(begun, scene, first)), (scene, make_result(finer, scene, first))
     assert int(after[1].used.sum()) > int(before[1].used.sum())
     plots.design_picture(tmp_path / "design.png", before, after)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import body, meshes, output, refinement, result
+from jaxform import body, meshes, output, result
 from jaxform.body import NEVER
 from jaxform.errors import InputError
 from jaxform.result import Result
-from jaxform.scene import Scene
+from jaxform.scene import Forest, Scene
 from jaxform.state import Schedule, State, initial_state
 from tests import scenes
 
@@ -46,7 +46,7 @@ def live(scene: Scene) -> Result:
 
 
 def grown(scene: Scene, seed: int) -> tuple[State, State, body.Body, body.Body]:
-    """A state moved and set in motion at random, and the same with a third of the elements bisected."""
+    """A state moved and set in motion at random, and the same with elements bisected at random, three times."""
     random = np.random.default_rng(seed)
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
     scene = jaxform.replace(scene, {"parison.thickness": thickness})
@@ -58,29 +58,50 @@ def grown(scene: Scene, seed: int) -> tuple[State, State, body.Body, body.Body]:
         positions=state.positions + jnp.where(free, jnp.asarray(random.normal(0, 0.01, shape)), 0.0),
         velocities=jnp.where(free, jnp.asarray(random.normal(0, 1, shape)), 0.0) * (first.compliance > 0),
     )
-    mesh, forest = state.mesh, scene.tables.forest
-    assert mesh is not None and forest is not None
-    marks = np.zeros(forest.bound.size, bool)
-    marks[random.permutation(forest.root_count)[: forest.root_count // 3]] = True
-    split = refinement.closure(jnp.asarray(marks), forest)
-    after, now = refinement._grown(state, scene, first, split)
+    forest = scene.tables.forest
+    assert forest is not None
+    after, now = state, first
+    for _ in range(3):
+        mesh = after.mesh
+        assert mesh is not None
+        wanted = jnp.asarray(random.uniform(size=mesh.element.size) < 0.2) & (body.levels(mesh.element, forest) < 2)
+        after, now = scenes.bisected(scene, after, now, wanted)
     return state, after, first, now
+
+
+def lists_of(mesh: body.Mesh, forest: Forest) -> None:
+    """Checks the lists of a mesh against what is bisected."""
+    split, count = np.asarray(mesh.split_at) != NEVER, int(mesh.element_count)
+    element, number = np.asarray(mesh.element)[:count], np.arange(len(split))
+    parent = (number - forest.root_count) // 2
+    active = np.flatnonzero(((number < forest.root_count) | split[parent]) & ~split)
+    np.testing.assert_array_equal(np.sort(element), active)
+    triangles = np.asarray(forest.sheet.triangles)[:, element]
+    node, places = np.asarray(mesh.node)[: int(mesh.node_count)], np.asarray(mesh.place)
+    np.testing.assert_array_equal(np.sort(node), np.unique(triangles))
+    np.testing.assert_array_equal(places[node], np.arange(len(node)))
+    half = np.asarray(forest.half_edges)[:, element]
+    side = np.full(forest.half_edge_count, -1)
+    side[half] = np.arange(count)
+    np.testing.assert_array_equal(mesh.side, side)
+    corner, room = np.asarray(mesh.corner), mesh.corner_count
+    np.testing.assert_array_equal(np.bincount(places[triangles].ravel(), minlength=room.size), room)
+    np.testing.assert_array_equal((corner >= 0).sum(0), room)
+    for k in range(3):
+        np.testing.assert_array_equal(
+            corner[np.asarray(mesh.row)[k, :count], places[triangles[k]]], 4 * np.arange(count) + k
+        )
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_new_nodes_keep_mass_and_momentum_whatever_the_thickness(seed: int) -> None:
     # Nothing clamped and no mold: a sphere. Its new nodes lie on it, beyond their edges.
-    sheet = jaxform.shapes.sphere(radius=1.0, elements=32, symmetry="none")
-    scene = jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
-        material=scenes.mooney(0.1),
-        pressure=jaxform.make_pressure([0.0], [0.0]),
-        solver=jaxform.make_solver(end_time=1.0),
-        refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, elements=200),
-    )
+    scene = scenes.refinable(jaxform.shapes.sphere(radius=1.0, elements=32, symmetry="none"), 200)
     before, after, first, now = grown(scene, seed)
     assert before.mesh is not None and after.mesh is not None
     assert int(after.mesh.element_count) > int(before.mesh.element_count) == 32
+    assert scene.tables.forest is not None
+    lists_of(after.mesh, scene.tables.forest)
 
     def there(state: State) -> jax.Array:
         assert state.mesh is not None
