@@ -65,7 +65,7 @@ def show_bare(sizes: tuple[int, ...] = SIZES) -> Table:
         row |= dict.fromkeys(runs) | _per_step({name: run for name, run in runs.items() if run is not None}, count)
         row["jaxform / C++"] = None if row["C++"] is None else row["jaxform"] / row["C++"]
         table.append(row)
-        _say(row)
+        say(row)
     sizes_done = [row["elements"] for row in table if row["elements"] >= 2000]
     if len(sizes_done) > 1:
         first, last = (next(row for row in table if row["elements"] == n) for n in (sizes_done[0], sizes_done[-1]))
@@ -85,7 +85,7 @@ def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
             ways["plain C++"] = compiled
         for name, cost in _per_step(ways, len(sheet.triangles)).items():
             table.append({"formulation": name, "elements": len(sheet.triangles), "ns": cost})
-            _say(table[-1])
+            say(table[-1])
     return table
 
 
@@ -147,7 +147,7 @@ def show_gradients(sizes: tuple[int, ...] = SIZES) -> Table:
     table = []
     for size in sizes:
         table.append(gradient_cost(free_sheet(size, max(128, min(1024, 4_000_000 // size))), forward_mode=True))
-        _say(table[-1])
+        say(table[-1])
     return table
 
 
@@ -158,7 +158,7 @@ def show_memory(steps: tuple[int, ...] = (640, 2560, 10000), everything: int = 6
         scene = free_sheet(2048, count)
         for every in (0, 1, 4, 16) if count <= everything else (1, 4, 16):
             table.append(gradient_cost(scene, every))
-            _say(table[-1])
+            say(table[-1])
     return table
 
 
@@ -194,7 +194,7 @@ def show_skips() -> Table:
         for switch, taken in seconds.items():
             row = {"scene": name, "switched": switch, "seconds": taken, "steps": int(jaxform.run(scenes[switch]).steps)}
             table.append(row | {"saved": 1 - seconds["all"] / taken})
-            _say(table[-1])
+            say(table[-1])
     return table
 
 
@@ -235,7 +235,7 @@ def show_whole_run() -> Table:
         "float32 seconds": single_seconds,
         "float32 rms %": 100 * float(np.sqrt(np.mean(np.square(ratio)))),
     }
-    _say(row)
+    say(row)
     return [row]
 
 
@@ -260,7 +260,7 @@ def show_parts(window: int = 20) -> Table:
     for name, one in (("with contact", scene), ("without", free), ("and without damping", undamped)):
         table.append({"part": f"window {name}"} | _window_cost(state, one, body))
     for row in table:
-        _say(row)
+        say(row)
     return table
 
 
@@ -283,7 +283,7 @@ def show_batch(count: int = 16) -> Table:
     table = [{"workers": n, "designs per second": count / taken} for n, taken in seconds.items()]
     table[-1]["throughput over one"] = seconds[1] / seconds[cores]
     for row in table:
-        _say(row)
+        say(row)
     return table
 
 
@@ -299,11 +299,11 @@ def show_start() -> Table:
             whole = time.perf_counter() - begin
             summary = json.loads(Path(folder, "summary.json").read_text())
             table.append({"run": run, "seconds": whole, "overhead": whole - summary["run_seconds"]})
-            _say(table[-1])
+            say(table[-1])
     return table
 
 
-def _say(row: dict[str, Any]) -> None:
+def say(row: dict[str, Any]) -> None:
     print("  " + "  ".join(f"{key} {_words(value)}" for key, value in row.items()), flush=True)
 
 

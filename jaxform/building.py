@@ -82,6 +82,7 @@ def build_scene(
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
     if refinement is not None and forest is not None:
+        _check_room(refinement, len(triangles))
         grown = _grown(forest, refinement, sheet, mobility, mold, grid)
         bound = grown.bound
     tables = Tables(
@@ -157,6 +158,12 @@ def _reference_sheet(parison: Parison) -> Sheet:
     places = np.asarray(parison.positions)
     origin = [places[on_plane[:, k], k].mean() if on_plane[:, k].any() else 0.0 for k in range(3)]
     return Sheet(triangles, inverse, area, as_real(origin))
+
+
+def _check_room(refinement: Refinement, count: int) -> None:
+    if refinement.elements < count:
+        mend = f"make room for the {count} elements that there are at first, and more"
+        raise InputError("is too little", mend, "refinement.elements", refinement.elements)
 
 
 def _planted(parison: Parison, refinement: Refinement) -> tuple[bisection.Forest, Parison]:

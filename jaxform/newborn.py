@@ -1,4 +1,4 @@
-"""New nodes: in the middle of their edges, moving as these did; at the mold put there.
+"""New nodes: in the middle of their edges, at rest or moving as these did; at the mold put there.
 
 Where an element cut a corner of the mold, the middle of its side may be beyond. The mold's near side is the one from
 which the nodes came that stick to it. A new node is judged by the place of the mold that is nearest to it: beyond, it
@@ -77,7 +77,7 @@ class _Births(NamedTuple):
 def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
     """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
 
-    They move as the middles of their edges did; the momentum of all is what it was. Differentiable.
+    Differentiable.
 
     Args:
         state: The state, with its own mesh.
@@ -113,24 +113,26 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
 
 
 def _between(state: State, births: _Births, scene: Scene, volumes: jax.Array) -> State:
-    """The state with the block's new nodes in the middle of their edges.
+    """The state with the block's new nodes in the middle of their edges, at rest or moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
     weighted by these the momentum is kept exactly.
     """
-    forest = scene.tables.forest
-    assert forest is not None
+    forest, refinement = scene.tables.forest, scene.refinement
+    assert forest is not None and refinement is not None
     # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
     start = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
     moved = [state.positions[:, end] - begin for end, begin in zip(births.ends, start, strict=True)]
     middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
-    weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
-    velocities = births.chained(
-        [state.velocities[:, end] for end in births.ends],
-        lambda first, second: weight * first + (1.0 - weight) * second,
-        forest.depth,
-    )
+    velocities = jnp.zeros_like(middle)
+    if not refinement.at_rest:
+        weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
+        velocities = births.chained(
+            [state.velocities[:, end] for end in births.ends],
+            lambda first, second: weight * first + (1.0 - weight) * second,
+            forest.depth,
+        )
     held = jnp.all(forest.mobility[:, births.node] == 0.0, axis=0)
     return dataclasses.replace(
         state,

@@ -140,6 +140,8 @@ class Refinement:
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
         scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
+        at_rest: Whether new nodes begin at rest. Else they move as their edges did, which keeps the momentum, but makes
+            a replay jump where a node lands just before or just after a border.
         elements: Room for so many.
     """
 
@@ -150,6 +152,7 @@ class Refinement:
     max_level: int = static()
     base_level: int = static()
     scaled_levels: int = static()
+    at_rest: bool = static()
     elements: int = static()
 
     @property
@@ -349,6 +352,7 @@ def make_refinement(
     min_area: float = 0.0,
     base_level: int = 0,
     scaled_levels: int = 0,
+    at_rest: bool = True,
     jump: float | None = None,
 ) -> Refinement:
     """Where the mesh becomes finer; see `Refinement`.
@@ -367,7 +371,7 @@ def make_refinement(
     require(elements >= 1, "must be at least 1", "refinement.elements", elements)
     uneven = None if jump is None else as_real(jump)
     return Refinement(
-        as_real(angle), as_real(min_area), uneven, interval, max_level, base_level, scaled_levels, elements
+        as_real(angle), as_real(min_area), uneven, interval, max_level, base_level, scaled_levels, at_rest, elements
     )
 
 

@@ -286,6 +286,7 @@ class Refinement(Table):
     min_area: NotNegative = 0.0
     base_level: Annotated[int, Field(ge=0, le=14)] = 0
     scaled_levels: Annotated[int, Field(ge=0, le=14)] = 0
+    at_rest: bool = True
     jump: Positive | None = None
     elements: Annotated[int, Field(ge=1)] | None = None
 

@@ -23,6 +23,8 @@ from jaxform.state import Schedule, State, Status, finished, initial_state
 from jaxform.stepping import window
 from jaxform.store import Store
 
+_IN_MEMORY = Store()
+
 
 @functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
 def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_checkpoint: int = 1) -> Result:
@@ -136,7 +138,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             Without it the whole loop runs at once.
         store: Where traced programs are kept between runs; nowhere by default.
     """
-    store = store or Store()
+    store = store or _IN_MEMORY
     began = time.perf_counter()
     state, first, taken = store.program(_begin, scene)(scene)
     take = 1 if on_window is not None else scene.tables.window_count
@@ -219,7 +221,7 @@ def _unless_full(state: State, scene: Scene, take: Callable[[State], State]) -> 
 def _compiled(
     state: State, scene: Scene, first: Body, taken: Taken, store: Store | None = None
 ) -> Callable[..., tuple[State, Taken, jax.Array]]:
-    return (store or Store()).program(_advance, state, scene, first, taken, jnp.int32(1))
+    return (store or _IN_MEMORY).program(_advance, state, scene, first, taken, jnp.int32(1))
 
 
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:

@@ -22,10 +22,11 @@ import numpy as np
 
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
+_MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
 
 
 class Store:
-    """A folder of things kept; without a folder nothing is.
+    """A folder of things kept; without a folder compiled programs alone are, in memory.
 
     Attributes:
         folder: Where; made when the first thing is written.
@@ -33,6 +34,7 @@ class Store:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
+        self._programs: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -55,18 +57,22 @@ class Store:
         return arrays
 
     def program(self, function: Any, *arguments: Any) -> Callable[..., Any]:
-        """A function compiled for arguments like these; where it is kept, it need not be traced.
+        """A function compiled for arguments like these: once; where it is kept in a file, it need not be traced.
 
         Args:
             function: Jitted; it depends on its arguments only.
             arguments: Pytrees of arrays; the structure, shapes and types count, not the values.
         """
         leaves, tree = jax.tree.flatten(arguments)
-        kinds = [(np.shape(leaf), str(leaf.dtype)) for leaf in leaves]
-        path = self._path(function.__name__, (str(tree), str(kinds), jax.default_backend()))
-        if path is None:
-            return function.lower(*arguments).compile()
-        return jax.jit(self._exported(path, function, arguments).call).lower(*arguments).compile()
+        kinds = tuple((np.shape(leaf), str(leaf.dtype)) for leaf in leaves)
+        key = function, tree, kinds, jax.default_backend()
+        if key not in self._programs:
+            path = self._path(function.__name__, tuple(str(part) for part in key[1:]))
+            made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
+            while len(self._programs) >= _MOST_PROGRAMS:
+                self._programs.pop(next(iter(self._programs)), None)
+            self._programs[key] = made.lower(*arguments).compile()
+        return self._programs[key]
 
     def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:
         from jax import export

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -93,10 +94,11 @@ def lists_of(mesh: body.Mesh, forest: Forest) -> None:
         )
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_new_nodes_keep_mass_and_momentum_whatever_the_thickness(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "at_rest"), [(0, False), (1, False), (2, False), (3, True)])
+def test_new_nodes_keep_mass_and_if_wanted_momentum_whatever_the_thickness(seed: int, at_rest: bool) -> None:
     # Nothing clamped and no mold: a sphere. Its new nodes lie on it, beyond their edges.
-    scene = scenes.refinable(jaxform.shapes.sphere(radius=1.0, elements=32, symmetry="none"), 200)
+    sheet = jaxform.shapes.sphere(radius=1.0, elements=32, symmetry="none")
+    scene = scenes.refinable(sheet, 200, at_rest=at_rest)
     before, after, first, now = grown(scene, seed)
     assert before.mesh is not None and after.mesh is not None
     assert int(after.mesh.element_count) > int(before.mesh.element_count) == 32
@@ -111,8 +113,11 @@ def test_new_nodes_keep_mass_and_momentum_whatever_the_thickness(seed: int) -> N
     np.testing.assert_allclose(jnp.sum(new_mass), jnp.sum(mass), rtol=1e-13)
     assert first.volumes is not None
     np.testing.assert_allclose(jnp.sum(new_mass), jnp.sum(first.volumes[-32 * 4 :]), rtol=1e-13)
-    momentum, new_momentum = jnp.sum(mass * before.velocities, axis=1), jnp.sum(new_mass * after.velocities, axis=1)
-    np.testing.assert_allclose(new_momentum, momentum, atol=1e-14 * float(jnp.sum(mass)))
+    if at_rest:
+        np.testing.assert_array_equal(after.velocities, jnp.where(there(before), before.velocities, 0.0))
+    else:
+        momentum, new_momentum = (jnp.sum(m * s.velocities, axis=1) for m, s in ((mass, before), (new_mass, after)))
+        np.testing.assert_allclose(new_momentum, momentum, atol=1e-14 * float(jnp.sum(mass)))
     # A flat cut changes no element's strain; what is lost is kinetic energy alone.
     kinetic = [0.5 * jnp.sum(m * jnp.sum(s.velocities**2, 0)) for m, s in ((mass, before), (new_mass, after))]
     assert 0 < float(after.refinement_loss) == pytest.approx(float(kinetic[0] - kinetic[1]), rel=1e-9)
@@ -125,7 +130,8 @@ def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: R
     assert set(np.unique(np.asarray(live.level)[np.asarray(live.used)])) >= {1, 2}
     np.testing.assert_allclose(ran.positions, live.positions, atol=1e-12)
     np.testing.assert_allclose(ran.thickness, live.thickness, atol=1e-14)
-    assert float(live.energy.balance_error) < 1e-3
+    # New nodes that begin at rest lose their energy at half a step from where it is counted.
+    assert float(live.energy.balance_error) < 2e-3
     assert float(live.mass) == pytest.approx(float(jaxform.run(cup(max_level=1, base_level=0)).mass), rel=1e-12)
     assert result.penetrated(live, scene).nodes < 1e-9
     active = np.asarray(live.active)
@@ -143,21 +149,33 @@ def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> No
     assert schedule.split_at is not None and int((schedule.split_at != NEVER).sum()) > 10
 
 
-def test_the_gradient_of_a_replay_is_that_of_central_differences(scene: Scene, live: Result) -> None:
+@pytest.fixture(scope="module")
+def uneven(scene: Scene, live: Result) -> Callable[[float], jax.Array]:
+    """How uneven the wall is when the replayed sheet is so much thicker and thinner at random."""
     start = scene.parison.thickness
     way = jnp.asarray(np.random.default_rng(0).normal(size=start.shape)) * start
 
     @jax.jit
-    def uneven(share: jax.Array) -> jax.Array:
+    def compute(share: float) -> jax.Array:
         changed = jaxform.replace(scene, {"parison.thickness": start + share * way})
         part = jaxform.simulate(changed, schedule=live.schedule)
         area = part.element_volume / jnp.where(part.used, part.element_thickness, 1.0)
         mean = jnp.sum(part.element_volume) / jnp.sum(area)
         return jnp.sum(area * jnp.square(part.element_thickness / mean - 1.0)) / jnp.sum(area)
 
-    slope = jax.jit(jax.grad(uneven))(0.0)
-    size = 1e-5
+    return compute
+
+
+def test_the_gradient_of_a_replay_is_that_of_central_differences(uneven: Callable[[float], jax.Array]) -> None:
+    slope, size = jax.jit(jax.grad(uneven))(0.0), 1e-5
     assert (uneven(size) - uneven(-size)) / (2 * size) == pytest.approx(float(slope), rel=1e-6)
+
+
+def test_a_replay_is_smooth_along_a_line(uneven: Callable[[float], jax.Array]) -> None:
+    # With new nodes that move as their edges did it jumps by 1e-4 where a node lands before or after a border.
+    values = np.array([float(uneven(share)) for share in np.linspace(-1e-4, 1e-4, 41)])
+    assert np.ptp(values) > 1e-4 * values[20]
+    assert np.abs(np.diff(values, 2)).max() < 1e-7 * values[20]
 
 
 def test_a_batch_is_single_runs(scene: Scene) -> None:
@@ -210,3 +228,9 @@ def test_limits_out_of_range_are_told(options: dict[str, float], key: str) -> No
     with pytest.raises(InputError) as caught:
         jaxform.make_refinement(**usual | options)  # pyright: ignore[reportArgumentType]
     assert caught.value.key == f"refinement.{key}"
+
+
+def test_room_for_less_than_the_first_mesh_is_refused() -> None:
+    with pytest.raises(InputError, match="at first") as caught:
+        cup(10)
+    assert caught.value.key == "refinement.elements"

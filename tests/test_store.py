@@ -31,7 +31,7 @@ def test_kept_programs_and_grids_give_the_same_run(tmp_path: Path) -> None:
     plain = jax.tree.leaves(run(scene))
     names = set()
     for _ in range(2):
-        result = run(scene, store=kept)
+        result = run(scene, store=Store(tmp_path))
         assert _same(jax.tree.leaves(result)[:-2], plain[:-2])  # but for the seconds
         assert type(result) is jaxform.Result
         now = set(tmp_path.iterdir())
@@ -60,7 +60,7 @@ def test_a_damaged_file_is_made_anew(tmp_path: Path, content: bytes) -> None:
         file.write_bytes(content)
     assert np.array_equal(kept.arrays("numbers", (1, "a"), make)["x"], np.arange(3))
     assert len(made) == 2
-    assert kept.program(double, jnp.ones(2))(jnp.ones(2)).tolist() == [2, 2]
+    assert Store(tmp_path).program(double, jnp.ones(2))(jnp.ones(2)).tolist() == [2, 2]
 
 
 def test_what_differs_is_kept_apart(tmp_path: Path) -> None:
@@ -70,6 +70,20 @@ def test_what_differs_is_kept_apart(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
     with pytest.raises(TypeError):  # other shapes need another program
         kept.program(jax.jit(lambda x: x), jnp.ones(2))(jnp.ones(3))
+
+
+def test_a_program_is_compiled_once_for_arguments_alike() -> None:
+    traced = []
+
+    @jax.jit
+    def double(x: jax.Array) -> jax.Array:
+        traced.append(x.shape)
+        return 2 * x
+
+    kept = Store()
+    assert kept.program(double, jnp.ones(2)) is kept.program(double, jnp.zeros(2))
+    assert kept.program(double, jnp.ones(3))(jnp.ones(3)).tolist() == [2, 2, 2]
+    assert traced == [(2,), (3,)]
 
 
 def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
