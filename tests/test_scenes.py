@@ -91,10 +91,10 @@ def test_tables_are_merged_with_those_of_the_file() -> None:
         (lambda: scenes.box_insert(size=[1]), ("parison.size = [1]", "at least 2")),
         (lambda: scenes.soap_bottle(hole=(0.1, 0.1)), ("hole[0] = 0.1", "0.004 to 0.01")),
         (lambda: scenes.soap_bottle(material={"c": "x"}), ("material.c = 'x'", "give one number")),
-        (lambda: scenes.soap_bottle(pressure="x"), ("pressure = 'x'", "give Pa")),
+        (lambda: scenes.soap_bottle(**{"pressure": "x"}), ("pressure = 'x'", "give Pa")),
         (lambda: scenes.dish(material={"model": "neo-hookean"}), ("material.c", "is missing")),
         (lambda: scenes.dish(refinement={"angel": 3.0}), ("refinement.angel", "did you mean angle?")),
-        (lambda: scenes.dish(refinement=3), ("refinement = 3", "give keys of [refinement]")),
+        (lambda: scenes.dish(**{"refinement": 3}), ("refinement = 3", "give keys of [refinement]")),
     ],
 )
 def test_bad_values_name_key_value_and_mend(make: Callable[[], Any], parts: tuple[str, ...]) -> None:

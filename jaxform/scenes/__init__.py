@@ -142,6 +142,7 @@ def soap_bottle(
     neck_radius: float | None = None,
     hole: Sequence[float] | None = None,
     swell: float | None = None,
+    neck_swell: float | None = None,
     inset: float | None = None,
     element_size: float | None = None,
     mold_element_size: float | None = None,
@@ -160,6 +161,7 @@ def soap_bottle(
         neck_radius: [m].
         hole: Half width and half height of the handle's hole [m].
         swell: How far the parison is blown up before the pressure comes: 0 is flat, 1 the bottle.
+        neck_swell: The same at the neck, where the blow pin holds it.
         inset: How far inside the bottle's outline the parison is clamped [m].
         element_size: Length of the parison's edges [m], halved where the bottle is narrow.
         mold_element_size: Length of the mold's edges [m].
@@ -178,8 +180,12 @@ def soap_bottle(
     """
     shape = {"height": height, "radius": radius, "neck_radius": neck_radius, "hole": hole}
     changes = {f"{part}.{key}": value for part in ("mold", "parison") for key, value in shape.items()}
-    changes |= {"parison.swell": swell, "parison.inset": inset, "parison.thickness": thickness}
-    changes |= {"parison.element_size": element_size, "mold.element_size": mold_element_size}
+    changes |= {"parison.swell": swell, "parison.neck_swell": neck_swell, "parison.inset": inset}
+    changes |= {
+        "parison.thickness": thickness,
+        "parison.element_size": element_size,
+        "mold.element_size": mold_element_size,
+    }
     data = _table("soap-bottle", changes, material, pressure, end_time, damping, refinement)
     return _built("soap-bottle", data)
 
