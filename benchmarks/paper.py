@@ -1,7 +1,7 @@
 """The paper's figures from our own runs, and an animation of each scene: `make paper`.
 
 Writes pictures and docs/scenes.json, and puts the tables of that file into docs/scenes.md, between their marks.
-`.venv/bin/python -m benchmarks.paper tables` does the last alone; a scene's name draws that scene alone.
+Parts run alone by name: a scene, or a step of pictures, tables and counts.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from matplotlib.animation import PillowWriter
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
+from matplotlib.patheffects import withStroke
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import jaxform
@@ -43,7 +44,7 @@ PAPER: dict[str, Row] = {
 }
 """Counts that the paper states (4.1 to 4.3)."""
 _STAGES, _FRAMES = 4, 24
-_LIGHT = np.array([0.3, 0.45, 0.84])
+_LIGHT = np.array([0.35, -0.62, 0.70])
 
 
 def dish() -> Scene:
@@ -106,13 +107,16 @@ def surface(axes: Any, corners: np.ndarray, values: np.ndarray, colors: ScalarMa
     paint = np.asarray(colors.to_rgba(values))
     paint[:, :3] *= bright[:, None]
     lines: Any = "#00000050" if edges else paint
-    axes.add_collection3d(Poly3DCollection(corners, facecolors=paint, edgecolors=lines, linewidths=0.25))
+    # A view's own room is square; a bottle is not.
+    made = Poly3DCollection(corners, facecolors=paint, edgecolors=lines, linewidths=0.25, clip_on=False)
+    axes.add_collection3d(made)
     axes.set_axis_off()
 
 
 def frame(axes: Any, low: np.ndarray, high: np.ndarray, **view: Any) -> None:
     """The box that is seen and where from; the same for all pictures of a scene."""
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    hangs = view.pop("hangs", False)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(high[2], low[2]) if hangs else (low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=view.pop("zoom", 1.3))
     axes.view_init(**view)
 
@@ -122,10 +126,15 @@ def faces(scene: Scene, part: Result, *, whole: bool = True) -> tuple[np.ndarray
     triangles = np.asarray(scene.parison.triangles)
     corners = 1e3 * np.asarray(part.positions, float)[triangles]
     if scene.name == "soap-bottle":
-        images = [corners, corners * [1.0, 1.0, -1.0]] if whole else [corners]
+        images = [upright(corners), upright(corners * [1.0, 1.0, -1.0])] if whole else [upright(corners)]
     else:
         images = [1e3 * image for image in plots.mirrored(scene, corners / 1e3, open_front=whole)]
     return np.concatenate(images), np.tile(reduced(scene, part), len(images))
+
+
+def upright(points: np.ndarray) -> np.ndarray:
+    """Places (..., 3) with y upwards as pictures have z."""
+    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 
 
 def reduced(scene: Scene, part: Result) -> np.ndarray:
@@ -137,8 +146,9 @@ def reduced(scene: Scene, part: Result) -> np.ndarray:
 def view_of(name: str) -> Row:
     """Where each scene is looked at from."""
     if name == "soap-bottle":
-        return {"elev": 20, "azim": 35, "vertical_axis": "y", "zoom": 1.5}
-    return {"elev": -32, "azim": -50, "zoom": 1.35}
+        return {"elev": 14, "azim": -60, "zoom": 1.25}
+    # Hanging, with the quarter in front left out: one looks into it.
+    return {"elev": 36, "azim": -45, "zoom": 1.1, "hangs": True}
 
 
 def colors_of(parts: Sequence[Part]) -> ScalarMappable:
@@ -161,7 +171,7 @@ def saved(figure: Any, name: str) -> None:
 def stages(name: str, parts: Sequence[Part]) -> None:
     """Four stages (paper, Figs 8 and 12)."""
     shown = evenly(parts, _STAGES)
-    figure = plt.figure(figsize=(3.6 * _STAGES, 4.2 if name == "soap-bottle" else 3.4))
+    figure = plt.figure(figsize=(3.6 * _STAGES, 5.0 if name == "soap-bottle" else 3.6))
     colors, (low, high) = colors_of(shown), bounds(parts)
     for k, (scene, part) in enumerate(shown):
         view: Any = figure.add_axes((0.94 * k / _STAGES, 0.0, 0.94 / _STAGES, 0.9), projection="3d")
@@ -253,7 +263,7 @@ def draw_box(parts: Sequence[Part]) -> None:
     colors, (low, high) = colors_of(parts[-1:]), bounds(parts)
     view: Any = figure.add_axes((0.0, 0.0, 0.88, 1.0), projection="3d")
     surface(view, *faces(scene, part), colors)
-    frame(view, low, high, **view_of(scene.name) | {"elev": -42})
+    frame(view, low, high, **view_of(scene.name) | {"elev": 44})
     figure.colorbar(colors, cax=figure.add_axes((0.88, 0.2, 0.02, 0.6)), label="h / h$_0$")
     saved(figure, "box-thickness.png")
     figure, rooms = plt.subplots(2, 2, figsize=(12, 6), layout="constrained", height_ratios=(1, 1.2))
@@ -263,6 +273,7 @@ def draw_box(parts: Sequence[Part]) -> None:
         along = 1 - axis
         colored_line(shape, 1e3 * cut.place[:, along], 1e3 * cut.place[:, 2], cut.thickness, colors, scene)
         finished_axes(shape, xlabel=f"{'xy'[along]} [mm]", ylabel="z [mm]", aspect="equal")
+        shape.invert_yaxis()
         shape.set_title(f"plane {'xy'[axis]} = {1e3 * level:g} mm ({'yx'[axis]}z), from rim to middle", fontsize=11)
         arc = cut.arc if cut.place[0, along] < cut.place[-1, along] else cut.arc[-1] - cut.arc
         wall.plot(1e3 * arc, 1e3 * cut.thickness, color=OURS)
@@ -300,16 +311,18 @@ def draw_bottle(parts: Sequence[Part]) -> None:
     lines = bottle_lines(scene, part)
     figure = plt.figure(figsize=(9, 6))
     colors, (low, high) = colors_of(parts[-1:]), bounds(parts)
-    for k, view in enumerate(({"elev": 0, "azim": 0, "roll": 0}, {"elev": 12, "azim": 48})):
+    for k, view in enumerate(({"elev": 8, "azim": -90}, {"elev": 14, "azim": -35})):
         room: Any = figure.add_axes((0.44 * k, 0.0, 0.46, 1.0), projection="3d", computed_zorder=False)
         surface(room, *faces(scene, part), colors, edges=True)
-        frame(room, low, high, vertical_axis="y", zoom=1.6, **view)
-        for (name, cut), color in zip(lines.items(), ("white", "black"), strict=True):
-            place = 1e3 * cut.place + [0.0, 0.0, 0.6]
-            room.plot(*place.T, color=color, linewidth=1.6)
-            for letter, share in zip(name.split("-"), (0.1, 0.42, 0.9), strict=True):
-                at = place[int(share * (len(place) - 1))]
-                room.text(*at, letter, color=color, fontsize=13, weight="bold")
+        frame(room, low, high, zoom=1.3, **view)
+        for name, cut in lines.items():
+            place = upright(1e3 * cut.place)
+            room.plot(*place.T, color="white", linewidth=1.8, clip_on=False)
+            for letter, share in zip(name.split("-"), (0.02, 0.45, 0.85 if name == "a-b-c" else 0.97), strict=True):
+                at = place[np.searchsorted(cut.arc, share * cut.arc[-1])]
+                room.text(
+                    *at, letter, color="white", fontsize=13, path_effects=[withStroke(linewidth=3, foreground=LINE)]
+                )
     figure.colorbar(colors, cax=figure.add_axes((0.9, 0.2, 0.02, 0.6)), label="h / h$_0$")
     saved(figure, "bottle-thickness.png")
     figure, rooms = plt.subplots(1, 2, figsize=(12, 4), layout="constrained", sharey=True)
@@ -400,6 +413,8 @@ def with_tables(text: str, found: Row) -> str:
         ValueError: The page lacks a mark.
     """
     for name, make in TABLES.items():
+        if ("counts" if name == "checks" else name) not in found:
+            continue
         begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
         before, _, rest = text.partition(begin)
         _, found_end, after = rest.partition(end)
@@ -409,26 +424,31 @@ def with_tables(text: str, found: Row) -> str:
     return text
 
 
+def draw(name: str, scene: Scene) -> None:
+    """All pictures of a scene."""
+    parts = watched(scene)
+    stages(name, parts)
+    DRAWINGS[name](parts)
+    animation(name, parts)
+
+
 def main(names: list[str]) -> None:
-    """Runs and draws the named scenes, or all, and writes the page."""
+    """Runs what is named, of the scenes and of the steps (pictures, tables, counts), and writes the page."""
     jax.config.update("jax_enable_x64", True)
     path, page = DOCS / "scenes.json", DOCS / "scenes.md"
     found: Row = json.loads(path.read_text()) if path.exists() else {}
-    counts: Row = found.setdefault("counts", {})
-    for name, make in SCENES.items():
-        if names and name not in names:
-            continue
-        scene = make()
-        parts = watched(scene)
-        stages(name, parts)
-        DRAWINGS[name](parts)
-        animation(name, parts)
-    if not names or "bottle-tables" in names:
+    steps = {"pictures", "tables", "counts"}
+    wanted = steps & set(names) or steps
+    chosen = {name: make for name, make in SCENES.items() if name in names or not set(SCENES) & set(names)}
+    if "pictures" in wanted:
+        for name, make in chosen.items():
+            draw(name, make())
+    if "tables" in wanted and "soap-bottle" in chosen:
         found |= bottle_tables.tables()
-    one_core()
-    for name, make in SCENES.items():
-        if not names or name in names:
-            counts[name] = counted(name, make())
+    if "counts" in wanted:
+        one_core()
+        for name, make in chosen.items():
+            found.setdefault("counts", {})[name] = counted(name, make())
     path.write_text(json.dumps(found, indent=1) + "\n")
     page.write_text(with_tables(page.read_text(), found))
 
