@@ -385,6 +385,7 @@ def thinning_table(found: Row) -> str:
         [row["region"], f"{row['ours']:.0f}", "{:.0f} to {:.0f}".format(*row["from to"]), row["paper"]]
         for row in found["thinning"]
     ]
+    rows.append(["whole, had the parison been flat", f"{found['geometry']['largest mean thinning']:.0f}", "", ""])
     return table(["region", "thinning [%]", "its elements", "paper [%]"], rows)
 
 
@@ -436,7 +437,7 @@ def main(names: list[str]) -> None:
     """Runs what is named, of the scenes and of the steps (pictures, tables, counts), and writes the page."""
     jax.config.update("jax_enable_x64", True)
     path, page = DOCS / "scenes.json", DOCS / "scenes.md"
-    found: Row = json.loads(path.read_text()) if path.exists() else {}
+    found: Row = {"counts": {}}
     steps = {"pictures", "tables", "counts"}
     wanted = steps & set(names) or steps
     chosen = {name: make for name, make in SCENES.items() if name in names or not set(SCENES) & set(names)}
@@ -448,7 +449,10 @@ def main(names: list[str]) -> None:
     if "counts" in wanted:
         one_core()
         for name, make in chosen.items():
-            found.setdefault("counts", {})[name] = counted(name, make())
+            found["counts"][name] = counted(name, make())
+    # Another part may have been written meanwhile.
+    kept: Row = json.loads(path.read_text()) if path.exists() else {}
+    found = kept | found | {"counts": kept.get("counts", {}) | found.get("counts", {})}
     path.write_text(json.dumps(found, indent=1) + "\n")
     page.write_text(with_tables(page.read_text(), found))
 
