@@ -124,7 +124,7 @@ def show_dependence(scene: Scene) -> list[Row]:
     parts = [jax.tree.map(lambda values, k=k: values[k], batch) for k in range(len(changes))]
     base = np.asarray(parts[0].thickness)
     found = [_row(words, scene, part, base) for words, part in zip(changes, parts, strict=True)]
-    shapes = {
+    shapes: dict[str, dict[str, Any]] = {
         "swell 0.05": {"swell": 0.05},
         "swell 0.1": {"swell": 0.1},
         "swell 0.5": {"swell": 0.5},
