@@ -86,11 +86,12 @@ def counted(name: str, scene: Scene) -> Row:
     jax.clear_caches()  # what was compiled for the pictures would come for nothing
     first = jaxform.run(scene)
     assert first.seconds is not None and scene.mold is not None
+    mold = len(scene.mold.triangles)
     scene = jaxform.fitted(scene, int(first.used.sum()))
     seconds = best_in_turns({name: whole_loop(scene)}, 3)[name]
     found = summarize(first, scene)
     row = {key: found[key] for key in ("status", "elements_initial", "elements_final", "steps", "contact_fraction")}
-    row |= {key: found[key] for key in ("penetration_max", "added_mass")} | {"mold": len(scene.mold.triangles)}
+    row |= {key: found[key] for key in ("penetration_max", "added_mass")} | {"mold": mold}
     row |= {"balance_error": found["energy"]["balance_error"]}
     row |= {"compile_seconds": first.seconds.compile, "run_seconds": seconds}
     _say({"scene": name} | row)
@@ -285,7 +286,7 @@ def draw_box(parts: Sequence[Part]) -> None:
 def colored_line(axes: Any, x: np.ndarray, y: np.ndarray, wall: np.ndarray, colors: Any, scene: Scene) -> None:
     """A line in the colours of h/h0."""
     points = np.stack([x, y], axis=1)
-    lines = LineCollection(np.stack([points[:-1], points[1:]], axis=1), cmap=colors.cmap, norm=colors.norm)
+    lines = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), cmap=colors.cmap, norm=colors.norm)
     lines.set_array(0.5 * (wall[:-1] + wall[1:]) / float(np.asarray(scene.parison.thickness).mean()))
     lines.set_linewidth(4)
     axes.add_collection(lines)
