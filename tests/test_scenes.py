@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import scenes
+from jaxform import scenes, shapes
 
 FUNCTIONS: dict[str, Callable[..., jaxform.Scene]] = {
     "dish": scenes.dish,
@@ -72,6 +72,16 @@ def test_a_bottle_and_its_parison_have_one_shape() -> None:
     assert 0.048 < np.asarray(scene.parison.positions)[:, 0].max() < 0.05
 
 
+def test_the_blow_pin_holds_the_parison_open_at_the_neck_alone() -> None:
+    made = [np.asarray(scenes.soap_bottle(neck_swell=swell).parison.positions) for swell in (0.3, 0.6)]
+    flat, open_neck = made
+    at_neck = np.isclose(flat[:, 1], 0.23)
+    np.testing.assert_allclose(open_neck[at_neck, 2], 2 * flat[at_neck, 2], atol=1e-12)
+    assert 0.5 * 0.014 < open_neck[at_neck, 2].max() < 0.65 * 0.014
+    below = flat[:, 1] < 0.8 * 0.23 - 0.01
+    np.testing.assert_array_equal(open_neck[below], flat[below])
+
+
 def test_tables_are_merged_with_those_of_the_file() -> None:
     scene = scenes.dish(pressure=4206.0, material={"a01": np.float32(2e5)})
     np.testing.assert_allclose(scene.pressure.value, [0.0, 4206.0])
@@ -93,6 +103,7 @@ def test_tables_are_merged_with_those_of_the_file() -> None:
         (lambda: scenes.box_insert(insert_height=1.0), ("mold.insert_height = 1.0", "0.08", "lower it")),
         (lambda: scenes.box_insert(size=[1]), ("parison.size = [1]", "at least 2")),
         (lambda: scenes.soap_bottle(hole=(0.1, 0.1)), ("hole[0] = 0.1", "0.004 to 0.01")),
+        (lambda: shapes.bottle_half(neck_swell=1.2), ("parison.neck_swell = 1.2", "between 0 and 1")),
         (lambda: scenes.soap_bottle(material={"c": "x"}), ("material.c = 'x'", "give one number")),
         (lambda: scenes.soap_bottle(pressure=ANY["x"]), ("pressure = 'x'", "give Pa")),
         (lambda: scenes.dish(material={"model": "neo-hookean"}), ("material.c", "is missing")),
