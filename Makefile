@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: accuracy bench contact refine pictures demo test lint lock clean environment
+.PHONY: accuracy bench contact refine scenes paper notebooks pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -31,6 +31,18 @@ pictures: environment
 # What refinement buys and costs, against exact and fine solutions; about ten minutes.
 refine: environment
 	.venv/bin/python -m benchmarks.refinement
+
+# How thin the soap bottle becomes, and what that depends on; a few minutes.
+scenes: environment
+	.venv/bin/python -m benchmarks.scenes
+
+# The paper's figures, animations and tables of docs/scenes.md, from our own runs; about ten minutes.
+paper: environment
+	.venv/bin/python -m benchmarks.paper
+
+# Runs the notebooks and writes their outputs back; about ten minutes.
+notebooks: environment
+	.venv/bin/python -m benchmarks.notebooks
 
 # Figures against exact solutions, of the gradient and of the study; about ten minutes.
 accuracy: environment

@@ -1,6 +1,6 @@
 """jaxform: a differentiable simulator of blow moulding and thermoforming."""
 
-from jaxform import molds, shapes
+from jaxform import molds, scenes, shapes
 from jaxform.building import build_scene
 from jaxform.errors import InputError
 from jaxform.files import load
@@ -49,6 +49,7 @@ __all__ = [
     "molds",
     "replace",
     "run",
+    "scenes",
     "shapes",
     "simulate",
     "simulate_batch",

@@ -32,6 +32,7 @@ _OUTLINE: list[tuple[float | None, float]] = [
     *((-0.975, 0.478), (-0.875, 0.61), (-0.7, 0.717), (-0.5, 0.81), (-0.39, 0.87), (None, 0.922), (None, 1.0)),
 ]
 _BOTTOM = 1.3  # radii of the outline, from its lowest point up, that are bent round to make a flat bottom
+_SHOULDER, _NECK = 0.8, 0.922  # heights where the one ends and the other begins
 _HOLE = (0.41, 0.66)  # its middle: x in radii, y in heights
 _LEAN = 0.07  # of the hole to the left, per length upwards
 _SAMPLES = 4000  # of a smooth curve
@@ -70,13 +71,16 @@ class Bottle:
                 raise InputError("does not fit the bottle", f"use {least:.4g} to {most:.4g} m", key, value)
 
 
-def half(shape: Bottle, element_size: float, *, swell: float = 1.0, inset: float = 0.0) -> tuple[Array, NDArray]:
+def half(
+    shape: Bottle, element_size: float, *, swell: float = 1.0, neck_swell: float | None = None, inset: float = 0.0
+) -> tuple[Array, NDArray]:
     """Half a bottle, z >= 0, neck open at y = height, or the parison that lies in it.
 
     Args:
         shape: The bottle.
         element_size: Length of the edges [m], before the lift, halved where the bottle is narrow.
         swell: 1 for the bottle, less for a flatter sheet with the same outline.
+        neck_swell: The same at the neck's open edge, from the shoulder up on the way there; by default as below.
         inset: How far the outline is drawn in [m].
 
     Returns:
@@ -99,11 +103,18 @@ def half(shape: Bottle, element_size: float, *, swell: float = 1.0, inset: float
     width = np.sqrt(2 * np.maximum(u[:, 0], 0.0) + distance**2)
     angle = 0.5 * np.pi * distance / width
     outwards = np.where(distance > 0, np.sin(angle) / np.where(angle > 0, 2 / np.pi * angle, 1.0), 0.5 * np.pi)
-    height = swell * width * np.cos(angle)
-    place = points - swell * slope * (outwards - 1.0)[:, None]
+    share = swell + (_towards_neck(points[:, 1], shape) * (neck_swell - swell) if neck_swell is not None else 0.0)
+    height = share * width * np.cos(angle)
+    place = points - slope * (share * (outwards - 1.0))[:, None]
     place[rim], height[rim] = points[rim], 0.0
     place[top, 1] = points[top, 1]
     return np.column_stack([place[:, 0], _stood(place[:, 1], shape), height]), triangles
+
+
+def _towards_neck(y: Array, shape: Bottle) -> Array:
+    """0 up to the shoulder, 1 from where the neck begins."""
+    way = np.clip((y / shape.height - _SHOULDER) / (_NECK - _SHOULDER), 0.0, 1.0)
+    return way**2 * (3.0 - 2.0 * way)
 
 
 def _stood(y: Array, shape: Bottle) -> Array:

@@ -157,6 +157,7 @@ class BottleHalfParison(Table):
     hole: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
     element_size: Positive = 0.0071
     swell: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    neck_swell: Annotated[float, Field(gt=0, lt=1)] | None = None
     inset: Positive = 1.0e-3
     thickness: Thickness
 

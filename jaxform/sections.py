@@ -85,13 +85,35 @@ def _middle(scene: Scene, axis: int) -> float:
     return float(0.5 * (along.min() + along.max()))
 
 
+class Cut(NamedTuple):
+    """Where a plane cuts a part: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order."""
+
+    place: Array
+    thickness: Array
+
+    @property
+    def arc(self) -> Array:
+        """Arc length [m] in the formed part from the first place (n,)."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.place, axis=0), axis=1))])
+
+
 def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple[Array, Array]]:
     """Where the plane at `level` [m] across an axis cuts the initial sheet, seen in the formed part.
 
     Returns:
         Arc length [m] and thickness [m] of each connected piece, the longest first; a closed one ends where it began.
     """
-    start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
+    return [(piece.arc, piece.thickness) for piece in cuts(scene, result, axis, level)]
+
+
+def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool = False) -> list[Cut]:
+    """Where the plane at `level` [m] across an axis cuts the initial sheet, or the formed part itself.
+
+    Returns:
+        Each connected piece, the longest first; a closed one ends where it began.
+    """
+    end = np.asarray(result.positions, float)
+    start = end if formed else np.asarray(scene.parison.positions, float)
     height = start[:, axis] - level
     # A node in the plane counts as just above it, so that every triangle is cut in two edges or none.
     height[np.abs(height) <= 1e-9 * np.ptp(start, axis=0).max()] = _just_above(height)
@@ -104,11 +126,8 @@ def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple
     place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
     wall = np.asarray(result.thickness, float)
     value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
-    pieces = []
-    for path in _chains(index.reshape(-1, 2)):
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place[path], axis=0), axis=1))])
-        pieces.append((arc, value[path]))
-    return sorted(pieces, key=lambda piece: -piece[0][-1])
+    pieces = [Cut(place[path], value[path]) for path in _chains(index.reshape(-1, 2))]
+    return sorted(pieces, key=lambda piece: -piece.arc[-1])
 
 
 def _just_above(height: Array) -> float:

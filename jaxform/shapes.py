@@ -224,6 +224,7 @@ def bottle_half(
     hole: Sequence[float] = (0.0075, 0.027),
     element_size: float = 0.0071,
     swell: float = 0.3,
+    neck_swell: float | None = None,
     inset: float = 1.0e-3,
 ) -> Sheet:
     """Half of a flattened parison in the mold of half a bottle: pinched along its outline and round the handle's hole.
@@ -235,6 +236,7 @@ def bottle_half(
         hole: Half width and half height of the handle's hole [m].
         element_size: Length of the edges [m] in the plane of the outline, halved in narrow parts.
         swell: How far it is blown up already: 0 is flat, 1 the bottle.
+        neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
         inset: How far inside the bottle's outline it is pinched [m].
 
     Returns:
@@ -243,15 +245,16 @@ def bottle_half(
     Raises:
         InputError: A number is out of range, or the parts do not fit into each other.
     """
-    if not 0 < swell < 1:
-        raise InputError("is no fraction of the bottle", "give a number between 0 and 1", "parison.swell", swell)
+    for key, share in (("swell", swell), ("neck_swell", swell if neck_swell is None else neck_swell)):
+        if not 0 < share < 1:
+            raise InputError("is no fraction of the bottle", "give a number between 0 and 1", f"parison.{key}", share)
     if not 0 < inset <= 0.3 * hole[0]:
         raise InputError("does not fit the bottle", f"use up to {0.3 * hole[0]:.4g} m", "parison.inset", inset)
     from jaxform import bottle  # needs parts of scipy that take half a second to import
 
     shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
     try:
-        positions, triangles = bottle.half(shape, element_size, swell=swell, inset=inset)
+        positions, triangles = bottle.half(shape, element_size, swell=swell, neck_swell=neck_swell, inset=inset)
     except InputError as error:
         raise replace(error, key=f"parison.{error.key}") from None
     clamped = np.isin(np.arange(len(positions)), topology.boundary_nodes(triangles))

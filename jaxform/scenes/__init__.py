@@ -1,0 +1,291 @@
+"""The paper's three scenes as functions: the built-in scene files with other numbers.
+
+    scene = jaxform.scenes.dish(depth=0.1, elements=600)
+
+What is not given is as in the scene file beside this module (`dish.toml`, `box-insert.toml`, `soap-bottle.toml`), so
+that without arguments each function is `jaxform.load` of the same name. Where a whole table of the file can be given
+(`material`, `pressure`, `refinement`), its keys are those of the file; those left out stay as they are.
+
+Geometry is built here, on the host. What is to be differentiated (thickness, pressure, material) is put in afterwards
+by `jaxform.replace`.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from jax.core import Tracer
+
+from jaxform import files, schema
+from jaxform.errors import InputError
+from jaxform.scene import Scene
+from jaxform.shapes import Symmetry
+from jaxform.validation import validate
+
+Keys = Mapping[str, Any]
+"""Keys and values of a table of a scene file."""
+
+__all__ = ["box_insert", "dish", "soap_bottle"]
+
+
+def dish(
+    *,
+    radius: float | None = None,
+    depth: float | None = None,
+    wall_angle: float | None = None,
+    elements: int | None = None,
+    element_size: float | Keys | None = None,
+    symmetry: Symmetry | None = None,
+    thickness: float | Keys | None = None,
+    material: Keys | None = None,
+    pressure: float | Keys | None = None,
+    end_time: float | None = None,
+    damping: float | None = None,
+    refinement: Keys | Literal[False] | None = None,
+) -> Scene:
+    """Thermoforming of a round sheet into a cup with a flat bottom (paper, 4.1).
+
+    The file's element count puts a ring of nodes where the file's cup has its corner; with other proportions, refine.
+
+    Args:
+        radius: Of the sheet and of the cup's opening [m].
+        depth: Of the cup [m].
+        wall_angle: Of the cup's wall to the sheet [degrees], 90 for a cylinder.
+        elements: About how many triangles the modelled part has to begin with; or
+        element_size: Length of the edges [m], a number or a profile {along = "radius", at, value}.
+        symmetry: 'none', 'half' or 'quarter' of it is modelled.
+        thickness: Of the sheet [m], a number or a profile {along, at, value}.
+        material: Keys of [material]: model and its constants [Pa], density [kg/m^3].
+        pressure: The last value [Pa], the others in proportion; or keys of [pressure].
+        end_time: Of the simulation [s].
+        damping: Mass-proportional [1/s].
+        refinement: Keys of [refinement]; False for none.
+
+    Returns:
+        The scene, with all host work done.
+
+    Raises:
+        InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
+    """
+    changes = {"parison.radius": radius, "parison.symmetry": symmetry, "parison.thickness": thickness}
+    data = _table("dish", changes, material, pressure, end_time, damping, refinement)
+    _set_fineness(data, elements, element_size)
+    if (radius, depth, wall_angle) != (None, None, None):
+        data["mold"]["profile"] = _cup(data["mold"]["profile"], radius, depth, wall_angle)
+    return _built("dish", data)
+
+
+def box_insert(
+    *,
+    size: Sequence[float] | None = None,
+    depth: float | None = None,
+    insert_size: Sequence[float] | None = None,
+    insert_height: float | None = None,
+    draft: float | None = None,
+    elements: int | None = None,
+    element_size: float | None = None,
+    symmetry: Symmetry | None = None,
+    thickness: float | Keys | None = None,
+    material: Keys | None = None,
+    pressure: float | Keys | None = None,
+    end_time: float | None = None,
+    damping: float | None = None,
+    refinement: Keys | Literal[False] | None = None,
+) -> Scene:
+    """Thermoforming of a rectangular sheet into a box with a raised block in its middle (paper, 4.2).
+
+    Args:
+        size: Sides of the sheet and of the box's opening [m], two numbers.
+        depth: Of the box [m].
+        insert_size: Sides of the block where it stands on the bottom [m], two numbers.
+        insert_height: Of the block [m], less than the depth.
+        draft: By which the walls lean back from the vertical [degrees].
+        elements: About how many triangles the modelled part has to begin with; or
+        element_size: Length of the sides of its cells [m].
+        symmetry: 'none', 'half' or 'quarter' of it is modelled.
+        thickness: Of the sheet [m], a number or a profile {along, at, value}.
+        material: Keys of [material]: model and its constants [Pa], density [kg/m^3].
+        pressure: The last value [Pa], the others in proportion; or keys of [pressure].
+        end_time: Of the simulation [s].
+        damping: Mass-proportional [1/s].
+        refinement: Keys of [refinement]; False for none.
+
+    Returns:
+        The scene, with all host work done.
+
+    Raises:
+        InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
+    """
+    changes = {
+        "parison.size": size,
+        "parison.symmetry": symmetry,
+        "parison.thickness": thickness,
+        "mold.size": size,
+        "mold.depth": depth,
+        "mold.insert_size": insert_size,
+        "mold.insert_height": insert_height,
+        "mold.draft": draft,
+    }
+    data = _table("box-insert", changes, material, pressure, end_time, damping, refinement)
+    _set_fineness(data, elements, element_size)
+    return _built("box-insert", data)
+
+
+def soap_bottle(
+    *,
+    height: float | None = None,
+    radius: float | None = None,
+    neck_radius: float | None = None,
+    hole: Sequence[float] | None = None,
+    swell: float | None = None,
+    neck_swell: float | None = None,
+    inset: float | None = None,
+    element_size: float | None = None,
+    mold_element_size: float | None = None,
+    thickness: float | Keys | None = None,
+    material: Keys | None = None,
+    pressure: float | Keys | None = None,
+    end_time: float | None = None,
+    damping: float | None = None,
+    refinement: Keys | Literal[False] | None = None,
+) -> Scene:
+    """Blow moulding of half a soap bottle with a handle from a flattened parison (paper, 4.3).
+
+    Args:
+        height: From bottom to neck [m].
+        radius: Of the body [m].
+        neck_radius: [m].
+        hole: Half width and half height of the handle's hole [m].
+        swell: How far the parison is blown up before the pressure comes: 0 is flat, 1 the bottle.
+        neck_swell: The same at the neck, where the blow pin holds it.
+        inset: How far inside the bottle's outline the parison is clamped [m].
+        element_size: Length of the parison's edges [m], halved where the bottle is narrow.
+        mold_element_size: Length of the mold's edges [m].
+        thickness: Of the parison [m], a number or a profile {along, at, value}; y runs from bottom to neck.
+        material: Keys of [material]: model and its constants [Pa], density [kg/m^3].
+        pressure: The last value [Pa], the others in proportion; or keys of [pressure].
+        end_time: Of the simulation [s].
+        damping: Mass-proportional [1/s].
+        refinement: Keys of [refinement]; the file has none. False for none.
+
+    Returns:
+        The scene, with all host work done.
+
+    Raises:
+        InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
+    """
+    shape = {"height": height, "radius": radius, "neck_radius": neck_radius, "hole": hole}
+    changes = {f"{part}.{key}": value for part in ("mold", "parison") for key, value in shape.items()}
+    changes |= {"parison.swell": swell, "parison.neck_swell": neck_swell, "parison.inset": inset}
+    changes |= {
+        "parison.thickness": thickness,
+        "parison.element_size": element_size,
+        "mold.element_size": mold_element_size,
+    }
+    data = _table("soap-bottle", changes, material, pressure, end_time, damping, refinement)
+    return _built("soap-bottle", data)
+
+
+def _table(
+    name: str,
+    changes: Keys,
+    material: Keys | None,
+    pressure: float | Keys | None,
+    end_time: float | None,
+    damping: float | None,
+    refinement: Keys | Literal[False] | None,
+) -> dict[str, Any]:
+    """The tables of a built-in scene with changes at dotted keys; what is None stays."""
+    data = copy.deepcopy(files.read_scene(name).data)
+    changes = {**changes, "solver.end_time": end_time, "solver.damping": damping}
+    for key, value in changes.items():
+        if value is not None:
+            table, _, last = key.partition(".")
+            data[table][last] = _plain(key, value)
+    if isinstance(material, Mapping) and "model" in material:
+        # Another law has other constants; of the file's only the density means the same.
+        data["material"] = {"density": data["material"]["density"]}
+    data["material"] = _merged("material", data["material"], material)
+    data["pressure"] = _pressure(data["pressure"], pressure)
+    if refinement is False:
+        data.pop("refinement", None)
+    elif refinement is not None:
+        data["refinement"] = _merged("refinement", data.get("refinement", {}), refinement)
+    return data
+
+
+def _merged(key: str, table: dict[str, Any], keys: Any) -> dict[str, Any]:
+    if keys is None:
+        return table
+    if not isinstance(keys, Mapping):
+        raise InputError("is not a table", f"give keys of [{key}] and their values", key, keys)
+    return table | {name: _plain(f"{key}.{name}", value) for name, value in keys.items()}
+
+
+def _pressure(table: dict[str, Any], pressure: Any) -> dict[str, Any]:
+    if pressure is None or isinstance(pressure, Mapping):
+        return _merged("pressure", table, pressure)
+    last = _plain("pressure", pressure)
+    if isinstance(last, bool) or not isinstance(last, int | float) or not math.isfinite(last):
+        raise InputError("is neither a pressure nor a table", "give Pa, or keys of [pressure]", "pressure", pressure)
+    return table | {"value": [value * last / table["value"][-1] for value in table["value"]]}
+
+
+def _plain(key: str, value: Any) -> Any:
+    """The value as a scene file could have it."""
+    if isinstance(value, Tracer):
+        problem = "is traced, but a scene is built on the host"
+        raise InputError(problem, "build the scene first, then put the number in with `jaxform.replace`", key)
+    if isinstance(value, Mapping):
+        return {name: _plain(f"{key}.{name}", item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(key, item) for item in value]
+    return np.asarray(value).tolist() if hasattr(value, "dtype") else value
+
+
+def _set_fineness(data: dict[str, Any], elements: Any, element_size: Any) -> None:
+    """The one that is given takes the place of the file's; both are an error that the schema's users know."""
+    given = {"elements": elements, "element_size": element_size}
+    given = {key: _plain(f"parison.{key}", value) for key, value in given.items() if value is not None}
+    if given:
+        kept = {key: value for key, value in data["parison"].items() if key not in ("elements", "element_size")}
+        data["parison"] = kept | given
+
+
+def _cup(profile: list[list[float]], radius: Any, depth: Any, wall_angle: Any) -> list[list[float]]:
+    """The cup's meridian, from the axis outwards, with other dimensions [m, m, degrees]."""
+    (_, old_depth), (corner, _), (old_radius, _) = profile
+    old_angle = math.degrees(math.atan2(old_depth, old_radius - corner))
+    r = _ranged("radius", radius, old_radius, 0.0, math.inf)
+    z = _ranged("depth", depth, old_depth, 0.0, math.inf)
+    angle = _ranged("wall_angle", wall_angle, old_angle, 0.0, 90.0)
+    # A right angle's tangent is finite in floating point: the wall is set upright.
+    bottom = r if angle == 90 else r - z / math.tan(math.radians(angle))
+    if bottom <= 0:
+        least = math.degrees(math.atan2(z, r))
+        mend = f"make it less deep, or give a wall_angle above {least:.3g} degrees"
+        raise InputError(
+            f"leaves no bottom: the walls meet at {r * math.tan(math.radians(angle)):.4g} m", mend, "depth", z
+        )
+    return [[0.0, z], [bottom, z], [r, 0.0]]
+
+
+def _ranged(key: str, value: Any, otherwise: float, least: float, most: float) -> float:
+    """The number, if it is above the least and not above the most."""
+    number = otherwise if value is None else _plain(key, value)
+    good = isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)
+    if not (good and least < number <= most):
+        mend = f"give a number above {least:g}" + (f", at most {most:g}" if math.isfinite(most) else "")
+        raise InputError("is out of range", mend, key, value)
+    return float(number)
+
+
+def _built(name: str, data: dict[str, Any]) -> Scene:
+    document = files.read_scene(name)
+    file = f"jaxform.scenes.{name.replace('-', '_')}"
+    model = validate(schema.SceneFile, data, file)
+    return files.build(files.SceneDocument(file, document.folder, data, model))
