@@ -1,0 +1,93 @@
+"""First-order searches: optax's L-BFGS with a line search that sees every simulation, and optax's Adam.
+
+The loop is the host's, so that every simulation is a row of the history and can be shown, kept and stopped. After a
+failed simulation the line search shortens its step, and Adam goes back to the best design and halves its rate.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from optimize.search import Point, Search, Study
+
+_SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
+_TRIALS = 12
+_MEMORY = 10
+_FIRST_STEP = 1.0  # in the unbounded numbers, of the largest of them
+
+NO_STEP = "no step along the search direction makes it better"
+STOPPED = "stopped by the caller"
+
+
+def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+    """Optax's L-BFGS direction with a weak Wolfe line search; the last point and why it ended."""
+    transform = optax.scale_by_lbfgs(memory_size=_MEMORY)
+    first, values = point, [point.value]
+    state = transform.init(jnp.asarray(point.free))
+    for _ in range(study.iterations):
+        search.iteration += 1
+        message = search.done(point, values, first)
+        if message:
+            return point, message
+        update, state = transform.update(jnp.asarray(point.gradient), state, jnp.asarray(point.free))
+        direction = -np.asarray(update)
+        if direction @ point.gradient >= 0:
+            state = transform.init(jnp.asarray(point.free))
+            direction = -point.gradient
+        if point is first:
+            # Nothing is known of the curvature yet.
+            direction = direction * min(1.0, _FIRST_STEP / np.abs(direction).max())
+        step = _line_search(search, point, direction)
+        if search.stopped:
+            return step or point, STOPPED
+        if step is None:
+            return point, NO_STEP
+        values.append(step.value)
+        point = search.refreshed(step)
+    return point, f"{study.iterations} iterations done"
+
+
+def _line_search(search: Search, point: Point, direction: np.ndarray) -> Point | None:
+    """A point that meets the weak Wolfe conditions, by bisection; else the best one that is better, else None."""
+    slope = float(direction @ point.gradient)
+    short, long, length = 0.0, np.inf, 1.0
+    better: Point | None = None
+    for _ in range(_TRIALS):
+        trial = search(point.free + length * direction)
+        if trial.value < (better or point).value:
+            better = trial
+        if search.stopped:
+            break
+        if not trial.value <= point.value + _SUFFICIENT * length * slope:
+            long = length
+        elif trial.gradient @ direction < _CURVATURE * slope:
+            short = length
+        else:
+            return trial
+        length = 2.0 * length if np.isinf(long) else 0.5 * (short + long)
+    return better
+
+
+def adam(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+    """Optax's Adam; after a failed simulation from the best design with half the rate."""
+    rate = study.learning_rate
+    transform = optax.scale_by_adam()
+    first = point
+    state = transform.init(jnp.asarray(point.free))
+    for _ in range(study.iterations):
+        search.iteration += 1
+        message = search.done(point, [], first)
+        if message:
+            return point, message
+        update, state = transform.update(jnp.asarray(point.gradient), state)
+        trial = search(point.free - rate * np.asarray(update))
+        if search.stopped:
+            return trial, STOPPED
+        if np.isfinite(trial.value):
+            point = search.refreshed(trial)
+        else:
+            assert search.best is not None
+            rate, point, state = 0.5 * rate, search.best, transform.init(jnp.asarray(search.best.free))
+    return point, f"{study.iterations} iterations done"
