@@ -1,9 +1,10 @@
 """Inverse design on top of jaxform: which sheet and which pressure make the wall that the part needs?"""
 
+from optimize.designs import COLUMNS, Study
 from optimize.journal import Journal
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
-from optimize.search import COLUMNS, Search, Study
+from optimize.search import Search
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.solvers import Design, solve
 from optimize.study import load_study, write_history

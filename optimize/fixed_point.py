@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from optimize.descent import STOPPED
-from optimize.search import Point, Search, Study
+from optimize.designs import Point, Study
+from optimize.search import Search
 from optimize.variables import SheetVariable
 
 _EXPONENT = 0.5

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from optimize.descent import NO_STEP, STOPPED
-from optimize.search import Point, Search, Study
+from optimize.designs import Point, Study
+from optimize.search import Search
 
 _FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 8
 _LARGEST = 4.0  # a step in the unbounded numbers, beyond which their map is flat

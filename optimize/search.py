@@ -11,7 +11,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,106 +19,16 @@ import numpy as np
 
 import jaxform
 from jaxform import Result, Scene
+from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
 from optimize.journal import Answer, Journal
-from optimize.objectives import Objective
 from optimize.variables import Variable
 from optimize.walls import wall
 
-COLUMNS: tuple[str, ...] = (
-    "evaluation",
-    "objective",
-    "thickness_rms_error",
-    "wall_min",
-    "wall_mean",
-    "wall_cv",
-    "mass",
-    "gradient_norm",
-    "iteration",
-    "simulations",
-    "seconds",
-)
-LIMIT_COLUMNS = ("violation", "multiplier")  # of objectives with constraints
-KEPT = 5e-3  # a limit counts as kept to half a per cent of it
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _IDLE_STEPS = 5
 _FIRST_PENALTY, _LARGER_PENALTY = 100.0, 4.0
 _CHECK_SIZES = (1e-3, 1e-4, 1e-5)  # of steps in the unbounded numbers, for the gradient's check
 _ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
-
-
-@dataclass(frozen=True)
-class Study:
-    """What is designed and how.
-
-    Attributes:
-        scene: The scene to begin with.
-        variables: What may change.
-        objective: What is wanted.
-        method: "lbfgs", "adam", "least-squares" or "fixed-point".
-        iterations: Accepted steps at most; with constraints, in each of the rounds between which multipliers change.
-        tolerance: The search ends when the gradient's norm is below this fraction of the first one.
-        improvement: It ends when five steps together made the value smaller by less than this fraction of it.
-        goal: It ends when the objective is at most this; None for never.
-        learning_rate: Of Adam, in the unbounded numbers.
-        warm_start: So many updates of the fixed point before the search.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: At most so many rounds of multipliers.
-        document: Where the scene came from, for writing the best design.
-        digest: What tells this study apart from others, for going on with a search.
-    """
-
-    scene: Scene
-    variables: tuple[Variable, ...]
-    objective: Objective
-    method: str = "lbfgs"
-    iterations: int = 30
-    tolerance: float = 1e-4
-    improvement: float = 1e-3
-    goal: float | None = None
-    learning_rate: float = 0.1
-    warm_start: int = 0
-    starts: int = 1
-    rounds: int = 8
-    document: Any = None
-    digest: str = ""
-
-
-class Limits(NamedTuple):
-    """Multipliers (n,) of the constraints and the penalty on what breaks them."""
-
-    multipliers: jax.Array
-    penalty: jax.Array
-
-
-@dataclass
-class Point:
-    """A design that was evaluated.
-
-    Attributes:
-        free: Its unbounded numbers (n,).
-        value: What the search makes small: the objective with what its limits add; infinite where it fails.
-        gradient: Of the value (n,).
-        objective: The objective alone.
-        excess: Of its constraints (n,), relative to their limits; positive where a limit is broken.
-        row: Of the history.
-    """
-
-    free: np.ndarray
-    value: float
-    gradient: np.ndarray
-    objective: float = np.inf
-    excess: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    row: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def violation(self) -> float:
-        """By how much the worst limit is broken, relative to it; not below 0."""
-        return max(float(self.excess.max()), 0.0) if self.excess.size else 0.0
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """The smaller the better: first whether limits are kept, then the objective."""
-        return (self.violation if self.violation > KEPT else 0.0, self.objective)
 
 
 @dataclass
@@ -128,7 +38,8 @@ class Search:
     Attributes:
         study: What is designed.
         on_evaluation: Called with every row of the history; a true answer stops the search.
-        forward_seconds: What a simulation without gradient takes, the unit of `simulations`.
+        forward_seconds: What a simulation without gradient takes of the processor, the unit of `simulations`: its time
+            does not depend on what else runs on the machine.
         history: Rows so far.
         simulations: Cost so far in simulations without gradient.
         iteration: Which step of the search is being tried.
@@ -140,6 +51,7 @@ class Search:
         seconds: So far, those of earlier parts of the search included [s].
         gradient_error: What `check` found; None before.
         multiplier: The weighted sum of the multipliers when they were last brought up to date.
+        memory: What the method keeps from one round to the next; its own affair.
     """
 
     study: Study
@@ -156,11 +68,12 @@ class Search:
     seconds: float = 0.0
     gradient_error: float | None = None
     multiplier: float = 0.0
+    memory: Any = None
 
     def __post_init__(self) -> None:
         splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
         self._splits = [int(split) for split in splits]
-        self._began = self._clock = time.perf_counter()
+        self._began, self._clock = time.perf_counter(), time.process_time()
         self._programs: dict[str, Any] = {}
         self._curved: tuple[Point, np.ndarray] | None = None
         if self.study.objective.constrained:
@@ -223,10 +136,10 @@ class Search:
         return self.judged(scene, jaxform.simulate(scene, schedule=schedule), limits)
 
     def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
-        """Compiled ahead, so that the seconds of the first evaluation are those of a simulation."""
+        """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
         if name not in self._programs:
             self._programs[name] = jax.jit(function).lower(*arguments).compile()
-            self._clock = time.perf_counter()
+            self._clock = time.process_time()
         return self._programs[name]
 
     def compute(self, free: np.ndarray) -> tuple[tuple[jax.Array, dict[str, jax.Array]], jax.Array]:
@@ -240,11 +153,10 @@ class Search:
         """An answer of the journal, or of some work whose cost is counted."""
 
         def compute() -> Answer:
-            self._clock = time.perf_counter()
+            self._clock = time.process_time()
             answer = work()
-            now = time.perf_counter()
-            cost = answer.pop("spent", now - self._clock) / self.forward_seconds
-            return answer | {"cost": cost, "elapsed": now - self._began}
+            spent = answer.pop("spent", time.process_time() - self._clock)
+            return answer | {"cost": spent / self.forward_seconds, "elapsed": time.perf_counter() - self._began}
 
         answer, known = self.journal.ask(kind, free.tolist(), compute)
         if known:
@@ -306,10 +218,9 @@ class Search:
             return _plain(report) | {"value": float(value)}
         scene = self.scene(free)
         result = jaxform.run(scene)
-        assert result.seconds is not None
         arguments = scene, dataclasses.replace(result, seconds=None), self.limits
         value, report = self._program("judge", self.judged, *arguments)(*arguments)
-        return _plain(report) | {"value": float(value), "spent": result.seconds.run}
+        return _plain(report) | {"value": float(value)}
 
     def check(self, point: Point) -> float:
         """Relative difference of a gradient and central differences along one direction, the best of a few sizes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +14,11 @@ import numpy as np
 import jaxform
 from jaxform import InputError, Result, Scene
 from optimize.descent import NO_STEP, STOPPED, adam, lbfgs
+from optimize.designs import COLUMNS, KEPT, LIMIT_COLUMNS, Point, Study
 from optimize.fixed_point import fixed_point, updates
 from optimize.journal import Answer, Journal
 from optimize.least_squares import least_squares
-from optimize.search import COLUMNS, KEPT, LIMIT_COLUMNS, Point, Search, Study
+from optimize.search import Search
 from optimize.variables import SheetVariable
 
 __all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
@@ -31,6 +33,7 @@ METHODS: dict[str, Method] = {
     "fixed-point": fixed_point,
 }
 _WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the begin; the latter takes its own
+_MOST_THICKENED = 0.5
 _SPREAD = 1.0  # of several starts, in the unbounded numbers
 
 
@@ -111,12 +114,10 @@ def solve(
     first = jaxform.run(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "mend the scene first", "scene")
-    # Once more, for the first run in a process is slower; this is the unit in which simulations are counted.
-    again = jaxform.run(study.scene).seconds
-    assert again is not None
+    forward_seconds = _cost(study.scene)
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule
-    search = Search(study, on_evaluation, max(again.run, 1e-6), schedule=schedule, journal=journal or Journal())
+    search = Search(study, on_evaluation, forward_seconds, schedule=schedule, journal=journal or Journal())
     try:
         message = _searched(search, study, on_check)
     except KeyboardInterrupt:
@@ -142,6 +143,16 @@ def solve(
         best_row=best.row,
         multiplier=None if search.limits is None else search.multiplier,
     )
+
+
+def _cost(scene: Scene) -> float:
+    """Processor time [s] of a simulation, the unit in which they are counted; the first in a process took longer."""
+    spent = []
+    for _ in range(2):
+        began = time.process_time()
+        jaxform.run(scene)
+        spent.append(time.process_time() - began)
+    return max(min(spent), 1e-6)
 
 
 def _check(study: Study) -> None:
@@ -200,10 +211,28 @@ def _rounds(search: Search, study: Study, point: Point) -> str:
             return message
         if point.violation <= KEPT and abs(point.objective - last) <= study.improvement * abs(last) and number > 1:
             return f"limits are kept and nothing more is gained, after {number} rounds"
+        _thicken(search, point)
         search.press(point, before)
         before = point.violation
         point = search(point.free)
     return f"{study.rounds} rounds done, the last ended since: {message}" if message != NO_STEP else message
+
+
+def _thicken(search: Search, point: Point) -> None:
+    """Tries the design with so much thicker a sheet that the limit ought to be kept: a good design to fall back on.
+
+    The wall is proportional to the sheet, nearly. The search itself goes on from where it was.
+    """
+    sheets = [variable for variable in search.study.variables if isinstance(variable, SheetVariable)]
+    if not sheets or not search.study.objective.aims or not KEPT < point.violation < _MOST_THICKENED:
+        return
+    parts = []
+    for variable, own in search.parts(point.free):
+        if isinstance(variable, SheetVariable):
+            sheet = np.asarray(variable.changes(jax.numpy.asarray(own))["parison.thickness"], float)
+            own = variable.nearest(sheet / (1.0 - point.violation))
+        parts.append(own)
+    search.plain(np.concatenate(parts))
 
 
 def _best_start(search: Search, study: Study) -> np.ndarray:

@@ -18,9 +18,9 @@ from jaxform.errors import InputError
 from jaxform.profiles import Profile
 from jaxform.result import only_used
 from jaxform.store import Store
+from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
-from optimize.search import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.variables import Scale, Variable
 
