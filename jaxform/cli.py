@@ -323,7 +323,10 @@ def _optimize(arguments: argparse.Namespace) -> int:
         def on_check(error: float) -> None:
             say(f"gradient along one direction: relative difference to central differences {error:.1e}")
 
-        design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
+        try:
+            design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
+        except InputError as error:
+            raise error.within(file=study.file) from None
     if journal.replayed:
         say(f"{journal.replayed} answers were known from before")
     _write_design(folder, study, design, reference)

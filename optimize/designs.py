@@ -48,6 +48,7 @@ class Study:
         rounds: At most so many rounds of multipliers.
         document: Where the scene came from, for writing the best design.
         digest: What tells this study apart from others, for going on with a search.
+        file: What to call it in messages.
     """
 
     scene: Scene
@@ -64,6 +65,7 @@ class Study:
     rounds: int = 8
     document: Any = None
     digest: str = ""
+    file: str = ""
 
 
 class Limits(NamedTuple):

@@ -18,6 +18,7 @@ Array = np.ndarray
 
 _CONTROLS_PER_LENGTH = 2.0  # a field's numbers stand half a smoothness apart
 _MOST_CONTROLS = 2000
+_MOST_EASE = 4.0
 
 
 class _Sheet:
@@ -26,11 +27,13 @@ class _Sheet:
     def __init__(self, scene: Scene, weights: Array, bounds: Bounds, change: Array | None = None) -> None:
         self.bounds, self._change = bounds, change
         self._weights = jnp.asarray(weights)
+        self._ease = _ease(scene, weights)
         forest = scene.tables.forest
         self._first_nodes = len(weights) if forest is None else forest.first_nodes
         self.start = self.nearest(np.asarray(scene.parison.thickness, float))
 
     def _values(self, free: jax.Array) -> jax.Array:
+        free = free * self._ease
         if self._change is None:
             return bounded(free, self.bounds)
         return limited(free, self.bounds, self._change)
@@ -56,8 +59,20 @@ class _Sheet:
         if np.any((values < low) | (values > high)):
             values = optimize.lsq_linear(rows, wanted, (low, high)).x
         if self._change is None:
-            return unbounded(mean * values, self.bounds)
-        return unlimited(mean * values, self.bounds, self._change)
+            return unbounded(mean * values, self.bounds) / self._ease
+        return unlimited(mean * values, self.bounds, self._change) / self._ease
+
+
+def _ease(scene: Scene, weights: Array) -> Array:
+    """By how much each unbounded number (n,) is stretched, so that all do about as much to the part.
+
+    What one does goes with the root of its material; a search that knows no curvature yet would move those in the
+    middle of a disc too little.
+    """
+    triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
+    nodal = np.bincount(triangles.ravel(), np.repeat(area / 3.0, 3), len(weights))
+    share = nodal @ np.square(weights)
+    return np.clip(np.sqrt(share.mean() / np.maximum(share, 1e-300)), 1.0 / _MOST_EASE, _MOST_EASE)
 
 
 class ThicknessProfile(_Sheet):

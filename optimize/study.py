@@ -46,6 +46,7 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
             objective=_objectives(document, scene),
             document=document.scene,
             digest=_digest(document, scene),
+            file=document.file,
             **options,
         )
     except InputError as error:

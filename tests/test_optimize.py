@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,12 +19,27 @@ from jaxform.profiles import Profile
 from optimize import objectives
 from optimize.designs import KEPT
 from optimize.search import Search
-from optimize.variables import unbounded
 from optimize.walls import formed_area
 from tests import scenes
 
 HIDDEN = np.array([0.015, 0.012, 0.01, 0.008])
 BOUNDS = (0.004, 0.03)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _compile_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Every search compiles its programs anew; those that are the same are kept for the other tests."""
+    names = {
+        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("compiled")),
+        "jax_persistent_cache_min_compile_time_secs": 0.5,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+    before = {name: getattr(jax.config, name) for name in names}
+    for name, value in names.items():
+        jax.config.update(name, value)
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
 
 
 @functools.cache
@@ -34,13 +51,18 @@ def _profile(scene: jaxform.Scene) -> optimize.ThicknessProfile:
     return optimize.ThicknessProfile(scene, along="radius", bounds=BOUNDS, knots=4)
 
 
+@functools.cache
+def _hidden_wall() -> np.ndarray:
+    scene = scenes.cup()
+    sheet = Profile("radius", (0.0, 1 / 3, 2 / 3, 1.0), tuple(HIDDEN))(np.asarray(scene.parison.positions, float))
+    return np.asarray(jaxform.run(jaxform.replace(scene, {"parison.thickness": sheet})).thickness)
+
+
 def _study(**options: Any) -> optimize.Study:
     """The wall that a known profile makes, sought from a uniform sheet."""
     scene = scenes.cup()
     variable = _profile(scene)
-    hidden = variable.changes(jnp.asarray(unbounded(HIDDEN, BOUNDS)))
-    wall = jaxform.run(jaxform.replace(scene, hidden)).thickness
-    return optimize.Study(scene, (variable,), optimize.Target(scene, np.asarray(wall)), **options)
+    return optimize.Study(scene, (variable,), optimize.Target(scene, _hidden_wall()), **options)
 
 
 def test_targets_in_all_their_forms() -> None:
@@ -156,7 +178,7 @@ def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
     assert wall.min() > (1 - KEPT) * 0.0055 and design.violation <= KEPT
     thinnest = float(np.asarray(_formed().element_thickness).min())
     uniform = float(_formed().mass) * 0.0055 / thinnest
-    assert float(design.result.mass) < 0.8 * uniform
+    assert float(design.result.mass) < 0.9 * uniform
     assert design.multiplier is not None
     np.testing.assert_allclose(design.multiplier, design.objective, rtol=0.1)
 
@@ -239,8 +261,9 @@ def test_a_journal_of_another_course_is_left_where_they_part(tmp_path: Path) -> 
 
 
 def test_several_starts_begin_at_the_best() -> None:
-    design = optimize.solve(_study(iterations=1, starts=4))
-    assert design.history[0]["objective"] < optimize.solve(_study(iterations=1)).history[0]["objective"]
+    """Without an update, the first row is where the search begins; the scene's own design is one of the starts."""
+    one, several = (optimize.solve(_study(method="fixed-point", iterations=1, starts=n)).history[0] for n in (1, 16))
+    assert several["objective"] < one["objective"]
 
 
 @pytest.mark.parametrize(
