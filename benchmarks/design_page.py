@@ -100,10 +100,17 @@ def _pressure(found: Found, folder: Path) -> str:
         "| | ends at | deviation | formed | hit |",
         "|---|---|---|---|---|",
         _schedule_row("**designed**", designed),
+        _schedule_row("**designed**, no limit on the rate, first knot free", found["without_rate"]),
     ]
     for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
         lines += [_schedule_row(words, row) for row in found["ramps"][kind]]
-    lines += ["", *_equal_deviation(found), "\n![Schedules and deviations](schedule.png)\n"]
+    lines += ["", "Designed:\n", *_equal_deviation(found, designed)]
+    lines += [
+        "Designed, no limit on the rate:\n",
+        *_equal_deviation(found, found["without_rate"]),
+        _steepest(found),
+        "\n![Schedules and deviations](schedule.png)\n",
+    ]
     return "\n".join(lines)
 
 
@@ -122,8 +129,17 @@ def equal_deviation(rows: list[Found], error: float) -> float:
     return float("nan")
 
 
-def _equal_deviation(found: Found) -> list[str]:
-    designed, lines = found["designed"], []
+def _steepest(found: Found) -> str:
+    rates = [np.abs(np.diff(part["value"]) / np.diff(part["time"])).max() for part in _designs(found)]
+    return f"Their steepest rates are {rates[0]:.2g} and {rates[1]:.2g} Pa/s.\n"
+
+
+def _designs(found: Found) -> list[Found]:
+    return [found["designed"], found["without_rate"]]
+
+
+def _equal_deviation(found: Found, designed: Found) -> list[str]:
+    lines = []
     for kind, words in (("cubic-ramp", "the best ramp by the cube of time"), ("linear", "the best linear ramp")):
         longer = equal_deviation(found["ramps"][kind], designed["error"])
         if np.isfinite(longer):
@@ -212,13 +228,14 @@ def _draw_searches(found: Found, path: Path) -> None:
 
 def _draw_schedule(found: Found, path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-    designed = found["designed"]
-    left.plot(1e3 * np.array(designed["time"]), 1e-3 * np.array(designed["value"]), "o-", label="designed")
+    words_of = ("designed", "designed, no limit on the rate")
+    for designed, words in zip(_designs(found), words_of, strict=True):
+        left.plot(1e3 * np.array(designed["time"]), 1e-3 * np.array(designed["value"]), "o-", label=words)
+        right.plot([designed["units"]], [100 * designed["error"]], "*", markersize=14, label=words)
     left.set(xlabel="time [ms]", ylabel="pressure [kPa]")
     for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
         rows = found["ramps"][kind]
         right.plot([row["units"] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
-    right.plot([designed["units"]], [100 * designed["error"]], "*", markersize=14, label="designed")
     right.set(xscale="log", yscale="log", xlabel="ends at [units]", ylabel="deviation from the slow wall, rms [%]")
     for axes in (left, right):
         axes.grid(alpha=0.3, which="both")

@@ -14,6 +14,7 @@ from optimize.search import Search
 
 _FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 8
 _LARGEST = 4.0  # a step in the unbounded numbers, beyond which their map is flat
+_IDLE_STEPS = 3  # that bring next to nothing; where contact makes the value rough, one may be stuck and the next not
 _FLOOR = 1e-6  # of the largest diagonal entry: where a number does nothing, the step stays small
 
 
@@ -23,7 +24,7 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, st
     for _ in range(study.iterations):
         search.iteration += 1
         point, matrix = search.curvature(point.free)
-        message = search.done(point, values, first, steps=1)
+        message = search.done(point, values, first, steps=_IDLE_STEPS)
         if message or search.stopped:
             return point, message or STOPPED
         step, damping = _trials(search, point, matrix, damping)
