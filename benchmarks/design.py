@@ -165,13 +165,10 @@ def show_pressure(times: tuple[float, ...] = (3, 4, 5, 7, 10, 14, 20, 28, 40, 56
             rows.append({"units": units, "error": errors[best], "formed": formed_at(results[best]) / unit,
                          "kinetic": hit(results[best])})  # fmt: skip
         ramps[kind] = rows
-    free = optimize.PressureKnots(study.scene, bounds=(0.0, most))
-    limited = _designed(study, target, unit)
     return {
         "unit": unit,
         "ramps": ramps,
-        "designed": limited,
-        "without_rate": _designed(replace(study, variables=(free,)), target, unit),
+        "designed": _designed(study, target, unit),
     }
 
 

@@ -373,12 +373,16 @@ class ThicknessField(Table):
 
 
 class PressureKnots(Table):
-    """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s]."""
+    """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
+
+    `held` keeps the first knot's value where there is a rate; else the history may begin with a jump.
+    """
 
     kind: Literal["pressure"]
     bounds: Annotated[Pair, AfterValidator(_check_bounds)]
     increasing: bool = False
     rate: Positive | None = None
+    held: bool = False
     end_time: Limits | None = None
 
 

@@ -21,7 +21,8 @@ class PressureKnots:
         scene: The scene; its own pressure is the start.
         bounds: Least and largest pressure [Pa].
         increasing: Whether the pressure must never fall from knot to knot.
-        rate: Largest change [Pa/s], or None. With it the first knot is not designed: a jump has no rate.
+        rate: Largest change from knot to knot [Pa/s], or None.
+        held: With a rate, whether the first knot keeps its value: else the history may begin with a jump.
         end_time: Least and largest time of the last knot [s], with which all others move; None leaves them.
 
     Raises:
@@ -35,6 +36,7 @@ class PressureKnots:
         bounds: Bounds,
         increasing: bool = False,
         rate: float | None = None,
+        held: bool = False,
         end_time: Bounds | None = None,
     ) -> None:
         """See the class."""
@@ -43,7 +45,7 @@ class PressureKnots:
         self._time = np.asarray(scene.pressure.time, float)
         self._steepest = _STEEPEST[scene.pressure.interpolation]
         present = np.asarray(scene.pressure.value, float)
-        self._first = float(present[0])
+        self._first = float(present[0]) if held and rate is not None else None
         if rate is not None:
             self._check_rate(rate)
         timing = np.zeros(0) if end_time is None else self._start_of_time(end_time, float(scene.solver.end_time))
@@ -54,7 +56,7 @@ class PressureKnots:
         if not 0.0 < rate < np.inf or len(self._time) < 2:
             mend = "give Pa/s > 0 and a history of two knots or more"
             raise InputError("limits nothing", mend, "variable.rate", rate)
-        if not self.bounds[0] <= self._first <= self.bounds[1]:
+        if self._first is not None and not self.bounds[0] <= self._first <= self.bounds[1]:
             problem = f"do not hold the history's first value, {self._first:g} Pa, which stays"
             raise InputError(problem, "widen them", "variable.bounds", self.bounds)
 
@@ -71,7 +73,8 @@ class PressureKnots:
     def _free(self, present: np.ndarray, time: np.ndarray) -> np.ndarray:
         if self.rate is not None:
             change = self.rate / self._steepest * np.diff(time)
-            return unlimited(present[1:], self.bounds, change, self._first, self.increasing)
+            designed = present if self._first is None else present[1:]
+            return unlimited(designed, self.bounds, change, self._first, self.increasing)
         return self._shares(present) if self.increasing else unbounded(present, self.bounds)
 
     def _shares(self, values: np.ndarray) -> np.ndarray:
@@ -90,7 +93,7 @@ class PressureKnots:
         if self.rate is not None:
             change = self.rate / self._steepest * jnp.diff(time)
             rest = limited(free, self.bounds, change, self._first, self.increasing)
-            return jnp.concatenate([jnp.asarray([self._first]), rest])
+            return rest if self._first is None else jnp.concatenate([jnp.asarray([self._first]), rest])
         if not self.increasing:
             return bounded(free, self.bounds)
         climbs = jax.nn.softmax(jnp.append(free, 0.0))

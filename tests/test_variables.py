@@ -126,7 +126,7 @@ def test_a_field_of_a_refined_scene_comes_back_from_its_file(tmp_path: Path) -> 
 @pytest.mark.parametrize("rate", [None, 0.05])
 def test_pressure_knots(increasing: bool, rate: float | None) -> None:
     scene = scenes.cup()
-    variable = optimize.PressureKnots(scene, bounds=(-0.1, 0.4), increasing=increasing, rate=rate)
+    variable = optimize.PressureKnots(scene, bounds=(-0.1, 0.4), increasing=increasing, rate=rate, held=True)
     start = np.asarray(variable.changes(jnp.asarray(variable.start))["pressure.value"])
     np.testing.assert_allclose(start, scene.pressure.value, atol=2e-3)
     for seed in range(20):
@@ -141,7 +141,7 @@ def test_pressure_knots(increasing: bool, rate: float | None) -> None:
 
 def test_a_history_s_end_is_designed_and_keeps_the_rate() -> None:
     scene = scenes.cup()
-    variable = optimize.PressureKnots(scene, bounds=(0.0, 0.4), rate=0.05, end_time=(4.0, 20.0))
+    variable = optimize.PressureKnots(scene, bounds=(0.0, 0.4), rate=0.05, held=True, end_time=(4.0, 20.0))
     start = variable.changes(jnp.asarray(variable.start))
     np.testing.assert_allclose(start["pressure.time"], scene.pressure.time, rtol=1e-9)
     for seed in range(10):
@@ -185,7 +185,7 @@ def test_a_scale_multiplies_a_number_of_the_scene() -> None:
             "slope",
         ),
         (lambda s: optimize.ThicknessField(s, bounds=BOUNDS, smoothness=-1.0), "smoothness"),
-        (lambda s: optimize.PressureKnots(s, bounds=(0.1, 0.4), rate=1.0), "first value"),
+        (lambda s: optimize.PressureKnots(s, bounds=(0.1, 0.4), rate=1.0, held=True), "first value"),
         (lambda s: optimize.PressureKnots(s, bounds=(0.0, 0.4), rate=-1.0), "rate"),
         (lambda s: optimize.PressureKnots(s, bounds=(0.0, 0.4), end_time=(1.0, 99.0)), "end_time"),
         (lambda s: optimize.Scale(s, of="material.c", bounds=(0.0, 1.0)), "bounds"),
