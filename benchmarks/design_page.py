@@ -100,17 +100,11 @@ def _pressure(found: Found, folder: Path) -> str:
         "| | ends at | deviation | formed | hit |",
         "|---|---|---|---|---|",
         _schedule_row("**designed**", designed),
-        _schedule_row("**designed**, no limit on the rate, first knot free", found["without_rate"]),
     ]
     for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
         lines += [_schedule_row(words, row) for row in found["ramps"][kind]]
-    lines += ["", "Designed:\n", *_equal_deviation(found, designed)]
-    lines += [
-        "Designed, no limit on the rate:\n",
-        *_equal_deviation(found, found["without_rate"]),
-        _steepest(found),
-        "\n![Schedules and deviations](schedule.png)\n",
-    ]
+    lines += ["", *_equal_deviation(found, designed), _steepest(designed)]
+    lines.append("\n![Schedules and deviations](schedule.png)\n")
     return "\n".join(lines)
 
 
@@ -129,13 +123,10 @@ def equal_deviation(rows: list[Found], error: float) -> float:
     return float("nan")
 
 
-def _steepest(found: Found) -> str:
-    rates = [np.abs(np.diff(part["value"]) / np.diff(part["time"])).max() for part in _designs(found)]
-    return f"Their steepest rates are {rates[0]:.2g} and {rates[1]:.2g} Pa/s.\n"
-
-
-def _designs(found: Found) -> list[Found]:
-    return [found["designed"], found["without_rate"]]
+def _steepest(designed: Found) -> str:
+    rate = np.abs(np.diff(designed["value"]) / np.diff(designed["time"])).max()
+    error = designed["facts"]["gradient_error"]
+    return f"Its steepest rate is {rate:.2g} Pa/s. Gradient against central differences: {error:.0e}.\n"
 
 
 def _equal_deviation(found: Found, designed: Found) -> list[str]:
@@ -228,10 +219,9 @@ def _draw_searches(found: Found, path: Path) -> None:
 
 def _draw_schedule(found: Found, path: Path) -> None:
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-    words_of = ("designed", "designed, no limit on the rate")
-    for designed, words in zip(_designs(found), words_of, strict=True):
-        left.plot(1e3 * np.array(designed["time"]), 1e-3 * np.array(designed["value"]), "o-", label=words)
-        right.plot([designed["units"]], [100 * designed["error"]], "*", markersize=14, label=words)
+    designed = found["designed"]
+    left.plot(1e3 * np.array(designed["time"]), 1e-3 * np.array(designed["value"]), "o-", label="designed")
+    right.plot([designed["units"]], [100 * designed["error"]], "*", markersize=14, label="designed")
     left.set(xlabel="time [ms]", ylabel="pressure [kPa]")
     for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
         rows = found["ramps"][kind]
