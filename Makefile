@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: accuracy bench contact refine scenes paper notebooks pictures demo test lint lock clean environment
+.PHONY: accuracy bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -47,6 +47,11 @@ notebooks: environment
 # Figures against exact solutions, of the gradient and of the study; about ten minutes.
 accuracy: environment
 	.venv/bin/python -m benchmarks.accuracy
+
+# The built-in studies' figures, and the search beside Nelder-Mead, CMA-ES and others; writes docs/design.md from
+# docs/design.json; about half an hour. Parts by name: `.venv/bin/python -m benchmarks.design pressure`.
+design: environment
+	.venv/bin/python -m benchmarks.design
 
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment

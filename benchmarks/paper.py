@@ -28,7 +28,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import jaxform
 from benchmarks import scenes as bottle_tables
-from benchmarks.bench import _say, one_core
+from benchmarks.bench import one_core, say
 from benchmarks.sheets import best_in_turns, whole_loop
 from jaxform import files, plots, scenes, sections
 from jaxform.result import Result, only_used, summarize, wall_statistics
@@ -94,7 +94,7 @@ def counted(name: str, scene: Scene) -> Row:
     row |= {key: found[key] for key in ("penetration_max", "added_mass")} | {"mold": mold}
     row |= {"balance_error": found["energy"]["balance_error"]}
     row |= {"compile_seconds": first.seconds.compile, "run_seconds": seconds}
-    _say({"scene": name} | row)
+    say({"scene": name} | row)
     return row
 
 

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 import jaxform
-from benchmarks.bench import _say
+from benchmarks.bench import say
 from jaxform import scenes
 from jaxform.bottle import Bottle
 from jaxform.result import Result, formed_areas, summarize
@@ -61,7 +61,7 @@ def show_thinning(scene: Scene, result: Result) -> list[Row]:
     mean, ends = thinning(scene, result), spread(result, scene)
     rows = [{"region": name, "ours": mean[name], "from to": ends[name], "paper": PAPER[name]} for name in PAPER]
     for row in rows:
-        _say(row)
+        say(row)
     return rows
 
 
@@ -76,7 +76,7 @@ def geometry(scene: Scene) -> Row:
     normal = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     whole, flat = float(np.linalg.norm(normal, axis=1).sum()), float(abs(normal[:, 2].sum()))
     row = {"mold area": whole, "flat area": flat, "largest mean thinning": 100 * (1 - flat / whole)}
-    _say(row)
+    say(row)
     return row
 
 
@@ -88,7 +88,7 @@ def _row(words: str, scene: Scene, result: Result, base: np.ndarray | None) -> R
         change = 100 * float(np.sqrt(np.mean(np.square(wall / base - 1))))
     row = {"changed": words} | thinning(scene, result)
     row |= {"touches": 100 * found["contact_fraction"], "wall change": change, "status": found["status"]}
-    _say(row)
+    say(row)
     return row
 
 

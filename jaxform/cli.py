@@ -61,6 +61,9 @@ def _parser() -> argparse.ArgumentParser:
         if name != "check":
             sub.add_argument("--out", metavar="DIR", required=True, type=Path, help="where the results go")
             sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
+        if name == "optimize":
+            words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
+            sub.add_argument("--resume", action="store_true", help=words)
         sub.set_defaults(command=command)
     return parser
 
@@ -300,12 +303,14 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
 def _optimize(arguments: argparse.Namespace) -> int:
     say, store = _prepare(arguments)
     import optimize
-    from jaxform import files, plots
+    from jaxform import files
 
     study = optimize.load_study(arguments.source, store)
     reference = files.read_reference(study.document)
     folder: Path = arguments.out
-    _open_folder(folder, arguments.force)
+    notes = folder / "search.jsonl"
+    _open_folder(folder, arguments.force or (arguments.resume and notes.exists()))
+    journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
     rows: list[dict[str, Any]] = []
     with _progress(not arguments.quiet, "designing") as bar:
 
@@ -314,18 +319,39 @@ def _optimize(arguments: argparse.Namespace) -> int:
             # Written anew each time: a search that is killed leaves what it did.
             optimize.write_history(folder / "history.csv", rows)
             if bar is not None:
-                note = f"evaluation {row['evaluation']}, deviation {100 * row['thickness_rms_error']:.3g} %"
-                bar(min(row["iteration"] / study.iterations, 1.0), note)
+                bar(min(row["iteration"] / study.iterations, 1.0), _progress_words(row))
 
-        design = optimize.solve(study, on_evaluation)
+        def on_check(error: float) -> None:
+            say(f"gradient along one direction: relative difference to central differences {error:.1e}")
+
+        try:
+            design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
+        except InputError as error:
+            raise error.within(file=study.file) from None
+    if journal.replayed:
+        say(f"{journal.replayed} answers were known from before")
+    _write_design(folder, study, design, reference)
+    _tell_design(say, design, folder)
+    return _exit_status(design.result)
+
+
+def _progress_words(row: dict[str, Any]) -> str:
+    error = row["thickness_rms_error"]
+    what = f"objective {row['objective']:.4g}" if error == "" else f"deviation {100 * error:.3g} %"
+    return (
+        f"evaluation {row['evaluation']}, {what}, wall from {1e3 * row['wall_min']:.3g} mm, {1e3 * row['mass']:.4g} g"
+    )
+
+
+def _write_design(folder: Path, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
+    from jaxform import files, output, plots
+
     files.write_scene(study.document, design.changes, folder)
     _write_part(folder, design.scene, design.result, reference if not _redesigned(design.changes) else None)
     plots.convergence_picture(folder / "convergence.png", design.history)
-    target = study.objective.uniform
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)
-    plots.design_picture(folder / "design.png", before, after, target)
-    _tell_design(say, design, folder)
-    return _exit_status(design.result)
+    plots.design_picture(folder / "design.png", before, after, study.objective.uniform)
+    output.write_json(folder / "design.json", design.summary())
 
 
 def _redesigned(changes: dict[str, Any]) -> bool:
@@ -334,20 +360,26 @@ def _redesigned(changes: dict[str, Any]) -> bool:
 
 
 def _tell_design(say: Callable[..., None], design: Any, folder: Path) -> None:
-    from jaxform.result import wall_statistics
-
-    spread = [
-        100 * wall_statistics(result)["cv"]
-        for scene, result in ((design.first_scene, design.first_result), (design.scene, design.result))
-    ]
-    first, best = design.history[0], min(design.history, key=lambda row: row["objective"])
+    facts = design.summary()
+    first, best = facts["before"], facts["after"]
+    if best["thickness_rms_error"] is not None:
+        say(
+            f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
+            f"{100 * best['thickness_rms_error']:.3g} %"
+        )
     say(
-        f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
-        f"{100 * best['thickness_rms_error']:.3g} %, variation of the wall {spread[0]:.3g} % -> {spread[1]:.3g} %"
+        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, its variation "
+        f"{100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
+        f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
+    if facts["multiplier"] is not None:
+        say(
+            f"limits are kept to {100 * facts['violation']:.2g} %; multiplier {facts['multiplier']:.3g}: what the "
+            "objective gains per relative change of the limit"
+        )
     say(
-        f"{len(design.history)} simulations with gradient (the time of {design.history[-1]['simulations']:.0f} "
-        f"simulations, {design.history[-1]['seconds']:.0f} s); {design.message}; results in {folder}"
+        f"{facts['evaluations']} simulations with and without gradient (the time of {facts['simulations']:.0f} "
+        f"simulations, {facts['seconds']:.0f} s); {facts['message']}; results in {folder}"
     )
 
 

@@ -18,6 +18,8 @@ from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
 from jaxform.search import SearchGrid
 
+_SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
+
 
 def _meet(before: jax.Array, after: jax.Array, planes: jax.Array, touch: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
@@ -191,7 +193,7 @@ def _landed(
 ) -> Landing:
     """The landing on the chosen triangles (n_node,); differentiable."""
     lands, before = chosen >= 0, landing.positions - length * landing.velocities
-    point, fall = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
+    point, fall, beta = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
     kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
@@ -199,7 +201,7 @@ def _landed(
         positions=jnp.where(lands, point, landing.positions),
         velocities=jnp.where(lands, 0.0, landing.velocities),
         stuck=landing.stuck | lands,
-        contact_time=jnp.where(lands, time, landing.contact_time),
+        contact_time=jnp.where(lands, time - (1.0 - jnp.maximum(beta, _SOONEST)) * length, landing.contact_time),
         wall=jnp.where(lands, wall, landing.wall),
         loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
     )
@@ -207,8 +209,8 @@ def _landed(
 
 def _landing_point(
     before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold; and the fall [m] (n_node,)."""
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold; fall [m], beta (n_node,)."""
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     edge1, edge2 = e - d, f - d
     normal = cross(edge1, edge2)
@@ -218,4 +220,4 @@ def _landing_point(
     crosses = lands & (fall != 0.0)
     ratio = height / jnp.where(crosses, fall, 1.0)
     beta = jnp.where(crosses, jnp.clip(ratio, 0.0, 1.0), 0.0)
-    return before + beta * (after - before), fall
+    return before + beta * (after - before), fall, beta

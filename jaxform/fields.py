@@ -38,7 +38,7 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
     """
     try:
         mesh = meshes.read_mesh(path)
-        return _carried(mesh, _values(mesh, name, f"{key}.field" if key else "field"), positions)
+        return carried(mesh, _values(mesh, name, f"{key}.field" if key else "field"), positions)
     except InputError as error:
         raise error.within(key=f"{key}.file" if key else "file") from None
 
@@ -52,7 +52,12 @@ def _values(mesh: Mesh, name: str, key: str) -> Array:
     return mesh.fields[name]
 
 
-def _carried(mesh: Mesh, values: Array, positions: Array) -> Array:
+def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
+    """Nodal values (n_node,) of a mesh at other places (n, 3) [m], as `nodal_field` carries them over.
+
+    Raises:
+        InputError: The mesh is not at those places.
+    """
     size = meshes.size(mesh.positions)
     apart, node = KDTree(mesh.positions).query(positions)
     result = values[node]

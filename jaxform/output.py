@@ -20,10 +20,15 @@ def write_result(scene: Scene, result: Result, folder: str | Path) -> dict[str, 
     """Writes summary.json and final.vtu into a folder that exists; returns the summary."""
     folder = Path(folder)
     summary = summarize(result, scene)
-    text = json.dumps(_valid(summary), indent=2, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    write_json(folder / "summary.json", summary)
     write_part(scene, result, folder / "final.vtu")
     return summary
+
+
+def write_json(path: Path, facts: dict[str, Any]) -> None:
+    """Writes plain numbers, words, lists and tables; null for numbers that are not finite."""
+    text = json.dumps(_valid(facts), indent=2, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:

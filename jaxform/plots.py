@@ -21,6 +21,7 @@ Part = tuple[Scene, Result]
 _COLORS = "viridis"  # reads the same to all eyes, and in grey
 _BEFORE, _AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
 _DPI = 100
+_KEPT = 5e-3  # of a limit, by which it may be broken
 _LIGHT = np.array([0.35, -0.5, 0.79])
 _MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
 
@@ -48,7 +49,7 @@ def thickness_picture(
 
 
 def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
-    """Objective and deviation, and the wall, over the simulations that a search took.
+    """Deviation from the target (the objective where there is none), and the wall, over what a search took.
 
     Args:
         path: Where the PNG goes.
@@ -57,10 +58,16 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
     figure = _figure(14, 5.5, "")
     left, right = figure.subplots(1, 2)
     spent = _column(history, "simulations")
-    error = 100 * _column(history, "thickness_rms_error")
+    error, words = 100 * _column(history, "thickness_rms_error"), "deviation from the target, rms [%]"
+    if not np.isfinite(error).any():
+        error, words = _column(history, "objective"), "objective"
     left.plot(spent, error, "o", color=_BEFORE, markersize=4, label="each simulation")
-    left.plot(spent, np.fmin.accumulate(error), "-", color=_AFTER, label="best so far")
-    left.set(yscale="log", xlabel="cost in simulations", ylabel="deviation from the target, rms [%]")
+    if "violation" in history[0]:
+        kept = _column(history, "violation") <= _KEPT
+        left.plot(spent[kept], error[kept], "o", color=_AFTER, markersize=5, label="limits kept")
+    else:
+        left.plot(spent, np.fmin.accumulate(error), "-", color=_AFTER, label="best so far")
+    left.set(yscale="log", xlabel="cost in simulations", ylabel=words)
     left.legend(frameon=False)
     right.plot(spent, 1e3 * _column(history, "wall_mean"), "-", color=_AFTER, label="mean wall [mm]")
     right.plot(spent, 1e3 * _column(history, "wall_min"), "--", color=_AFTER, label="thinnest wall [mm]")
@@ -283,12 +290,14 @@ def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str,
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
     disc = sections.is_disc(before)
+    along = int(np.argmax(np.ptp(np.asarray(before.parison.positions, float), axis=0)))
     for scene, color, words in ((before, _BEFORE, "before"), (after, _AFTER, "after")):
-        place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, 0]
+        place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, along]
         order = np.argsort(place)
         thickness = np.asarray(scene.parison.thickness, float)[order]
-        axes.plot(1e3 * place[order], 1e3 * thickness, color=color, label=words, linewidth=2)
-    where = "initial radius" if disc else "initial x"
+        line: dict[str, Any] = {"linewidth": 2} if disc else {"linestyle": "none", "marker": ".", "markersize": 4}
+        axes.plot(1e3 * place[order], 1e3 * thickness, color=color, label=words, **line)
+    where = "initial radius" if disc else f"initial {'xyz'[along]}"
     axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]")
     axes.legend(frameon=False)
 

@@ -52,6 +52,12 @@ class FieldReference(Table):
     field: str
 
 
+class SceneReference(Table):
+    """The wall that another scene makes, at the same initial places."""
+
+    scene: str
+
+
 def _check_knots(at: list[float], value: list[float]) -> None:
     check_increasing(at)
     if len(at) != len(value):
@@ -85,9 +91,15 @@ ElementSize = Annotated[
     form(lambda value: "profile" if isinstance(value, dict) else "number"),
 ]
 TargetThickness = Annotated[
-    _Number | Annotated[TargetProfile, Tag("<profile>")] | _Reference,
-    form(lambda value: "number" if isinstance(value, str) else _quantity_form(value)),
+    _Number | Annotated[TargetProfile, Tag("<profile>")] | _Reference | Annotated[SceneReference, Tag("<scene>")],
+    form(lambda value: _target_form(value)),
 ]
+
+
+def _target_form(value: Any) -> str:
+    if isinstance(value, dict) and "scene" in value:
+        return "scene"
+    return "number" if isinstance(value, str) else _quantity_form(value)
 
 
 def _one_number(value: Any) -> Any:
@@ -327,14 +339,19 @@ def _check_bounds(bounds: list[float]) -> list[float]:
     return bounds
 
 
+Limits = Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_check_bounds)]
+
+
 class ThicknessProfile(Table):
-    """Design the initial thickness [m], piecewise linear along a place in the initial sheet."""
+    """Design the initial thickness [m] along a place in the initial sheet; `slope` limits its change [m/m]."""
 
     kind: Literal["thickness-profile"]
     along: Place
     knots: Annotated[int, Field(ge=2)] | None = None
     at: Annotated[list[float], Field(min_length=2)] | None = None
-    bounds: Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(_check_bounds)]
+    bounds: Limits
+    interpolation: Literal["linear", "cubic", "zones"] = "linear"
+    slope: Positive | None = None
 
     @model_validator(mode="after")
     def _check(self) -> ThicknessProfile:
@@ -342,54 +359,151 @@ class ThicknessProfile(Table):
             problem = "is missing" if self.at is None else "is given together with at"
             raise wrong(problem, "give the number of knots or their places (at), one of them", "knots", self.knots)
         check_increasing(self.at or [])
+        if self.interpolation == "cubic" and (self.knots or 0) < 4:
+            raise wrong("needs 4 evenly placed knots or more", "give knots, not at", "knots", self.knots)
+        if self.interpolation == "zones" and self.slope is not None:
+            raise wrong("does not go with zones, which jump", "leave it out", "slope", self.slope)
         return self
 
 
+class ThicknessField(Table):
+    """Design the initial thickness [m] at the nodes of the mesh, no finer than a length `smoothness` [m]."""
+
+    kind: Literal["thickness-field"]
+    bounds: Limits
+    smoothness: NotNegative = 0.0
+
+
 class PressureKnots(Table):
-    """Design the values [Pa] at the knots of the scene's pressure."""
+    """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
+
+    `held` keeps the first knot's value where there is a rate; else the history may begin with a jump.
+    """
 
     kind: Literal["pressure"]
     bounds: Annotated[Pair, AfterValidator(_check_bounds)]
     increasing: bool = False
+    rate: Positive | None = None
+    held: bool = False
+    end_time: Limits | None = None
 
 
+class Scale(Table):
+    """Design a factor on a number of the scene, such as material.c."""
+
+    kind: Literal["scale"]
+    of: str
+    bounds: Limits
+
+
+_VARIABLES = ["thickness-profile", "thickness-field", "pressure", "scale"]
 Variable = Annotated[
-    Annotated[ThicknessProfile, Tag("<thickness-profile>")] | Annotated[PressureKnots, Tag("<pressure>")],
-    *choice("kind", ["thickness-profile", "pressure"], later=["thickness-field", "scale"]),
+    Annotated[ThicknessProfile, Tag("<thickness-profile>")]
+    | Annotated[ThicknessField, Tag("<thickness-field>")]
+    | Annotated[PressureKnots, Tag("<pressure>")]
+    | Annotated[Scale, Tag("<scale>")],
+    *choice("kind", _VARIABLES),
 ]
 
 
-class Target(Table):
-    """Come close to a final thickness [m]."""
+class Wanted(Table):
+    """What all objectives share: by how much each counts where there are several."""
+
+    weight: Positive = 1.0
+
+
+class Target(Wanted):
+    """Come close to a final thickness [m]; with `limit`, keep a deviation (relative, rms) instead."""
 
     kind: Literal["target"]
     thickness: TargetThickness
+    limit: Positive | None = None
 
 
-# With a second kind it becomes a union like the others.
-Objective = Annotated[Target, choice("kind", ["target"], later=["uniform", "least-mass"])[1]]
+class Uniform(Wanted):
+    """Make the wall even."""
+
+    kind: Literal["uniform"]
 
 
-class Lbfgs(Table):
+class LeastMass(Wanted):
+    """Use as little material as a minimum of the wall [m] allows."""
+
+    kind: Literal["least-mass"]
+    minimum: Positive
+
+
+class FormingTime(Wanted):
+    """Form quickly; the higher the power of the mean, the more the last contact counts."""
+
+    kind: Literal["forming-time"]
+    power: Annotated[float, Field(ge=1, le=100)] = 8.0
+
+
+class KineticEnergy(Wanted):
+    """Form gently."""
+
+    kind: Literal["kinetic-energy"]
+
+
+_OBJECTIVES = ["target", "uniform", "least-mass", "forming-time", "kinetic-energy"]
+Objective = Annotated[
+    Annotated[Target, Tag("<target>")]
+    | Annotated[Uniform, Tag("<uniform>")]
+    | Annotated[LeastMass, Tag("<least-mass>")]
+    | Annotated[FormingTime, Tag("<forming-time>")]
+    | Annotated[KineticEnergy, Tag("<kinetic-energy>")],
+    *choice("kind", _OBJECTIVES),
+]
+Objectives = Annotated[
+    Annotated[Objective, Tag("<one>")] | Annotated[Annotated[list[Objective], Field(min_length=1)], Tag("<several>")],
+    form(lambda value: "several" if isinstance(value, list) else "one"),
+]
+
+
+class _Search(Table):
+    """What all methods share; see `optimize.Study`."""
+
+    iterations: Annotated[int, Field(ge=1)] = 30
+    tolerance: Positive | None = None
+    improvement: NotNegative | None = None
+    goal: Positive | None = None
+    warm_start: Annotated[int, Field(ge=0)] = 0
+    starts: Annotated[int, Field(ge=1)] = 1
+    rounds: Annotated[int, Field(ge=1)] | None = None
+
+
+class Lbfgs(_Search):
     """Limited-memory quasi-Newton method with line search."""
 
     method: Literal["lbfgs"] = "lbfgs"
-    iterations: Annotated[int, Field(ge=1)] = 30
-    tolerance: Positive | None = None
 
 
-class Adam(Table):
+class Adam(_Search):
     """First-order method with momentum."""
 
     method: Literal["adam"]
-    iterations: Annotated[int, Field(ge=1)] = 30
-    tolerance: Positive | None = None
     learning_rate: Positive | None = None
 
 
+class LeastSquares(_Search):
+    """Levenberg-Marquardt, for few variables and a sum of squares."""
+
+    method: Literal["least-squares"]
+
+
+class FixedPoint(_Search):
+    """Thicken the sheet where the wall is thin."""
+
+    method: Literal["fixed-point"]
+
+
 Method = Annotated[
-    Annotated[Lbfgs, Tag("<lbfgs>")] | Annotated[Adam, Tag("<adam>")],
-    *choice("method", ["lbfgs", "adam"], later=["least-squares", "fixed-point"]),
+    Annotated[Lbfgs, Tag("<lbfgs>")]
+    | Annotated[Adam, Tag("<adam>")]
+    | Annotated[LeastSquares, Tag("<least-squares>")]
+    | Annotated[FixedPoint, Tag("<fixed-point>")],
+    *choice("method", ["lbfgs", "adam", "least-squares", "fixed-point"]),
 ]
 
 
@@ -399,13 +513,13 @@ class StudyFile(Table):
     description: str = ""
     scene: str
     variable: Annotated[list[Variable], Field(min_length=1)]
-    objective: Objective
+    objective: Objectives
     solver: Method
 
     @field_validator("variable")
     @classmethod
     def _each_once(cls, variables: list[Any]) -> list[Any]:
-        kinds = [variable.kind for variable in variables]
+        kinds = [getattr(variable, "of", variable.kind) for variable in variables]
         for index, kind in enumerate(kinds):
             if kind in kinds[:index]:
                 raise wrong("is there twice", "keep one of them", f"[{index}].kind", kind)

@@ -1,17 +1,32 @@
 """Inverse design on top of jaxform: which sheet and which pressure make the wall that the part needs?"""
 
-from optimize.objectives import Target
-from optimize.solvers import COLUMNS, Design, Study, solve
+from optimize.designs import COLUMNS, Study
+from optimize.journal import Journal
+from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
+from optimize.pressures import PressureKnots
+from optimize.search import Search
+from optimize.sheets import ThicknessField, ThicknessProfile
+from optimize.solvers import Design, solve
 from optimize.study import load_study, write_history
-from optimize.variables import PressureKnots, ThicknessProfile
+from optimize.variables import Scale
 
 __all__ = [
     "COLUMNS",
     "Design",
+    "FormingTime",
+    "Journal",
+    "KineticEnergy",
+    "LeastMass",
+    "Objective",
     "PressureKnots",
+    "Scale",
+    "Search",
     "Study",
     "Target",
+    "ThicknessField",
     "ThicknessProfile",
+    "Uniform",
+    "Weighted",
     "load_study",
     "solve",
     "write_history",

@@ -1,7 +1,12 @@
-"""What is wanted of the formed part, as one number to make small; and what is reported beside it."""
+"""What is wanted of the formed part, as one number to make small, and what must be kept.
+
+An objective is a sum of squares where `deviations` says so (then least squares apply), and may have constraints
+g <= 0, which the search keeps by an augmented Lagrangian. Objectives add up in a `Weighted` one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -11,9 +16,67 @@ from numpy.typing import ArrayLike
 
 from jaxform import InputError, Result, Scene
 from jaxform.profiles import Profile
+from optimize.walls import formed_area, nodal_area, nodal_volume
 
 
-class Target:
+class Constraints(NamedTuple):
+    """Limits that must be kept.
+
+    Attributes:
+        excess: (n,), relative to its limit; positive where a limit is broken.
+        weight: (n,), adds up to 1 for each limit: by how much of it each entry counts.
+    """
+
+    excess: jax.Array
+    weight: jax.Array
+
+
+def no_constraints() -> Constraints:
+    """Of an objective that keeps no limits."""
+    return Constraints(jnp.zeros(0), jnp.zeros(0))
+
+
+class Objective:
+    """What is wanted; a kind says at least what its value or its deviations are.
+
+    Attributes:
+        uniform: A wall that is wanted everywhere [m], for pictures; None where there is none.
+        squares: Whether the value is the sum of the squares of `deviations`.
+        constrained: Whether there are constraints.
+        aims: Whether it says how thick the wall shall be, so that a fixed point applies.
+    """
+
+    uniform: float | None = None
+    aims: bool = False
+    squares: bool = False
+    constrained: bool = False
+
+    def __call__(self, scene: Scene, result: Result) -> jax.Array:
+        """The number to make small; no unit."""
+        return jnp.sum(jnp.square(self.deviations(scene, result)))
+
+    def deviations(self, scene: Scene, result: Result) -> jax.Array:
+        """Numbers (n,) whose squares add up to the value; no unit.
+
+        Raises:
+            InputError: If the value is no sum of squares.
+        """
+        raise InputError("is no sum of squares", "use the method lbfgs or adam", "solver.method", "least-squares")
+
+    def constraints(self, scene: Scene, result: Result) -> Constraints:
+        """What must be kept; by default nothing."""
+        return no_constraints()
+
+    def wanted(self, result: Result) -> jax.Array:
+        """The wall (n_node,) [m] that a fixed point leads to, where the objective aims at one."""
+        raise NotImplementedError
+
+    def error(self, scene: Scene, result: Result) -> jax.Array:
+        """Deviation from the target, relative, rms over the formed area; NaN where there is no target."""
+        return jnp.asarray(jnp.nan)
+
+
+class Target(Objective):
     """Come close to a final thickness.
 
     The objective is the square of the relative deviation of the wall from the target, averaged over the formed area.
@@ -23,6 +86,7 @@ class Target:
         thickness: The target [m]: a number, a field (n_node,), or a `Profile` (along a place in the formed part, or,
             with `initial`, in the initial sheet).
         initial: Whether the profile's place is that in the initial sheet.
+        limit: The deviation (rms) that must be kept; then coming close is a constraint, and the value is 0.
 
     Attributes:
         uniform: The target where it is one number, else None [m].
@@ -31,9 +95,14 @@ class Target:
         InputError: If a target is not positive or does not fit the mesh.
     """
 
-    def __init__(self, scene: Scene, thickness: ArrayLike | Profile, *, initial: bool = True) -> None:
+    aims = True
+
+    def __init__(
+        self, scene: Scene, thickness: ArrayLike | Profile, *, initial: bool = True, limit: float | None = None
+    ) -> None:
         """See the class."""
         self.uniform = float(thickness) if isinstance(thickness, int | float) else None
+        self.limit, self.constrained, self.squares = limit, limit is not None, limit is None
         self._profile = thickness.positive() if isinstance(thickness, Profile) else None
         if isinstance(thickness, Profile):
             if initial:
@@ -61,42 +130,166 @@ class Target:
             place = positions[:, "xyz".index(self._profile.along)]
         return jnp.interp(place, jnp.asarray(self._profile.at), jnp.asarray(self._profile.value))
 
-    def __call__(self, scene: Scene, result: Result) -> jax.Array:
-        """Mean square of the relative deviation over the formed area."""
-        deviation = result.thickness / self.wanted(result) - 1.0
+    def deviations(self, scene: Scene, result: Result) -> jax.Array:
+        """Relative deviation at the nodes (n_node,), times the root of their share of the formed area."""
         weight = nodal_area(result)
-        return jnp.sum(weight * jnp.square(deviation)) / jnp.sum(weight)
+        share = jnp.where(weight > 0, weight, 1.0) / jnp.sum(weight)
+        relative = result.thickness / self.wanted(result) - 1.0
+        return jnp.where(weight > 0, jnp.sqrt(share) * relative, 0.0)
+
+    def _square(self, scene: Scene, result: Result) -> jax.Array:
+        return jnp.sum(jnp.square(self.deviations(scene, result)))
+
+    def __call__(self, scene: Scene, result: Result) -> jax.Array:
+        """Mean square of the relative deviation over the formed area; 0 where it is a constraint."""
+        return self._square(scene, result) if self.limit is None else jnp.zeros(())
+
+    def constraints(self, scene: Scene, result: Result) -> Constraints:
+        """The mean square against that of the limit, halved so that it is relative to the rms."""
+        if self.limit is None:
+            return no_constraints()
+        excess = 0.5 * (self._square(scene, result) / self.limit**2 - 1.0)
+        return Constraints(excess[None], jnp.ones(1))
+
+    def error(self, scene: Scene, result: Result) -> jax.Array:
+        """Relative deviation, rms over the formed area."""
+        return jnp.sqrt(self._square(scene, result))
 
 
-def formed_area(result: Result) -> jax.Array:
-    """Final area of the elements (n_element,) [m^2]: an element keeps its volume; 0 where it does not exist."""
-    return result.element_volume / jnp.where(result.used, result.element_thickness, 1.0)
+class Uniform(Objective):
+    """Make the wall even: the square of its coefficient of variation over the formed area."""
+
+    squares = aims = True
+
+    def deviations(self, scene: Scene, result: Result) -> jax.Array:
+        """Relative deviation of the elements from the mean (n_element,), times the root of their share of the area."""
+        area = formed_area(result)
+        share = area / jnp.sum(area)
+        relative = result.element_thickness / jnp.sum(share * result.element_thickness) - 1.0
+        return jnp.where(result.used, jnp.sqrt(jnp.where(result.used, share, 1.0)) * relative, 0.0)
+
+    def wanted(self, result: Result) -> jax.Array:
+        """The mean wall (n_node,) [m]."""
+        area = formed_area(result)
+        mean = jnp.sum(area * result.element_thickness) / jnp.sum(area)
+        return jnp.broadcast_to(mean, result.thickness.shape)
 
 
-def nodal_area(result: Result) -> jax.Array:
-    """Final area that belongs to each node (n_node,) [m^2]: a third of that of its elements."""
-    share = formed_area(result) / 3.0
-    area = jnp.zeros_like(result.thickness)
-    for corner in result.triangles.T:
-        area = area.at[corner].add(share)
-    return area
+class LeastMass(Objective):
+    """Use as little material as possible for a wall that is nowhere thinner than a minimum.
+
+    The value is the mass over that of the scene to begin with. Every element keeps the minimum by itself, with a
+    multiplier of its own: nothing is blurred into an average. The multipliers' weighted sum is what the mass gains,
+    relative to the first one, per relative change of the minimum.
+
+    Args:
+        scene: The scene that is designed.
+        minimum: The wall to keep [m].
+
+    Raises:
+        InputError: If the minimum is not positive.
+    """
+
+    constrained = aims = True
+
+    def __init__(self, scene: Scene, minimum: float) -> None:
+        """See the class."""
+        if not 0.0 < minimum < np.inf:
+            raise InputError("must be positive", "give metres > 0", "objective.minimum", minimum)
+        self.minimum = self.uniform = float(minimum)
+        triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
+        volume = area * np.asarray(scene.parison.thickness)[triangles].mean(1)
+        self._first_mass = float(volume.sum() * scene.material.density)
+
+    def __call__(self, scene: Scene, result: Result) -> jax.Array:
+        """Mass over that of the scene to begin with."""
+        return result.mass / self._first_mass
+
+    def constraints(self, scene: Scene, result: Result) -> Constraints:
+        """What is missing to the minimum (n_element,), relative to it; each element counts alike."""
+        excess = jnp.where(result.used, 1.0 - result.element_thickness / self.minimum, -1.0)
+        return Constraints(excess, jnp.where(result.used, 1.0, 0.0) / jnp.sum(result.used))
+
+    def wanted(self, result: Result) -> jax.Array:
+        """The minimum (n_node,) [m]."""
+        return jnp.full_like(result.thickness, self.minimum)
 
 
-class Wall(NamedTuple):
-    """What is reported of a part: least and mean wall [m], coefficient of variation, mass [kg], status bits."""
+class FormingTime(Objective):
+    """Form quickly: the time at which the sheet touches the mold, over the scene's end time.
 
-    least: jax.Array
-    mean: jax.Array
-    variation: jax.Array
-    mass: jax.Array
-    status: jax.Array
+    The times of the nodes are averaged by their volume with a high power, so that the last ones count; what never
+    touches counts with the end time.
+
+    Args:
+        scene: The scene that is designed.
+        power: Of the mean; the higher, the nearer to the last node's time.
+
+    Raises:
+        InputError: If the scene has no mold.
+    """
+
+    def __init__(self, scene: Scene, power: float = 8.0) -> None:
+        """See the class."""
+        if scene.mold is None:
+            raise InputError("needs a mold to touch", "add a mold to the scene", "objective.kind", "forming-time")
+        self.power, self._end = power, float(scene.solver.end_time)
+
+    def __call__(self, scene: Scene, result: Result) -> jax.Array:
+        """Mean contact time over the scene's end time."""
+        movable = result.contact_time != 0.0
+        weight = jnp.where(movable, nodal_volume(result), 0.0)
+        share = jnp.where(result.contact_time > 0.0, result.contact_time, self._end) / self._end
+        mean = jnp.sum(weight * share**self.power) / jnp.sum(weight)
+        return mean ** (1.0 / self.power)
 
 
-def wall(scene: Scene, result: Result) -> Wall:
-    """Statistics of the wall over the formed area; traced."""
-    area, thickness = formed_area(result), result.element_thickness
-    mean = jnp.sum(area * thickness) / jnp.sum(area)
-    variance = jnp.sum(area * jnp.square(thickness - mean)) / jnp.sum(area)
-    return Wall(
-        jnp.min(jnp.where(result.used, thickness, jnp.inf)), mean, jnp.sqrt(variance) / mean, result.mass, result.status
-    )
+class KineticEnergy(Objective):
+    """Form gently: the kinetic energy with which the sheet hits the mold, and still has at the end, over the work."""
+
+    squares = True
+
+    def deviations(self, scene: Scene, result: Result) -> jax.Array:
+        """The root of that share (1,)."""
+        energy = result.energy
+        share = (energy.contact_loss + energy.kinetic) / jnp.abs(energy.external_work)
+        return jnp.sqrt(jnp.maximum(share, 1e-30))[None]
+
+
+class Weighted(Objective):
+    """A weighted sum of objectives; the constraints of all are kept.
+
+    Args:
+        parts: Weight and objective of each.
+    """
+
+    def __init__(self, parts: Sequence[tuple[float, Objective]]) -> None:
+        """See the class."""
+        self.parts = list(parts)
+        uniform = [part.uniform for _, part in self.parts if part.uniform is not None]
+        self.uniform = uniform[0] if uniform else None
+        self.squares = all(part.squares for _, part in self.parts)
+        self.constrained = any(part.constrained for _, part in self.parts)
+        self.aims = any(part.aims for _, part in self.parts)
+
+    def __call__(self, scene: Scene, result: Result) -> jax.Array:
+        """The weighted sum."""
+        return sum((weight * part(scene, result) for weight, part in self.parts), start=jnp.zeros(()))
+
+    def deviations(self, scene: Scene, result: Result) -> jax.Array:
+        """Those of all parts, times the roots of their weights."""
+        return jnp.concatenate([weight**0.5 * part.deviations(scene, result) for weight, part in self.parts])
+
+    def constraints(self, scene: Scene, result: Result) -> Constraints:
+        """Those of all parts."""
+        each = [part.constraints(scene, result) for _, part in self.parts]
+        return Constraints(*(jnp.concatenate(values) for values in zip(*each, strict=True)))
+
+    def wanted(self, result: Result) -> jax.Array:
+        """That of the first part that aims."""
+        return next(part for _, part in self.parts if part.aims).wanted(result)
+
+    def error(self, scene: Scene, result: Result) -> jax.Array:
+        """That of the first part with a target."""
+        errors = [part.error(scene, result) for _, part in self.parts if isinstance(part, Target)]
+        return errors[0] if errors else jnp.asarray(jnp.nan)

@@ -1,70 +1,40 @@
-"""The search: optax's Adam and L-BFGS around one compiled value-and-gradient of a whole simulation.
-
-The loop is the host's, so that every simulation is a row of the history and can be shown, kept and stopped. A
-simulation that fails (its status is not 0, or its objective not finite) counts as infinitely bad: the line search
-shortens its step, and Adam goes back to the best design and halves its rate.
-"""
+"""A study from its first design to its best one: checks, warm starts, the search, and its rounds of multipliers."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import optax
 
 import jaxform
-from jaxform import Result, Scene
-from optimize.objectives import Target, Wall, wall
-from optimize.variables import Variable
+from jaxform import InputError, Result, Scene
+from optimize.descent import NO_STEP, STOPPED, adam, lbfgs
+from optimize.designs import COLUMNS, KEPT, LIMIT_COLUMNS, Point, Study
+from optimize.fixed_point import fixed_point, updates
+from optimize.journal import Answer, Journal
+from optimize.least_squares import least_squares
+from optimize.search import Search
+from optimize.variables import SheetVariable
 
-COLUMNS: tuple[str, ...] = (
-    "evaluation",
-    "objective",
-    "thickness_rms_error",
-    "wall_min",
-    "wall_mean",
-    "wall_cv",
-    "mass",
-    "gradient_norm",
-    "iteration",
-    "simulations",
-    "seconds",
-)
-_SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
-_TRIALS = 12
-_MEMORY = 10
-_REFRESH = 5  # iterations with the same decisions about the mesh
+__all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
 
+Row = dict[str, Any]
+Method = Callable[[Search, Study, Point], tuple[Point, str]]
 
-@dataclass(frozen=True)
-class Study:
-    """What is designed and how.
-
-    Attributes:
-        scene: The scene to begin with.
-        variables: What may change.
-        objective: What is wanted.
-        method: "lbfgs" or "adam".
-        iterations: Accepted steps at most.
-        tolerance: The search ends when the gradient's norm is below this fraction of the first one.
-        learning_rate: Of Adam, in the unbounded numbers.
-        document: Where the scene came from, for writing the best design.
-    """
-
-    scene: Scene
-    variables: tuple[Variable, ...]
-    objective: Target
-    method: str = "lbfgs"
-    iterations: int = 30
-    tolerance: float = 1e-4
-    learning_rate: float = 0.1
-    document: Any = None
+METHODS: dict[str, Method] = {
+    "lbfgs": lbfgs,
+    "adam": adam,
+    "least-squares": least_squares,
+    "fixed-point": fixed_point,
+}
+_WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the begin; the latter takes its own
+_MOST_THICKENED = 0.5
+_SPREAD = 1.0  # of several starts, in the unbounded numbers
 
 
 @dataclass(frozen=True)
@@ -74,10 +44,16 @@ class Design:
     Attributes:
         scene, result: The best scene and its part.
         first_scene, first_result: The scene to begin with and its part.
-        changes: Best design as dotted keys of a scene file with plain values.
-        history: A row per simulation with gradient, with the columns `COLUMNS`.
+        changes: Best design as dotted keys of a scene file with plain values, or nodal arrays.
+        history: A row per simulation of the search, with the columns `COLUMNS` (and `LIMIT_COLUMNS`).
         document: Of the study.
         message: Why the search ended.
+        objective: Of the best design.
+        violation: By how much it breaks the worst limit, relative to it; 0 without constraints.
+        gradient_error: Relative difference of the gradient to central differences along one direction, before the
+            search; None where it takes no gradient.
+        best_row: Of the history.
+        multiplier: The weighted sum of the constraints' multipliers; None without constraints.
     """
 
     scene: Scene
@@ -85,245 +61,196 @@ class Design:
     first_scene: Scene
     first_result: Result
     changes: dict[str, Any]
-    history: list[dict[str, Any]]
+    history: list[Row]
     document: Any
     message: str
+    objective: float
+    violation: float
+    gradient_error: float | None
+    best_row: Row
+    multiplier: float | None
+
+    def summary(self) -> dict[str, Any]:
+        """Plain facts: what it was before and after, what that took, and how far it can be trusted."""
+        names = ("objective", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv", "mass")
+        before, after = ({name: _number(row[name]) for name in names} for row in (self.history[0], self.best_row))
+        return {
+            "message": self.message,
+            "before": before,
+            "after": after,
+            "violation": self.violation,
+            "multiplier": self.multiplier,
+            "gradient_error": self.gradient_error,
+            "evaluations": len(self.history),
+            "simulations": self.history[-1]["simulations"],
+            "seconds": self.history[-1]["seconds"],
+        }
 
 
-@dataclass
-class _Point:
-    free: np.ndarray
-    value: float
-    gradient: np.ndarray
+def _number(value: Any) -> float | None:
+    return None if value == "" else float(value)
 
 
-@dataclass
-class Search:
-    """Evaluates designs and remembers them.
-
-    Attributes:
-        study: What is designed.
-        on_evaluation: Called with every row of the history; a true answer stops the search.
-        forward_seconds: What a simulation without gradient takes, the unit of `simulations`.
-        history: Rows so far.
-        simulations: Cost so far in simulations without gradient.
-        iteration: Which step of the search is being tried.
-        began: Clock at the begin [s].
-        best: The best design so far.
-        stopped: Whether the caller wants no more.
-        schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
-    """
-
-    study: Study
-    on_evaluation: Callable[[dict[str, Any]], object] | None
-    forward_seconds: float
-    history: list[dict[str, Any]] = field(default_factory=list)
-    simulations: float = 1.0
-    iteration: int = 0
-    began: float = field(default_factory=time.perf_counter)
-    best: _Point | None = None
-    stopped: bool = False
-    schedule: jaxform.Schedule | None = None
-
-    def __post_init__(self) -> None:
-        splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
-        self._splits = [int(split) for split in splits]
-        start = jnp.asarray(self.start)
-        compute = jax.jit(jax.value_and_grad(self._objective, has_aux=True))
-        # Compiled ahead, so that the seconds of the first evaluation are those of a simulation.
-        self._compute = compute.lower(start, self.study.scene, self.schedule).compile()
-
-    @property
-    def start(self) -> np.ndarray:
-        """The scene's own design, as unbounded numbers (n,)."""
-        return np.concatenate([variable.start for variable in self.study.variables])
-
-    def _parts(self, free: jax.Array) -> list[tuple[Variable, jax.Array]]:
-        return list(zip(self.study.variables, jnp.split(free, self._splits), strict=True))
-
-    def changes(self, free: jax.Array) -> dict[str, jax.Array]:
-        """What `jaxform.replace` takes."""
-        return {path: value for part, own in self._parts(free) for path, value in part.changes(own).items()}
-
-    def document(self, free: np.ndarray) -> dict[str, Any]:
-        """The same as dotted keys of a scene file."""
-        parts = self._parts(jnp.asarray(free))
-        return {key: value for part, own in parts for key, value in part.document(own).items()}
-
-    def _objective(self, free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> tuple[jax.Array, Wall]:
-        scene = jaxform.replace(scene, self.changes(free))
-        result = jaxform.simulate(scene, schedule=schedule)
-        return self.study.objective(scene, result), wall(scene, result)
-
-    def __call__(self, free: np.ndarray) -> _Point:
-        """Value and gradient at a design, infinite where its simulation fails; a row of the history."""
-        began = time.perf_counter()
-        (value, report), gradient = self._compute(jnp.asarray(free), self.study.scene, self.schedule)
-        point = _Point(free, float(value), np.asarray(gradient, float))
-        self.simulations += (time.perf_counter() - began) / self.forward_seconds
-        failed = bool(report.status) or not np.isfinite(point.value) or not np.all(np.isfinite(point.gradient))
-        if failed:
-            point = _Point(free, np.inf, np.zeros_like(free))
-        elif self.best is None or point.value < self.best.value:
-            self.best = point
-        self._record(point, report)
-        return point
-
-    def refreshed(self, point: _Point) -> _Point:
-        """The point with the decisions that a run of its design takes, where the mesh is refined and it is time.
-
-        In between the objective is smooth, for all simulations take the same decisions.
-        """
-        if self.schedule is None or self.iteration % _REFRESH:
-            return point
-        live = jaxform.run(jaxform.replace(self.study.scene, self.changes(jnp.asarray(point.free))))
-        self.simulations += 1.0
-        if int(live.status) or live.used.size != self._room:
-            return point
-        before = self.schedule, self.best
-        self.schedule, self.best = live.schedule, None
-        fresh = self(point.free)
-        if self.best is None:
-            self.schedule, self.best = before
-            return point
-        return fresh
-
-    @property
-    def _room(self) -> int:
-        refinement = self.study.scene.refinement
-        return 0 if refinement is None else refinement.elements
-
-    def _record(self, point: _Point, report: Wall) -> None:
-        numbers = (
-            len(self.history),
-            point.value,
-            float(np.sqrt(point.value)),
-            float(report.least),
-            float(report.mean),
-            float(report.variation),
-            float(report.mass),
-            float(np.linalg.norm(point.gradient)),
-            self.iteration,
-            self.simulations,
-            time.perf_counter() - self.began,
-        )
-        row: dict[str, Any] = dict(zip(COLUMNS, numbers, strict=True))
-        self.history.append(row)
-        if self.on_evaluation is not None and self.on_evaluation(row):
-            self.stopped = True
-
-
-def solve(study: Study, on_evaluation: Callable[[dict[str, Any]], object] | None = None) -> Design:
+def solve(
+    study: Study,
+    on_evaluation: Callable[[Row], object] | None = None,
+    *,
+    on_check: Callable[[float], object] | None = None,
+    journal: Journal | None = None,
+) -> Design:
     """Searches for the best design.
 
     Args:
         study: What is designed and how.
         on_evaluation: Called with every row of the history as it comes; a true answer ends the search.
+        on_check: Called with the gradient's relative difference to central differences, before the search.
+        journal: What is kept on disk, so that a search that was killed goes on; nothing by default.
 
     Raises:
-        InputError: If the scene to begin with cannot be simulated to its end.
+        InputError: If the study asks for what its objective or variables do not have, or the scene to begin with
+            cannot be simulated to its end.
     """
+    _check(study)
     first = jaxform.run(study.scene)
     if int(first.status):
-        raise jaxform.InputError(
-            f"the scene to begin with fails: {jaxform.explain(first)}", "mend the scene first", "scene"
-        )
-    # Once more, for the first run in a process is slower; this is the unit in which simulations are counted.
-    again = jaxform.run(study.scene).seconds
-    assert again is not None
+        raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "mend the scene first", "scene")
+    forward_seconds = _cost(study.scene)
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule
-    search = Search(study, on_evaluation, max(again.run, 1e-6), schedule=schedule)
+    search = Search(study, on_evaluation, forward_seconds, schedule=schedule, journal=journal or Journal())
     try:
-        message = {"lbfgs": _lbfgs, "adam": _adam}[study.method](search, study)
+        message = _searched(search, study, on_check)
     except KeyboardInterrupt:
         if search.best is None:
             raise
         message = "interrupted"  # what was found is worth keeping
-    if search.best is None:
-        raise jaxform.InputError(
-            "the first design, moved into the bounds, fails", "widen the bounds", "variable.bounds"
-        )
-    scene = jaxform.replace(study.scene, search.changes(jnp.asarray(search.best.free)))
+    best = search.best
+    if best is None:
+        raise InputError("the first design, moved into the bounds, fails", "widen the bounds", "variable.bounds")
+    scene = search.scene(best.free)
     return Design(
         scene=scene,
         result=jaxform.run(scene),
         first_scene=study.scene,
         first_result=first,
-        changes=search.document(search.best.free),
+        changes=search.document(best.free),
         history=search.history,
         document=study.document,
         message=message,
+        objective=best.objective,
+        violation=best.violation,
+        gradient_error=search.gradient_error,
+        best_row=best.row,
+        multiplier=None if search.limits is None else search.multiplier,
     )
 
 
-def _small(point: _Point, first: _Point, study: Study) -> bool:
-    return float(np.linalg.norm(point.gradient)) <= study.tolerance * float(np.linalg.norm(first.gradient))
+def _cost(scene: Scene) -> float:
+    """Processor time [s] of a simulation, the unit in which they are counted; the first in a process took longer."""
+    spent = []
+    for _ in range(2):
+        began = time.process_time()
+        jaxform.run(scene)
+        spent.append(time.process_time() - began)
+    return max(min(spent), 1e-6)
 
 
-def _lbfgs(search: Search, study: Study) -> str:
-    """Optax's L-BFGS direction with a weak Wolfe line search that sees every simulation."""
-    transform = optax.scale_by_lbfgs(memory_size=_MEMORY)
-    point = first = search(search.start)
-    if not np.isfinite(first.value):
+def _check(study: Study) -> None:
+    """Raises InputError where method, objective and variables do not go together."""
+    paths = [path for part in study.variables for path in part.changes(jax.numpy.asarray(part.start))]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise InputError("is designed by two variables", "keep one of them", "variable", path)
+    objective = study.objective
+    if study.method == "least-squares" and (not objective.squares or objective.constrained):
+        mend = "use the method lbfgs, or the objective target or uniform"
+        raise InputError("needs a sum of squares without limits", mend, "solver.method", study.method)
+    rule = {"fixed-point": "solver.method"}.get(study.method) or (study.warm_start and "solver.warm_start")
+    if not rule:
+        return
+    if not objective.aims:
+        mend = "use target, uniform or least-mass, or leave it out"
+        raise InputError("needs an objective that says how thick the wall shall be", mend, rule)
+    if not any(isinstance(variable, SheetVariable) for variable in study.variables):
+        mend = "add a thickness-profile or thickness-field, or leave it out"
+        raise InputError("changes the sheet, which is no variable here", mend, rule)
+
+
+def _searched(search: Search, study: Study, on_check: Callable[[float], object] | None) -> str:
+    """Warm starts, the gradient's check and the search; why it ended."""
+    free = search.start
+    if study.starts > 1:
+        free = _best_start(search, study)
+    if study.warm_start:
+        updates(search, study, free, study.warm_start)
+        free = free if search.best is None else search.best.free
+    point = search.plain(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
+    if search.stopped:
+        return STOPPED
+    if not np.isfinite(point.value):
         return "the first design fails"
-    state = transform.init(jnp.asarray(point.free))
-    for search.iteration in range(1, study.iterations + 1):
-        if _small(point, first, study):
-            return "the gradient is small enough"
-        update, state = transform.update(jnp.asarray(point.gradient), state, jnp.asarray(point.free))
-        direction = -np.asarray(update)
-        if direction @ point.gradient >= 0:
-            state = transform.init(jnp.asarray(point.free))
-            direction = -point.gradient / np.linalg.norm(point.gradient)
-        step = _line_search(search, point, direction)
+    if study.method != "fixed-point":
+        known = search.curvature(free)[0] if study.method == "least-squares" else point
+        error = search.check(known)
+        if on_check is not None:
+            on_check(error)
+    return _rounds(search, study, point) if study.objective.constrained else _search(search, study, point)[1]
+
+
+def _search(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+    return METHODS[study.method](search, study, point)
+
+
+def _rounds(search: Search, study: Study, point: Point) -> str:
+    """Searches between which the multipliers are brought up to date, until limits are kept and nothing changes."""
+    before = np.inf
+    for number in range(1, study.rounds + 1):
+        last = point.objective
+        point, message = _search(search, study, point)
         if search.stopped:
-            return "stopped by the caller"
-        if step is None:
-            return "no step along the search direction makes it better"
-        point = search.refreshed(step)
-    return f"{study.iterations} iterations done"
+            return message
+        if point.violation <= KEPT and abs(point.objective - last) <= study.improvement * abs(last) and number > 1:
+            return f"limits are kept and nothing more is gained, after {number} rounds"
+        _thicken(search, point)
+        search.press(point, before)
+        before = point.violation
+        point = search(point.free)
+    return f"{study.rounds} rounds done, the last ended since: {message}" if message != NO_STEP else message
 
 
-def _line_search(search: Search, point: _Point, direction: np.ndarray) -> _Point | None:
-    """A point that meets the weak Wolfe conditions, by bisection; else the best one that is better, else None."""
-    slope = float(direction @ point.gradient)
-    short, long, length = 0.0, np.inf, 1.0
-    better: _Point | None = None
-    for _ in range(_TRIALS):
-        trial = search(point.free + length * direction)
-        if trial.value < (better or point).value:
-            better = trial
-        if search.stopped:
-            break
-        if not trial.value <= point.value + _SUFFICIENT * length * slope:
-            long = length
-        elif trial.gradient @ direction < _CURVATURE * slope:
-            short = length
-        else:
-            return trial
-        length = 2.0 * length if np.isinf(long) else 0.5 * (short + long)
-    return better
+def _thicken(search: Search, point: Point) -> None:
+    """Tries the design with so much thicker a sheet that the limit ought to be kept: a good design to fall back on.
+
+    The wall is proportional to the sheet, nearly. The search itself goes on from where it was.
+    """
+    sheets = [variable for variable in search.study.variables if isinstance(variable, SheetVariable)]
+    if not sheets or not search.study.objective.aims or not KEPT < point.violation < _MOST_THICKENED:
+        return
+    parts = []
+    for variable, own in search.parts(point.free):
+        if isinstance(variable, SheetVariable):
+            sheet = np.asarray(variable.changes(jax.numpy.asarray(own))["parison.thickness"], float)
+            own = variable.nearest(sheet / (1.0 - point.violation))
+        parts.append(own)
+    search.plain(np.concatenate(parts))
 
 
-def _adam(search: Search, study: Study) -> str:
-    """Optax's Adam; after a failed simulation from the best design with half the rate."""
-    rate = study.learning_rate
-    transform = optax.scale_by_adam()
-    point = first = search(search.start)
-    if not np.isfinite(first.value):
-        return "the first design fails"
-    state = transform.init(jnp.asarray(point.free))
-    for search.iteration in range(1, study.iterations + 1):
-        if _small(point, first, study):
-            return "the gradient is small enough"
-        update, state = transform.update(jnp.asarray(point.gradient), state)
-        trial = search(point.free - rate * np.asarray(update))
-        if search.stopped:
-            return "stopped by the caller"
-        if np.isfinite(trial.value):
-            point = search.refreshed(trial)
-        else:
-            assert search.best is not None
-            rate, point, state = 0.5 * rate, search.best, transform.init(jnp.asarray(search.best.free))
-    return f"{study.iterations} iterations done"
+def _best_start(search: Search, study: Study) -> np.ndarray:
+    """The best of several designs about the first one, simulated side by side."""
+    first = search.start
+    strewn = _SPREAD * np.random.default_rng(0).normal(size=(study.starts - 1, first.size))
+    designs = np.concatenate([first[None], first + strewn])
+
+    def work() -> Answer:
+        rows = [search.changes(jax.numpy.asarray(design)) for design in designs]
+        stacked = {path: np.stack([np.asarray(row[path]) for row in rows]) for path in rows[0]}
+        results = jaxform.simulate_batch(search.study.scene, stacked)
+        values = []
+        for k, row in enumerate(rows):
+            result = jax.tree.map(lambda leaf, k=k: leaf[k], results)
+            value, report = search.judged(jaxform.replace(search.study.scene, row), result, search.limits)
+            good = not int(report["status"]) and np.isfinite(value)
+            values.append(float(value) if good else np.inf)
+        return {"values": values, "spent": len(designs) * search.forward_seconds}
+
+    return designs[int(np.argmin(search.asked("starts", designs.ravel(), work)["values"]))]

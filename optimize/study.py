@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
-from jaxform import Scene, fields, files, schema
+import jaxform
+from jaxform import Scene, fields, files, meshes, schema
 from jaxform.errors import InputError
 from jaxform.profiles import Profile
+from jaxform.result import only_used
 from jaxform.store import Store
-from optimize.objectives import Target
-from optimize.solvers import COLUMNS, Study
-from optimize.variables import PressureKnots, ThicknessProfile, Variable
+from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
+from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
+from optimize.pressures import PressureKnots
+from optimize.sheets import ThicknessField, ThicknessProfile
+from optimize.variables import Scale, Variable
 
 
 def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
@@ -31,49 +38,100 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
     document = files.read_study(name_or_path)
     scene = files.build(document.scene, store)
     solver = document.model.solver
-    options = {
-        name: getattr(solver, name)
-        for name in ("tolerance", "learning_rate")
-        if getattr(solver, name, None) is not None
-    }
+    options = {name: value for name, value in solver.model_dump().items() if value is not None}
     try:
         return Study(
             scene=scene,
             variables=tuple(_variable(table, scene) for table in document.model.variable),
-            objective=_objective(document, scene),
-            method=solver.method,
-            iterations=solver.iterations,
+            objective=_objectives(document, scene),
             document=document.scene,
+            digest=_digest(document, scene),
+            file=document.file,
             **options,
         )
     except InputError as error:
         raise error.within(file=document.file) from None
 
 
-def _variable(table: schema.ThicknessProfile | schema.PressureKnots, scene: Scene) -> Variable:
-    bounds = (table.bounds[0], table.bounds[1])
+def _digest(document: files.StudyDocument, scene: Scene) -> str:
+    """Of all that decides how a search goes, but how long: one that has ended can be told to go on."""
+    data = {key: value for key, value in document.data.items() if key != "description"}
+    data["solver"] = {key: value for key, value in data["solver"].items() if key != "iterations"}
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode())
+    for leaf in jax.tree.leaves(scene):
+        digest.update(np.asarray(leaf).tobytes())
+    return digest.hexdigest()
+
+
+def _variable(table: schema.Variable, scene: Scene) -> Variable:
+    options: dict[str, Any] = table.model_dump(exclude={"kind"})
+    options["bounds"] = tuple(options["bounds"])
     if isinstance(table, schema.PressureKnots):
-        return PressureKnots(scene, bounds=bounds, increasing=table.increasing)
-    return ThicknessProfile(scene, along=table.along, bounds=bounds, knots=table.knots, at=table.at)
+        options["end_time"] = None if table.end_time is None else tuple(table.end_time)
+        return PressureKnots(scene, **options)
+    if isinstance(table, schema.ThicknessField):
+        return ThicknessField(scene, **options)
+    return (Scale if isinstance(table, schema.Scale) else ThicknessProfile)(scene, **options)
 
 
-def _objective(document: files.StudyDocument, scene: Scene) -> Target:
-    wanted = document.model.objective.thickness
+def _objectives(document: files.StudyDocument, scene: Scene) -> Objective:
+    tables = document.model.objective
+    if not isinstance(tables, list):
+        tables = [tables]
+    parts = [(table.weight, _objective(table, document, scene)) for table in tables]
+    return parts[0][1] if len(parts) == 1 else Weighted(parts)
+
+
+def _objective(table: schema.Wanted, document: files.StudyDocument, scene: Scene) -> Objective:
+    if isinstance(table, schema.LeastMass):
+        return LeastMass(scene, table.minimum)
+    if isinstance(table, schema.FormingTime):
+        return FormingTime(scene, table.power)
+    if isinstance(table, schema.Target):
+        return _target(table, document, scene)
+    return Uniform() if isinstance(table, schema.Uniform) else KineticEnergy()
+
+
+def _target(table: schema.Target, document: files.StudyDocument, scene: Scene) -> Target:
+    wanted, key = table.thickness, "objective.thickness"
     if isinstance(wanted, schema.TargetProfile):
         initial = wanted.along.startswith("initial-")
         along = wanted.along.removeprefix("initial-")
-        profile = Profile(along, tuple(wanted.at), tuple(wanted.value), "objective.thickness")
-        return Target(scene, profile, initial=initial)
+        profile = Profile(along, tuple(wanted.at), tuple(wanted.value), key)
+        return Target(scene, profile, initial=initial, limit=table.limit)
     if isinstance(wanted, schema.FieldReference):
         path = document.folder / wanted.file
         positions = np.asarray(scene.parison.positions, float)
-        return Target(scene, fields.nodal_field(path, wanted.field, positions, "objective.thickness"))
-    return Target(scene, wanted)
+        return Target(scene, fields.nodal_field(path, wanted.field, positions, key), limit=table.limit)
+    if isinstance(wanted, schema.SceneReference):
+        return Target(scene, _wall_of(wanted.scene, document, scene), limit=table.limit)
+    return Target(scene, wanted, limit=table.limit)
+
+
+def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarray:
+    """The wall (n_node,) [m] that another scene makes, at the initial places of this one's nodes."""
+    key = "objective.thickness.scene"
+    try:
+        other = files.build(files.read_scene(name, document.folder))
+    except InputError as error:
+        raise error.within(key=key) from None
+    result = jaxform.run(other)
+    if int(result.status):
+        raise InputError(f"fails: {jaxform.explain(result)}", "mend that scene first", key, name)
+    other, result = only_used(other, result)
+    places, triangles = np.asarray(other.parison.positions, float), np.asarray(result.triangles)
+    try:
+        wall = np.asarray(result.thickness, float)
+        return fields.carried(meshes.Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float))
+    except InputError as error:
+        raise error.within(key=key) from None
 
 
 def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Writes the rows of a history as CSV with the columns `COLUMNS`."""
+    """Writes the rows of a history as CSV with the columns `COLUMNS`, and `LIMIT_COLUMNS` where there are limits."""
+    rows = list(rows)
+    limits = LIMIT_COLUMNS if rows and LIMIT_COLUMNS[0] in rows[0] else ()
     with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, extrasaction="ignore")
+        writer = csv.DictWriter(file, [*COLUMNS, *limits], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

@@ -7,17 +7,28 @@ unbounded number maps inside them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+import jaxform
 from jaxform import InputError, Scene
-from jaxform.profiles import Profile
+
+Bounds = tuple[float, float]
 
 _EDGE = 1e-3  # of the range: where a start that lies on a bound is put, for on it the map has no slope
+SCALABLE = (
+    "material.c",
+    "material.alpha",
+    "material.a01",
+    "material.a02",
+    "material.density",
+    "parison.thickness",
+    "pressure.value",
+    "solver.damping",
+)
 
 
 class Variable(Protocol):
@@ -34,105 +45,111 @@ class Variable(Protocol):
         ...
 
 
-def bounded(free: jax.Array, bounds: tuple[float, float]) -> jax.Array:
+@runtime_checkable
+class SheetVariable(Variable, Protocol):
+    """A variable that is the sheet's thickness."""
+
+    def nearest(self, thickness: np.ndarray) -> np.ndarray:
+        """The unbounded numbers that come closest to a nodal thickness (n_node,) [m]."""
+        ...
+
+
+def check_bounds(bounds: Bounds, positive: bool = True) -> None:
+    """Raises InputError unless the bounds leave room, above zero where they must be."""
+    least = 0.0 if positive else -np.inf
+    if not (least < bounds[0] < bounds[1] < np.inf):
+        words = "must be 0 < lower < upper" if positive else "must be lower < upper"
+        raise InputError(words, "give the lower bound first, then the upper one", "variable.bounds", bounds)
+
+
+def bounded(free: jax.Array, bounds: Any) -> jax.Array:
     """Values strictly between the bounds, for any numbers, of their shape."""
     return bounds[0] + (bounds[1] - bounds[0]) * jax.nn.sigmoid(free)
 
 
-def unbounded(values: np.ndarray, bounds: tuple[float, float]) -> np.ndarray:
+def unbounded(values: Any, bounds: Any) -> np.ndarray:
     """Inverse of `bounded`; values on or beyond a bound are moved just inside it."""
     fraction = np.clip((np.asarray(values, float) - bounds[0]) / (bounds[1] - bounds[0]), _EDGE, 1 - _EDGE)
     return np.log(fraction / (1 - fraction))
 
 
-class ThicknessProfile:
-    """Initial thickness, piecewise linear along a place in the initial sheet.
+def limited(free: jax.Array, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> jax.Array:
+    """Values between the bounds of which neighbours differ by less than a limit, for any numbers.
+
+    Each lies between those bounds and the limits that its predecessor leaves.
 
     Args:
-        scene: The scene whose sheet is designed; its own thickness is the start.
-        along: "radius", "x", "y" or "z".
-        bounds: Least and largest thickness [m].
-        knots: Number of knots, evenly placed over the sheet; or
-        at: Their places [m], increasing.
-
-    Raises:
-        InputError: If the bounds leave no room, or neither or both of `knots` and `at` are given.
+        free: Unbounded numbers (n,).
+        bounds: Least and largest value.
+        change: Largest difference of neighbours, one number for each pair.
+        first: A value that comes before the first one; None where that is free.
+        rising: Whether values must not fall.
     """
-
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        along: str,
-        bounds: tuple[float, float],
-        knots: int | None = None,
-        at: Sequence[float] | None = None,
-    ) -> None:
-        """See the class."""
-        if not 0 < bounds[0] < bounds[1] < np.inf:
-            raise InputError("must be 0 < lower < upper", "give thicknesses in m", "variable.bounds", bounds)
-        if (knots is None) == (at is None):
-            raise InputError("needs knots or at", "give one of the two", "variable.knots", knots)
-        positions = np.asarray(scene.parison.positions)
-        place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(positions)
-        self.along, self.bounds = along, bounds
-        evenly = np.linspace(place.min(), place.max(), knots or 2)
-        self.at = evenly if at is None else np.asarray(at, float)
-        hats = [np.interp(place, self.at, row) for row in np.eye(len(self.at))]
-        self._hats = jnp.asarray(np.stack(hats, axis=1))
-        present = np.asarray(scene.parison.thickness)
-        nearest = np.linalg.lstsq(np.asarray(self._hats), present, rcond=None)[0]
-        # A knot that no node feels has no best value; the mean does no harm.
-        felt = np.asarray(self._hats).sum(0) > 0
-        self.start = unbounded(np.where(felt, nearest, present.mean()), bounds)
-
-    def changes(self, free: jax.Array) -> dict[str, jax.Array]:
-        """Nodal thickness (n_node,) [m]."""
-        return {"parison.thickness": self._hats @ bounded(free, self.bounds)}
-
-    def document(self, free: jax.Array) -> dict[str, Any]:
-        """The profile as a table."""
-        value = np.asarray(bounded(free, self.bounds)).tolist()
-        return {"parison.thickness": {"along": self.along, "at": self.at.tolist(), "value": value}}
+    values: list[jax.Array] = []
+    last, steps = first, jnp.asarray(change)
+    for k in range(free.size):
+        room: Any = bounds
+        if last is not None:
+            step = steps[k if first is not None else k - 1]
+            room = _room(last, step, bounds, rising)
+        last = bounded(free[k], room)
+        values.append(last)
+    return jnp.stack(values)
 
 
-class PressureKnots:
-    """Pressure at the knots of the scene's history.
+def unlimited(values: np.ndarray, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> np.ndarray:
+    """Inverse of `limited`; values that break a limit are moved just inside it."""
+    free: list[float] = []
+    last = first
+    for k, value in enumerate(np.asarray(values, float)):
+        room: Any = bounds
+        if last is not None:
+            room = [float(end) for end in _room(last, change[k if first is not None else k - 1], bounds, rising)]
+        free.append(float(unbounded(value, room)))
+        last = float(bounded(jnp.asarray(free[-1]), room))
+    return np.asarray(free)
+
+
+def _room(last: Any, step: Any, bounds: Bounds, rising: bool) -> tuple[jax.Array, jax.Array]:
+    low = last if rising else jnp.maximum(bounds[0], last - step)
+    return low, jnp.minimum(bounds[1], last + step)
+
+
+class Scale:
+    """A factor on a number of the scene, or on all of a list or field.
 
     Args:
-        scene: The scene; its own pressure is the start.
-        bounds: Least and largest pressure [Pa].
-        increasing: Whether the pressure must never fall from knot to knot.
+        scene: The scene; its own values are the start, factor 1.
+        of: What is scaled, one of `SCALABLE`.
+        bounds: Least and largest factor.
 
     Raises:
-        InputError: If the bounds leave no room.
+        InputError: If the bounds leave no room, or the scene has no such number.
     """
 
-    def __init__(self, scene: Scene, *, bounds: tuple[float, float], increasing: bool = False) -> None:
+    def __init__(self, scene: Scene, *, of: str, bounds: Bounds) -> None:
         """See the class."""
-        if not -np.inf < bounds[0] < bounds[1] < np.inf:
-            raise InputError("must be lower < upper", "give pressures in Pa", "variable.bounds", bounds)
-        self.bounds, self.increasing = bounds, increasing
-        present = np.asarray(scene.pressure.value, float)
-        self.start = self._shares(present) if increasing else unbounded(present, bounds)
-
-    def _shares(self, values: np.ndarray) -> np.ndarray:
-        """Of the way from the lower bound to the upper, what each knot climbs, and what is left; as logarithms."""
-        fraction = np.clip((values - self.bounds[0]) / (self.bounds[1] - self.bounds[0]), 0.0, 1.0)
-        climbs = np.diff(np.concatenate([[0.0], np.maximum.accumulate(fraction), [1.0]]))
-        climbs = np.maximum(climbs, _EDGE / len(climbs))
-        return np.log(climbs[:-1] / climbs[-1])
-
-    def _values(self, free: jax.Array) -> jax.Array:
-        if not self.increasing:
-            return bounded(free, self.bounds)
-        climbs = jax.nn.softmax(jnp.append(free, 0.0))
-        return self.bounds[0] + (self.bounds[1] - self.bounds[0]) * jnp.cumsum(climbs)[:-1]
+        check_bounds(bounds)
+        if of not in SCALABLE:
+            raise InputError("cannot be scaled", f"choose one of {', '.join(SCALABLE)}", "variable.of", of)
+        part, _, name = of.partition(".")
+        present = getattr(getattr(scene, part), name, None)
+        if present is None:
+            jaxform.replace(scene, {of: 1.0})  # says what the scene has instead
+        self.of, self.bounds = of, bounds
+        self._present = jnp.asarray(present)
+        forest = scene.tables.forest
+        self._kept = self._present.size if forest is None or of != "parison.thickness" else forest.first_nodes
+        self.start = np.atleast_1d(unbounded(1.0, bounds))
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
-        """Pressure (n_knot,) [Pa]."""
-        return {"pressure.value": self._values(free)}
+        """The scaled number or numbers, in their own unit."""
+        return {self.of: bounded(free[0], self.bounds) * self._present}
 
     def document(self, free: jax.Array) -> dict[str, Any]:
-        """The pressures as a list."""
-        return {"pressure.value": np.asarray(self._values(free)).tolist()}
+        """The same; a sheet that is not of one thickness as a nodal field of the mesh, (n_node,) [m]."""
+        values = np.asarray(self.changes(free)[self.of], float)
+        if self.of == "parison.thickness":
+            values = values[: self._kept]
+            return {self.of: float(values[0]) if np.ptp(values) == 0.0 else values}
+        return {self.of: values.tolist()}

@@ -1,0 +1,241 @@
+"""The page docs/design.md and its pictures, drawn from what `benchmarks.design` found; no number stands here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+Found = dict[str, Any]
+_OWN = ("L-BFGS", "least squares", "fixed point")
+
+
+def write(found: Found, folder: Path) -> None:
+    """Writes design.md, and search.png and schedule.png where there is what they show."""
+    text = [_HEAD]
+    for name, section in _SECTIONS.items():
+        if found.get(name):
+            text.append(section(found[name], folder))
+    (folder / "design.md").write_text("\n".join(text), encoding="utf-8")
+
+
+_HEAD = """# What searching by gradient buys
+
+Written by `make design` from docs/design.json; change neither by hand. A *simulation* is the time that one run of the
+scene without gradient takes on the processor; a run with gradient, with all columns of a Jacobian, and the check of the
+gradient before a search count for as many as they took.
+"""
+
+
+def _recover(found: Found, _: Path) -> str:
+    lines = [
+        "## A known profile, found again\n",
+        f"The dish, {found['elements']} elements, {found['knots']} knots; wanted is the nodal wall that a known sheet "
+        "makes on the same mesh, sought from the uniform sheet.\n",
+        "| | after | deviation of the wall, rms | simulations |",
+        "|---|---|---|---|",
+    ]
+    for method, words in (("lbfgs", "L-BFGS"), ("least-squares", "least squares")):
+        rows = found[method]["rows"]
+        shown = _by_iteration(rows) if method == "least-squares" else _by_evaluation(rows)
+        lines += [f"| {words} | {after} | {_percent(error)} | {cost:.0f} |" for after, error, cost in shown]
+    return "\n".join([*lines, ""])
+
+
+def _by_iteration(rows: list[Found]) -> list[tuple[str, float, float]]:
+    shown = []
+    for iteration in sorted({row["iteration"] for row in rows}):
+        upto = [row for row in rows if row["iteration"] <= iteration and row["gradient_norm"] == ""]
+        if upto:
+            error = min(row["thickness_rms_error"] for row in upto)
+            shown.append((f"{iteration} iterations", error, upto[-1]["simulations"]))
+    return shown
+
+
+def _by_evaluation(rows: list[Found]) -> list[tuple[str, float, float]]:
+    errors = np.minimum.accumulate([row["thickness_rms_error"] for row in rows])
+    picked = [count for count in (1, 5, 10, 15, 20) if count <= len(rows)]
+    return [(f"{count} evaluations", errors[count - 1], rows[count - 1]["simulations"]) for count in picked]
+
+
+def _mass(found: Found, _: Path) -> str:
+    return f"## dish-least-mass\n\n{_saving(found)}\n"
+
+
+def _saving(found: Found) -> str:
+    facts = found["facts"]
+    return (
+        f"A wall of at least {1e3 * found['minimum']:.3g} mm takes {1e3 * found['mass']:.3f} g, thinnest wall "
+        f"{1e3 * found['wall_min']:.4g} mm, {_percent(facts['violation'])} below the minimum. The uniform sheet with "
+        f"that thinnest wall, simulated, weighs {1e3 * found['uniform_mass']:.3f} g: **{_percent(found['saved'])} of "
+        f"the mass is saved**. The multiplier is {facts['multiplier']:.3f} (the mass over the first one is "
+        f"{facts['after']['objective']:.3f}; where mass and wall are in ratio the two are the same). "
+        f"{facts['evaluations']} evaluations, the time of {facts['simulations']:.0f} simulations, "
+        f"{found['seconds']:.0f} s with compilation; gradient against central differences "
+        f"{facts['gradient_error']:.0e}."
+    )
+
+
+def _bottle(found: Found, _: Path) -> str:
+    return (
+        f"## bottle-parison\n\n{_saving(found)}\n\nA wall that {found['knots']} points are known to reach is "
+        f"reached with a mean absolute deviation of {_percent(found['mean_absolute_deviation'])}.\n"
+    )
+
+
+def _pressure(found: Found, folder: Path) -> str:
+    designed = found["designed"]
+    _draw_schedule(found, folder / "schedule.png")
+    lines = [
+        "## pressure-schedule\n",
+        f"Times in units of {1e3 * found['unit']:.2f} ms, radius times root of density over c. Deviation is that from "
+        "the wall of a slow process, rms; *formed* is when 99 % of the area touches the mold; *hit* is the kinetic "
+        "energy with which the sheet hits the mold over the work. Of each ramp the best of three final pressures is "
+        "taken.\n",
+        "| | ends at | deviation | formed | hit |",
+        "|---|---|---|---|---|",
+        _schedule_row("**designed**", designed),
+    ]
+    for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
+        lines += [_schedule_row(words, row) for row in found["ramps"][kind]]
+    lines += ["", *_equal_deviation(found, designed), _steepest(designed)]
+    lines.append("\n![Schedules and deviations](schedule.png)\n")
+    return "\n".join(lines)
+
+
+def _schedule_row(words: str, row: Found) -> str:
+    formed = f"{row['formed']:.2f}" if np.isfinite(row["formed"]) else "never"
+    return f"| {words} | {row['units']:.3g} | {_percent(row['error'])} | {formed} | {_percent(row['kinetic'])} |"
+
+
+def equal_deviation(rows: list[Found], error: float) -> float:
+    """The end [units] from which a ramp stays within a deviation, between rows by logarithms; NaN where none does."""
+    units, errors = (np.log([row[name] for row in rows]) for name in ("units", "error"))
+    for k in range(len(rows) - 1, 0, -1):
+        if errors[k] <= np.log(error) < errors[k - 1]:
+            share = (np.log(error) - errors[k]) / (errors[k - 1] - errors[k])
+            return float(np.exp(units[k] + share * (units[k - 1] - units[k])))
+    return float("nan")
+
+
+def _steepest(designed: Found) -> str:
+    rate = np.abs(np.diff(designed["value"]) / np.diff(designed["time"])).max()
+    error = designed["facts"]["gradient_error"]
+    return f"Its steepest rate is {rate:.2g} Pa/s. Gradient against central differences: {error:.0e}.\n"
+
+
+def _equal_deviation(found: Found, designed: Found) -> list[str]:
+    lines = []
+    for kind, words in (("cubic-ramp", "the best ramp by the cube of time"), ("linear", "the best linear ramp")):
+        longer = equal_deviation(found["ramps"][kind], designed["error"])
+        if np.isfinite(longer):
+            lines.append(
+                f"To the same deviation {words} takes {longer:.1f} units: **{longer / designed['units']:.1f} times as "
+                "long**.\n"
+            )
+        else:
+            last = found["ramps"][kind][-1]
+            lines.append(
+                f"{words[0].upper()}{words[1:]} does not come to the same deviation within {last['units']:.0f} "
+                f"units, **{last['units'] / designed['units']:.0f} times as long**: there it is at "
+                f"{_percent(last['error'])}.\n"
+            )
+    return lines
+
+
+def _searches(found: Found, folder: Path) -> str:
+    _draw_searches(found, folder / "search.png")
+    lines = [
+        "## Beside other searches\n",
+        "From the same start. The others are SciPy's Nelder-Mead (adaptive), CMA-ES (the library `cma`, its own "
+        "settings) and a random search about the best so far, in the same unbounded numbers, so that they keep the "
+        "bounds too. "
+        "Each table says how many simulations a search took to come as near to our best search's end as a hundredth of "
+        "the way that this one came, and what it had reached in the end.\n",
+        "![Objective over simulations](search.png)\n",
+    ]
+    for case in found.values():
+        lines += [f"### {case['title']} ({case['variables']} variables)\n", *_race(case), ""]
+    return "\n".join(lines)
+
+
+def goal(case: Found) -> tuple[str, float, float]:
+    """Our search that ends best, what it reaches but for a hundredth of the way that it came, and when [simulations].
+
+    The fixed point, a baseline, is not ours.
+    """
+    own = {name: curve for name, curve in case["curves"].items() if name in _OWN[:2]}
+    name, curve = min(own.items(), key=lambda item: item[1][-1][1])
+    value = curve[-1][1] + 0.01 * (curve[0][1] - curve[-1][1])
+    return name, value, _first(curve, value)
+
+
+def _first(curve: list[list[float]], value: float) -> float:
+    return next((cost for cost, merit in curve if merit <= value), float("inf"))
+
+
+def _race(case: Found) -> list[str]:
+    name, value, cost = goal(case)
+    lines = [
+        f"To {value:.4g} ({case['unit']}; {name}'s end and a hundredth of its way):\n",
+        f"| search | simulations to there | over {name} | best in the end | after |",
+        "|---|---|---|---|---|",
+    ]
+    for other, curve in case["curves"].items():
+        there = _first(curve, value)
+        reached = f"{there:.0f}" if np.isfinite(there) else "not reached"
+        spent = max(curve[-1][0], case["budget"]) if other not in _OWN else curve[-1][0]
+        over = (
+            f"{there / cost:.1f}"
+            if np.isfinite(there)
+            else f"more than {spent / cost:.0f}"
+            if other not in _OWN
+            else ""
+        )
+        lines.append(f"| {other} | {reached} | {over} | {curve[-1][1]:.4g} | {curve[-1][0]:.0f} |")
+    return lines
+
+
+def _draw_searches(found: Found, path: Path) -> None:
+    figure, axes = plt.subplots(1, len(found), figsize=(5.2 * len(found), 4.4), layout="constrained", squeeze=False)
+    for place, case in zip(axes[0], found.values(), strict=True):
+        for name, curve in case["curves"].items():
+            last = case["budget"] if name not in _OWN else curve[-1][0]
+            cost, merit = np.array([*curve, [max(last, curve[-1][0]), curve[-1][1]]]).T
+            style = "-" if name in _OWN else "--"
+            place.step(cost, merit, where="post", linestyle=style, label=name, linewidth=1.8)
+        place.set(xscale="log", yscale="log", xlabel="simulations", ylabel=case["unit"])
+        place.set_title(case["title"], fontsize=10)
+        place.grid(alpha=0.3, which="both")
+        place.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _draw_schedule(found: Found, path: Path) -> None:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    designed = found["designed"]
+    left.plot(1e3 * np.array(designed["time"]), 1e-3 * np.array(designed["value"]), "o-", label="designed")
+    right.plot([designed["units"]], [100 * designed["error"]], "*", markersize=14, label="designed")
+    left.set(xlabel="time [ms]", ylabel="pressure [kPa]")
+    for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
+        rows = found["ramps"][kind]
+        right.plot([row["units"] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
+    right.set(xscale="log", yscale="log", xlabel="ends at [units]", ylabel="deviation from the slow wall, rms [%]")
+    for axes in (left, right):
+        axes.grid(alpha=0.3, which="both")
+        axes.legend(frameon=False)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2g} %" if abs(value) < 0.1 else f"{100 * value:.1f} %"
+
+
+_SECTIONS = {"recover": _recover, "mass": _mass, "bottle": _bottle, "pressure": _pressure, "searches": _searches}

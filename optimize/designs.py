@@ -1,0 +1,106 @@
+"""What a search is told and what it makes of it: studies, limits, and designs that were evaluated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxform import Scene
+from optimize.objectives import Objective
+from optimize.variables import Variable
+
+COLUMNS: tuple[str, ...] = (
+    "evaluation",
+    "objective",
+    "thickness_rms_error",
+    "wall_min",
+    "wall_mean",
+    "wall_cv",
+    "mass",
+    "gradient_norm",
+    "iteration",
+    "simulations",
+    "seconds",
+)
+LIMIT_COLUMNS = ("violation", "multiplier")  # of objectives with constraints
+KEPT = 5e-3  # a limit counts as kept to half a per cent of it
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is designed and how.
+
+    Attributes:
+        scene: The scene to begin with.
+        variables: What may change.
+        objective: What is wanted.
+        method: "lbfgs", "adam", "least-squares" or "fixed-point".
+        iterations: Accepted steps at most; with constraints, in each of the rounds between which multipliers change.
+        tolerance: The search ends when the gradient's norm is below this fraction of the first one.
+        improvement: It ends when five steps together made the value smaller by less than this fraction of it.
+        goal: It ends when the objective is at most this; None for never.
+        learning_rate: Of Adam, in the unbounded numbers.
+        warm_start: So many updates of the fixed point before the search.
+        starts: From so many designs, strewn about the first one, the best is where the search begins.
+        rounds: At most so many rounds of multipliers.
+        document: Where the scene came from, for writing the best design.
+        digest: What tells this study apart from others, for going on with a search.
+        file: What to call it in messages.
+    """
+
+    scene: Scene
+    variables: tuple[Variable, ...]
+    objective: Objective
+    method: str = "lbfgs"
+    iterations: int = 30
+    tolerance: float = 1e-4
+    improvement: float = 1e-3
+    goal: float | None = None
+    learning_rate: float = 0.1
+    warm_start: int = 0
+    starts: int = 1
+    rounds: int = 8
+    document: Any = None
+    digest: str = ""
+    file: str = ""
+
+
+class Limits(NamedTuple):
+    """Multipliers (n,) of the constraints and the penalty on what breaks them."""
+
+    multipliers: jax.Array
+    penalty: jax.Array
+
+
+@dataclass
+class Point:
+    """A design that was evaluated.
+
+    Attributes:
+        free: Its unbounded numbers (n,).
+        value: What the search makes small: the objective with what its limits add; infinite where it fails.
+        gradient: Of the value (n,).
+        objective: The objective alone.
+        excess: Of its constraints (n,), relative to their limits; positive where a limit is broken.
+        row: Of the history.
+    """
+
+    free: np.ndarray
+    value: float
+    gradient: np.ndarray
+    objective: float = np.inf
+    excess: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    row: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def violation(self) -> float:
+        """By how much the worst limit is broken, relative to it; not below 0."""
+        return max(float(self.excess.max()), 0.0) if self.excess.size else 0.0
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The smaller the better: first whether limits are kept, then the objective."""
+        return (self.violation if self.violation > KEPT else 0.0, self.objective)

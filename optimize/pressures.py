@@ -1,0 +1,112 @@
+"""The pressure's history as a variable."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import InputError, Scene
+from optimize.variables import _EDGE, Bounds, bounded, check_bounds, limited, unbounded, unlimited
+
+_STEEPEST = {"linear": 1.0, "cubic-ramp": 3.0}  # the largest slope between two knots over the mean one
+
+
+class PressureKnots:
+    """Pressure at the knots of the scene's history, and how fast the history runs.
+
+    Args:
+        scene: The scene; its own pressure is the start.
+        bounds: Least and largest pressure [Pa].
+        increasing: Whether the pressure must never fall from knot to knot.
+        rate: Largest change from knot to knot [Pa/s], or None.
+        held: With a rate, whether the first knot keeps its value: else the history may begin with a jump.
+        end_time: Least and largest time of the last knot [s], with which all others move; None leaves them.
+
+    Raises:
+        InputError: If the bounds leave no room, or the history would outlast the simulation.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        bounds: Bounds,
+        increasing: bool = False,
+        rate: float | None = None,
+        held: bool = False,
+        end_time: Bounds | None = None,
+    ) -> None:
+        """See the class."""
+        check_bounds(bounds, positive=False)
+        self.bounds, self.increasing, self.rate, self.end_time = bounds, increasing, rate, end_time
+        self._time = np.asarray(scene.pressure.time, float)
+        self._steepest = _STEEPEST[scene.pressure.interpolation]
+        present = np.asarray(scene.pressure.value, float)
+        self._first = float(present[0]) if held and rate is not None else None
+        if rate is not None:
+            self._check_rate(rate)
+        timing = np.zeros(0) if end_time is None else self._start_of_time(end_time, float(scene.solver.end_time))
+        knots = self._time if end_time is None else self._time * self._stretch(jnp.asarray(timing))
+        self.start = np.concatenate([self._free(present, np.asarray(knots)), timing])
+
+    def _check_rate(self, rate: float) -> None:
+        if not 0.0 < rate < np.inf or len(self._time) < 2:
+            mend = "give Pa/s > 0 and a history of two knots or more"
+            raise InputError("limits nothing", mend, "variable.rate", rate)
+        if self._first is not None and not self.bounds[0] <= self._first <= self.bounds[1]:
+            problem = f"do not hold the history's first value, {self._first:g} Pa, which stays"
+            raise InputError(problem, "widen them", "variable.bounds", self.bounds)
+
+    def _start_of_time(self, end_time: Bounds, simulated: float) -> np.ndarray:
+        last = float(self._time[-1])
+        if not 0.0 < end_time[0] < end_time[1] or self._time[0] != 0.0:
+            mend = "give 0 < lower < upper, and a history from time 0"
+            raise InputError("leaves no room", mend, "variable.end_time", end_time)
+        if end_time[1] > simulated * (1 + 1e-12):
+            problem = f"is longer than the simulation, {simulated:g} s"
+            raise InputError(problem, "raise solver.end_time in the scene", "variable.end_time", end_time)
+        return np.atleast_1d(unbounded(last, end_time))
+
+    def _free(self, present: np.ndarray, time: np.ndarray) -> np.ndarray:
+        if self.rate is not None:
+            change = self.rate / self._steepest * np.diff(time)
+            designed = present if self._first is None else present[1:]
+            return unlimited(designed, self.bounds, change, self._first, self.increasing)
+        return self._shares(present) if self.increasing else unbounded(present, self.bounds)
+
+    def _shares(self, values: np.ndarray) -> np.ndarray:
+        """Of the way from the lower bound to the upper, what each knot climbs, and what is left; as logarithms."""
+        fraction = np.clip((values - self.bounds[0]) / (self.bounds[1] - self.bounds[0]), 0.0, 1.0)
+        climbs = np.diff(np.concatenate([[0.0], np.maximum.accumulate(fraction), [1.0]]))
+        climbs = np.maximum(climbs, _EDGE / len(climbs))
+        return np.log(climbs[:-1] / climbs[-1])
+
+    def _stretch(self, free: jax.Array) -> jax.Array:
+        """The history's new end over its old one, of the last of the unbounded numbers."""
+        assert self.end_time is not None
+        return bounded(free[-1], self.end_time) / self._time[-1]
+
+    def _values(self, free: jax.Array, time: jax.Array) -> jax.Array:
+        if self.rate is not None:
+            change = self.rate / self._steepest * jnp.diff(time)
+            rest = limited(free, self.bounds, change, self._first, self.increasing)
+            return rest if self._first is None else jnp.concatenate([jnp.asarray([self._first]), rest])
+        if not self.increasing:
+            return bounded(free, self.bounds)
+        climbs = jax.nn.softmax(jnp.append(free, 0.0))
+        return self.bounds[0] + (self.bounds[1] - self.bounds[0]) * jnp.cumsum(climbs)[:-1]
+
+    def changes(self, free: jax.Array) -> dict[str, jax.Array]:
+        """Pressure (n_knot,) [Pa], and the knots' times (n_knot,) [s] where they are designed."""
+        time = jnp.asarray(self._time)
+        if self.end_time is None:
+            return {"pressure.value": self._values(free, time)}
+        time = time * self._stretch(free)
+        return {"pressure.time": time, "pressure.value": self._values(free[:-1], time)}
+
+    def document(self, free: jax.Array) -> dict[str, Any]:
+        """The same as lists."""
+        return {path: np.asarray(values, float).tolist() for path, values in self.changes(free).items()}

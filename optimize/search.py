@@ -1,0 +1,328 @@
+"""Evaluations of designs: values, gradients, columns of the Jacobian; each a row of the history.
+
+A simulation that fails (its status is not 0, or its objective not finite) counts as infinitely bad. Limits are kept by
+an augmented Lagrangian (Hestenes, Powell, Rockafellar): each evaluation adds sum w [max(0, lambda + rho g)^2 -
+lambda^2] / (2 rho), and the multipliers lambda are brought up to date between searches.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxform
+from jaxform import Result, Scene
+from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
+from optimize.journal import Answer, Journal
+from optimize.variables import Variable
+from optimize.walls import wall
+
+_REFRESH = 5  # iterations with the same decisions about the mesh
+_IDLE_STEPS = 5
+_FIRST_PENALTY, _LARGER_PENALTY = 100.0, 4.0
+_CHECK_SIZES = (1e-3, 1e-4, 1e-5)  # of steps in the unbounded numbers, for the gradient's check
+_ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
+
+
+@dataclass
+class Search:
+    """Evaluates designs and remembers them.
+
+    Attributes:
+        study: What is designed.
+        on_evaluation: Called with every row of the history; a true answer stops the search.
+        forward_seconds: What a simulation without gradient takes of the processor, the unit of `simulations`: its time
+            does not depend on what else runs on the machine.
+        history: Rows so far.
+        simulations: Cost so far in simulations without gradient.
+        iteration: Which step of the search is being tried.
+        best: The best design so far.
+        stopped: Whether the caller wants no more.
+        schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
+        journal: What was asked and answered.
+        limits: Multipliers and penalty; None without constraints.
+        seconds: So far, those of earlier parts of the search included [s].
+        gradient_error: What `check` found; None before.
+        multiplier: The weighted sum of the multipliers when they were last brought up to date.
+        memory: What the method keeps from one round to the next; its own affair.
+    """
+
+    study: Study
+    on_evaluation: Callable[[dict[str, Any]], object] | None
+    forward_seconds: float
+    history: list[dict[str, Any]] = field(default_factory=list)
+    simulations: float = 1.0
+    iteration: int = 0
+    best: Point | None = None
+    stopped: bool = False
+    schedule: jaxform.Schedule | None = None
+    journal: Journal = field(default_factory=Journal)
+    limits: Limits | None = None
+    seconds: float = 0.0
+    gradient_error: float | None = None
+    multiplier: float = 0.0
+    memory: Any = None
+
+    def __post_init__(self) -> None:
+        splits = np.cumsum([variable.start.size for variable in self.study.variables])[:-1]
+        self._splits = [int(split) for split in splits]
+        self._began, self._clock = time.perf_counter(), time.process_time()
+        self._programs: dict[str, Any] = {}
+        self._curved: tuple[Point, np.ndarray] | None = None
+        if self.study.objective.constrained:
+            self.limits = self._first_limits()
+
+    def _first_limits(self) -> Limits:
+        shape = jax.eval_shape(
+            lambda scene: self.study.objective.constraints(scene, jaxform.simulate(scene)).excess, self.study.scene
+        ).shape
+        return Limits(jnp.zeros(shape), jnp.asarray(_FIRST_PENALTY))
+
+    @property
+    def start(self) -> np.ndarray:
+        """The scene's own design, as unbounded numbers (n,)."""
+        return np.concatenate([variable.start for variable in self.study.variables])
+
+    def _parts(self, free: jax.Array) -> list[tuple[Variable, jax.Array]]:
+        return list(zip(self.study.variables, jnp.split(free, self._splits), strict=True))
+
+    def parts(self, free: np.ndarray) -> list[tuple[Variable, np.ndarray]]:
+        """The variables, each with its unbounded numbers."""
+        return list(zip(self.study.variables, np.split(free, self._splits), strict=True))
+
+    def changes(self, free: jax.Array) -> dict[str, jax.Array]:
+        """What `jaxform.replace` takes."""
+        return {path: value for part, own in self._parts(free) for path, value in part.changes(own).items()}
+
+    def document(self, free: np.ndarray) -> dict[str, Any]:
+        """The same as dotted keys of a scene file."""
+        parts = self._parts(jnp.asarray(free))
+        return {key: value for part, own in parts for key, value in part.document(own).items()}
+
+    def scene(self, free: np.ndarray) -> Scene:
+        """The study's scene with a design."""
+        return jaxform.replace(self.study.scene, self.changes(jnp.asarray(free)))
+
+    # --- What is traced -----------------------------------------------------------------------------------------
+
+    def judged(self, scene: Scene, result: Result, limits: Limits | None) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """The value of a part, and what is reported of it; traced."""
+        objective = value = self.study.objective(scene, result)
+        report = {"objective": objective, "error": self.study.objective.error(scene, result)}
+        if limits is not None:
+            excess, weight = self.study.objective.constraints(scene, result)
+            report["excess"] = excess
+            multipliers, penalty = limits
+            pressed = jnp.maximum(multipliers + penalty * excess, 0.0)
+            value = value + jnp.sum(weight * (jnp.square(pressed) - jnp.square(multipliers))) / (2.0 * penalty)
+            report["multiplier"] = jnp.sum(weight * pressed)
+        if self.study.objective.aims:
+            there = result.active & (result.thickness > 0)
+            wanted = self.study.objective.wanted(result) / jnp.where(there, result.thickness, 1.0)
+            report["ratio"] = jax.lax.stop_gradient(jnp.where(there, wanted, 1.0))
+        return value, report | wall(scene, result)._asdict()
+
+    def _value(
+        self, free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None, limits: Limits | None
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        scene = jaxform.replace(scene, self.changes(free))
+        return self.judged(scene, jaxform.simulate(scene, schedule=schedule), limits)
+
+    def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
+        """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
+        if name not in self._programs:
+            self._programs[name] = jax.jit(function).lower(*arguments).compile()
+            self._clock = time.process_time()
+        return self._programs[name]
+
+    def compute(self, free: np.ndarray) -> tuple[tuple[jax.Array, dict[str, jax.Array]], jax.Array]:
+        """Value, report and gradient of a design by one simulation and its reverse."""
+        arguments = jnp.asarray(free), self.study.scene, self.schedule, self.limits
+        return self._program("gradient", jax.value_and_grad(self._value, has_aux=True), *arguments)(*arguments)
+
+    # --- What searches ask ----------------------------------------------------------------------------------------
+
+    def asked(self, kind: str, free: np.ndarray, work: Callable[[], Answer]) -> Answer:
+        """An answer of the journal, or of some work whose cost is counted."""
+
+        def compute() -> Answer:
+            self._clock = time.process_time()
+            answer = work()
+            spent = answer.pop("spent", time.process_time() - self._clock)
+            return answer | {"cost": spent / self.forward_seconds, "elapsed": time.perf_counter() - self._began}
+
+        answer, known = self.journal.ask(kind, free.tolist(), compute)
+        if known:
+            self._began = time.perf_counter() - answer["elapsed"]
+        self.simulations += answer["cost"]
+        self.seconds = answer["elapsed"]
+        return answer
+
+    def __call__(self, free: np.ndarray) -> Point:
+        """Value and gradient at a design, infinite where its simulation fails; a row of the history."""
+
+        def work() -> Answer:
+            (value, report), gradient = self.compute(free)
+            return _plain(report) | {"value": float(value), "gradient": np.asarray(gradient, float).tolist()}
+
+        return self.taken(free, self.asked("gradient", free, work))
+
+    def curvature(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
+        """The same for a sum of squares, with its Gauss-Newton matrix (n, n), from the deviations' slopes.
+
+        All directions go through one simulation forwards: its own numbers are worked out once for all of them.
+        """
+
+        def deviations(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> tuple[jax.Array, Any]:
+            scene = jaxform.replace(scene, self.changes(free))
+            result = jaxform.simulate(scene, schedule=schedule)
+            return self.study.objective.deviations(scene, result), self.judged(scene, result, None)
+
+        def columns(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> Any:
+            def column(direction: jax.Array) -> Any:
+                at = lambda free: deviations(free, scene, schedule)  # noqa: E731
+                deviation, slope, (value, report) = jax.jvp(at, (free,), (direction,), has_aux=True)
+                return deviation, slope, value, report
+
+            out = (None, 0, None, None)
+            deviation, slopes, value, report = jax.vmap(column, out_axes=out)(jnp.eye(free.size))
+            return value, report, 2.0 * slopes @ deviation, 2.0 * slopes @ slopes.T
+
+        def work() -> Answer:
+            arguments = jnp.asarray(free), self.study.scene, self.schedule
+            value, report, gradient, matrix = self._program("columns", columns, *arguments)(*arguments)
+            numbers = {"gradient": np.asarray(gradient, float).tolist(), "matrix": np.asarray(matrix, float).tolist()}
+            return _plain(report) | {"value": float(value)} | numbers
+
+        if self._curved is None or not np.array_equal(self._curved[0].free, free):
+            answer = self.asked("curvature", free, work)
+            self._curved = self.taken(free, answer), np.asarray(answer["matrix"])
+        return self._curved
+
+    def plain(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
+        """The same without gradient, and what is wanted of the wall over what is there (n_node,) where it is known."""
+        answer = self.asked("value", free, lambda: self._forward(free))
+        return self.taken(free, answer), np.asarray(answer.get("ratio", []))
+
+    def _forward(self, free: np.ndarray) -> Answer:
+        if self.schedule is not None:
+            arguments = jnp.asarray(free), self.study.scene, self.schedule, self.limits
+            value, report = self._program("value", self._value, *arguments)(*arguments)
+            return _plain(report) | {"value": float(value)}
+        scene = self.scene(free)
+        result = jaxform.run(scene)
+        arguments = scene, dataclasses.replace(result, seconds=None), self.limits
+        value, report = self._program("judge", self.judged, *arguments)(*arguments)
+        return _plain(report) | {"value": float(value)}
+
+    def check(self, point: Point) -> float:
+        """Relative difference of a gradient and central differences along one direction, the best of a few sizes."""
+        direction = np.random.default_rng(0).normal(size=point.free.size)
+        direction /= np.linalg.norm(direction)
+        slope, differences = float(point.gradient @ direction), []
+        for size in _CHECK_SIZES:
+            up, down = (self._probed(point.free + sign * size * direction) for sign in (1.0, -1.0))
+            differences.append(abs((up - down) / (2.0 * size) - slope) / max(abs(slope), 1e-300))
+        self.gradient_error = float(np.nanmin(differences))
+        return self.gradient_error
+
+    def _probed(self, free: np.ndarray) -> float:
+        return self.asked("check", free, lambda: self._forward(free))["value"]
+
+    def taken(self, free: np.ndarray, answer: Answer) -> Point:
+        """The point of an answer; it is the best one if it is, and a row of the history."""
+        gradient = np.asarray(answer.get("gradient", np.full(free.size, np.nan)), float)
+        excess = np.asarray(answer.get("excess", []), float)
+        point = Point(free, answer["value"], gradient, answer["objective"], excess)
+        bad = "gradient" in answer and not np.all(np.isfinite(gradient))
+        if answer["status"] or bad or not np.isfinite(point.value):
+            point = Point(free, np.inf, np.zeros_like(free))
+        elif self.best is None or point.rank < self.best.rank:
+            self.best = point
+        self._record(point, answer)
+        return point
+
+    def _record(self, point: Point, answer: Answer) -> None:
+        error, norm = answer["error"], float(np.linalg.norm(point.gradient))
+        numbers = (
+            len(self.history),
+            point.objective,
+            "" if np.isnan(error) else error,
+            answer["least"],
+            answer["mean"],
+            answer["variation"],
+            answer["mass"],
+            "" if np.isnan(norm) else norm,
+            self.iteration,
+            self.simulations,
+            self.seconds,
+        )
+        row: dict[str, Any] = dict(zip(COLUMNS, numbers, strict=True))
+        if self.limits is not None:
+            row |= {"violation": point.violation, "multiplier": answer["multiplier"]}
+        point.row = row
+        self.history.append(row)
+        if self.on_evaluation is not None and self.on_evaluation(row):
+            self.stopped = True
+
+    # --- Between iterations ------------------------------------------------------------------------------------------
+
+    def refreshed(self, point: Point) -> Point:
+        """The point with the decisions that a run of its design takes, where the mesh is refined and it is time.
+
+        In between the objective is smooth, for all simulations take the same decisions.
+        """
+        if self.schedule is None or self.iteration % _REFRESH:
+            return point
+        live = jaxform.run(self.scene(point.free))
+        self.simulations += 1.0
+        if int(live.status) or live.used.size != self._room:
+            return point
+        before = self.schedule, self.best
+        self.schedule, self.best = live.schedule, None
+        fresh = self(point.free)
+        if self.best is None:
+            self.schedule, self.best = before
+            return point
+        return fresh
+
+    @property
+    def _room(self) -> int:
+        refinement = self.study.scene.refinement
+        return 0 if refinement is None else refinement.elements
+
+    def press(self, point: Point, before: float) -> None:
+        """Brings the multipliers up to date after a round of searching, and the penalty where it did too little."""
+        assert self.limits is not None
+        multipliers, penalty = self.limits
+        multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
+        if point.violation > max(_ENOUGH * before, KEPT):
+            penalty = _LARGER_PENALTY * penalty
+        self.limits, self.multiplier = Limits(multipliers, penalty), point.row["multiplier"]
+
+    def done(self, point: Point, values: list[float], first: Point, steps: int = _IDLE_STEPS) -> str:
+        """Why the search ends at a point, after steps with these values; an empty text where it goes on.
+
+        So many steps together must have brought something.
+        """
+        study = self.study
+        if study.goal is not None and point.rank <= (0.0, study.goal):
+            return "the goal is reached"
+        if float(np.linalg.norm(point.gradient)) <= study.tolerance * float(np.linalg.norm(first.gradient)):
+            return "the gradient is small enough"
+        if len(values) > steps and values[-1 - steps] - values[-1] <= study.improvement * abs(values[-1]):
+            return "the last steps brought next to nothing"
+        return ""
+
+
+def _plain(report: dict[str, jax.Array]) -> Answer:
+    """As JSON keeps it."""
+    plain: Answer = {name: np.asarray(value, float).tolist() for name, value in report.items()}
+    return plain | {"status": int(report["status"])}

@@ -1,0 +1,233 @@
+"""The sheet's thickness as a variable: profiles along a place, and nodal fields of a smoothness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import interpolate, optimize
+
+from jaxform import InputError, Scene, sections
+from jaxform.profiles import Profile
+from optimize.variables import Bounds, bounded, check_bounds, limited, unbounded, unlimited
+
+Array = np.ndarray
+
+_CONTROLS_PER_LENGTH = 2.0  # a field's numbers stand half a smoothness apart
+_MOST_CONTROLS = 2000
+_MOST_EASE = 4.0
+
+
+class _Sheet:
+    """Thickness that is a fixed linear map of bounded numbers; a row of the map sums to 1, so it keeps their bounds."""
+
+    def __init__(self, scene: Scene, weights: Array, bounds: Bounds, change: Array | None = None) -> None:
+        self.bounds, self._change = bounds, change
+        self._weights = jnp.asarray(weights)
+        self._ease = _ease(scene, weights)
+        forest = scene.tables.forest
+        self._first_nodes = len(weights) if forest is None else forest.first_nodes
+        self.start = self.nearest(np.asarray(scene.parison.thickness, float))
+
+    def _values(self, free: jax.Array) -> jax.Array:
+        free = free * self._ease
+        if self._change is None:
+            return bounded(free, self.bounds)
+        return limited(free, self.bounds, self._change)
+
+    def changes(self, free: jax.Array) -> dict[str, jax.Array]:
+        """Nodal thickness (n_node,) [m]."""
+        return {"parison.thickness": self._weights @ self._values(free)}
+
+    def document(self, free: jax.Array) -> dict[str, Any]:
+        """Thickness at the nodes of the mesh (n_node,) [m], before it is refined."""
+        return {"parison.thickness": np.asarray(self.changes(free)["parison.thickness"], float)[: self._first_nodes]}
+
+    def nearest(self, thickness: Array) -> Array:
+        """The unbounded numbers that come closest to a nodal thickness (n_node,) [m], by least squares."""
+        weights, mean = np.asarray(self._weights), float(np.mean(thickness))
+        # Towards the mean, hardly: a number that no node feels has no best value.
+        hold = 1e-6 * np.eye(weights.shape[1])
+        rows = np.concatenate([weights, hold])
+        wanted = np.concatenate([thickness / mean, np.full(len(hold), 1e-6)])
+        # The plain solution first: where the bounds do not matter it is exact, and quick.
+        values = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+        low, high = self.bounds[0] / mean, self.bounds[1] / mean
+        if np.any((values < low) | (values > high)):
+            values = optimize.lsq_linear(rows, wanted, (low, high)).x
+        if self._change is None:
+            return unbounded(mean * values, self.bounds) / self._ease
+        return unlimited(mean * values, self.bounds, self._change) / self._ease
+
+
+def _ease(scene: Scene, weights: Array) -> Array:
+    """By how much each unbounded number (n,) is stretched, so that all do about as much to the part.
+
+    What one does goes with the root of its material; a search that knows no curvature yet would move those in the
+    middle of a disc too little.
+    """
+    triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
+    nodal = np.bincount(triangles.ravel(), np.repeat(area / 3.0, 3), len(weights))
+    share = nodal @ np.square(weights)
+    return np.clip(np.sqrt(share.mean() / np.maximum(share, 1e-300)), 1.0 / _MOST_EASE, _MOST_EASE)
+
+
+class ThicknessProfile(_Sheet):
+    """Initial thickness along a place in the initial sheet.
+
+    Args:
+        scene: The scene whose sheet is designed; its own thickness is the start.
+        along: "radius", "x", "y" or "z".
+        bounds: Least and largest thickness [m].
+        knots: Number of knots (of zones), evenly placed over the sheet; or
+        at: Their places [m], increasing (of zones, their borders).
+        interpolation: "linear" between knots; "cubic", a spline that the knots' values pull on, and in whose bounds and
+            slopes it stays; "zones", each of one thickness.
+        slope: Largest change of thickness along the place [m/m]; None for any.
+
+    Raises:
+        InputError: If the bounds leave no room, or neither or both of `knots` and `at` are given, or they do not go
+            with the interpolation.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        along: str,
+        bounds: Bounds,
+        knots: int | None = None,
+        at: Sequence[float] | None = None,
+        interpolation: str = "linear",
+        slope: float | None = None,
+    ) -> None:
+        """See the class."""
+        check_bounds(bounds)
+        if (knots is None) == (at is None):
+            raise InputError("needs knots or at", "give one of the two", "variable.knots", knots)
+        if slope is not None and interpolation == "zones":
+            raise InputError("does not go with zones, which jump", "leave one of them out", "variable.slope", slope)
+        self.along, self.interpolation = along, interpolation
+        first = _first_positions(scene)
+        place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(first)
+        if interpolation == "linear":
+            place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(np.asarray(scene.parison.positions, float))
+        self.at, weights = _along(place, knots, at, interpolation)
+        if interpolation != "linear":
+            weights = _spread(scene, weights)
+        super().__init__(scene, weights, bounds, None if slope is None else slope * np.diff(self.at))
+
+    def document(self, free: jax.Array) -> dict[str, Any]:
+        """The profile as a table; what a table cannot say, at the nodes of the mesh (n_node,) [m]."""
+        if self.interpolation != "linear":
+            return super().document(free)
+        value = np.asarray(self._values(free), float).tolist()
+        return {"parison.thickness": {"along": self.along, "at": self.at.tolist(), "value": value}}
+
+
+def _along(place: Array, knots: int | None, at: Sequence[float] | None, interpolation: str) -> tuple[Array, Array]:
+    """Where the numbers stand, and what each does to each node (n_node, n)."""
+    if interpolation == "cubic":
+        return _spline(place, knots, at)
+    count = (knots or 2) + (interpolation == "zones")
+    where = np.linspace(place.min(), place.max(), count) if at is None else np.asarray(at, float)
+    if interpolation == "zones":
+        zone = np.clip(np.searchsorted(where, place, side="right") - 1, 0, len(where) - 2)
+        return where, np.eye(len(where) - 1)[zone]
+    return where, np.stack([np.interp(place, where, row) for row in np.eye(len(where))], axis=1)
+
+
+def _spline(place: Array, knots: int | None, at: Sequence[float] | None) -> tuple[Array, Array]:
+    """Cubic B-splines: not negative and 1 together, so the spline keeps bounds and slopes of the numbers."""
+    if knots is None or knots < 4:
+        mend = "give the number of knots, at least 4"
+        raise InputError("does not go with these knots", mend, "variable.interpolation", "cubic")
+    low, high = place.min(), place.max()
+    inner = np.linspace(low, high, knots - 2)
+    edges = np.concatenate([[low] * 3, inner, [high] * 3])
+    inside = np.clip(place, low, high)
+    weights = interpolate.BSpline.design_matrix(inside, edges, 3).toarray()
+    return np.array([edges[k + 1 : k + 4].mean() for k in range(knots)]), weights
+
+
+class ThicknessField(_Sheet):
+    """Initial thickness at every node of the mesh, no finer than a length.
+
+    Numbers stand about half that length apart; each node takes their mean, weighted by the distance (and by that to
+    their images in the symmetry planes, so that the field is level across them).
+
+    Args:
+        scene: The scene whose sheet is designed; its own thickness is the start.
+        bounds: Least and largest thickness [m].
+        smoothness: The length [m]; 0 leaves every node of the mesh to itself.
+
+    Raises:
+        InputError: If the bounds leave no room, or the length is negative or far below the mesh's.
+    """
+
+    def __init__(self, scene: Scene, *, bounds: Bounds, smoothness: float = 0.0) -> None:
+        """See the class."""
+        check_bounds(bounds)
+        if not (0.0 <= smoothness < np.inf):
+            raise InputError("is not a length", "give metres, 0 for none", "variable.smoothness", smoothness)
+        positions = _first_positions(scene)
+        self.smoothness = smoothness
+        self.controls = np.arange(len(positions)) if smoothness == 0.0 else _apart(positions, smoothness)
+        if len(self.controls) > _MOST_CONTROLS:
+            problem = f"leaves {len(self.controls)} numbers to design"
+            raise InputError(problem, "give a longer one", "variable.smoothness", smoothness)
+        weights = np.eye(len(positions)) if smoothness == 0.0 else self._kernel(scene, positions)
+        super().__init__(scene, _spread(scene, weights), bounds)
+
+    def _kernel(self, scene: Scene, positions: Array) -> Array:
+        weights = np.zeros((len(positions), len(self.controls)))
+        for image in _images(scene, positions[self.controls]):
+            square = np.square(positions[:, None] - image[None]).sum(2)
+            weights += np.exp(-square / (0.5 * self.smoothness**2))
+        return weights / weights.sum(1, keepdims=True)
+
+
+def _apart(positions: Array, smoothness: float) -> Array:
+    """Nodes (n,) of which none is nearer to another than what a number needs, and no node is farther from all."""
+    room = np.full(len(positions), np.inf)
+    chosen: list[int] = []
+    next_one = int(np.argmin(positions @ np.array([1.0, 1.0, 1.0])))
+    while room[next_one] > smoothness / _CONTROLS_PER_LENGTH or not chosen:
+        chosen.append(next_one)
+        room = np.minimum(room, np.linalg.norm(positions - positions[next_one], axis=1))
+        next_one = int(np.argmax(room))
+    return np.sort(np.asarray(chosen))
+
+
+def _images(scene: Scene, points: Array) -> list[Array]:
+    """Points (n, 3) [m] and their images in the scene's symmetry planes."""
+    images = [points]
+    for axis, level in sections.symmetry_planes(scene).items():
+        flip = np.where(np.arange(3) == axis, -1.0, 1.0)
+        images += [image * flip + 2 * level * (np.arange(3) == axis) for image in images]
+    return images
+
+
+def _first_positions(scene: Scene) -> Array:
+    """Initial positions of the mesh's nodes before it is refined (n, 3) [m]."""
+    forest, positions = scene.tables.forest, np.asarray(scene.parison.positions, float)
+    return positions if forest is None else positions[: forest.first_nodes]
+
+
+def _spread(scene: Scene, weights: Array) -> Array:
+    """From the mesh's nodes (n, k) to all that refinement may make (n_node, k): the mean of their edge's ends."""
+    forest = scene.tables.forest
+    if forest is None:
+        return weights
+    ends = np.asarray(forest.ends)
+    spread = np.zeros((ends.shape[1], weights.shape[1]))
+    spread[: len(weights)] = weights
+    known = np.arange(ends.shape[1]) < len(weights)
+    while not known.all():
+        ready = ~known & known[ends].all(0)
+        spread[ready] = 0.5 * (spread[ends[0, ready]] + spread[ends[1, ready]])
+        known |= ready
+    return spread

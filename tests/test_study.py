@@ -1,0 +1,150 @@
+"""Study files: every kind of table is read, what is wrong is one line, and a kill loses nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxform
+import optimize
+from jaxform import catalog, cli, files, schema
+from jaxform.validation import validate
+
+SCENE = """
+name = "small"
+[parison]
+shape = "disc"
+radius = 0.1
+elements = 40
+symmetry = "quarter"
+thickness = 1.0e-3
+[material]
+model = "mooney-rivlin"
+c = 0.2e6
+alpha = 0.1
+density = 1000.0
+[pressure]
+time = [0.0, 0.1, 0.2]
+value = [0.0, 1.0e4, 2.0e4]
+[mold]
+shape = "revolved"
+profile = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
+segments = 24
+[solver]
+end_time = 0.22
+damping = 100.0
+"""
+PROFILE = 'kind = "thickness-profile"\nalong = "radius"\nknots = 4\nbounds = [5e-4, 2e-3]\n'
+TARGET = '[objective]\nkind = "target"\nthickness = 6e-4\n'
+
+
+def _write(folder: Path, variables: list[str], objective: str = TARGET, solver: str = 'method = "lbfgs"') -> Path:
+    (folder / "scene.toml").write_text(SCENE)
+    tables = "".join(f"[[variable]]\n{table}\n" for table in variables)
+    path = folder / "study.toml"
+    path.write_text(f'scene = "scene.toml"\n{tables}{objective}[solver]\n{solver}')
+    return path
+
+
+def test_every_kind_of_variable_and_objective_is_read(tmp_path: Path) -> None:
+    variables = [
+        PROFILE + 'interpolation = "cubic"\nslope = 0.05',
+        'kind = "pressure"\nbounds = [0.0, 4e4]\nrate = 3e5\nend_time = [0.05, 0.22]\nincreasing = true',
+        'kind = "scale"\nof = "material.c"\nbounds = [0.5, 2.0]',
+        'kind = "scale"\nof = "material.density"\nbounds = [0.5, 2.0]',
+    ]
+    objective = (
+        '[[objective]]\nkind = "uniform"\nweight = 2.0\n[[objective]]\nkind = "least-mass"\nminimum = 3e-4\n'
+        '[[objective]]\nkind = "forming-time"\n[[objective]]\nkind = "kinetic-energy"\n'
+        '[[objective]]\nkind = "target"\nthickness = { scene = "scene.toml" }\nlimit = 0.1\n'
+    )
+    path = _write(tmp_path, variables, objective, 'method = "adam"\nrounds = 3\ngoal = 1e-3\n')
+    study = optimize.load_study(path)
+    kinds = [type(variable).__name__ for variable in study.variables]
+    assert kinds == ["ThicknessProfile", "PressureKnots", "Scale", "Scale"]
+    assert (study.method, study.rounds, study.goal) == ("adam", 3, 1e-3)
+    assert isinstance(study.objective, optimize.Weighted)
+    parts = study.objective.parts
+    assert [type(part).__name__ for _, part in parts] == [
+        "Uniform",
+        "LeastMass",
+        "FormingTime",
+        "KineticEnergy",
+        "Target",
+    ]
+    assert [weight for weight, _ in parts] == [2.0, 1.0, 1.0, 1.0, 1.0]
+    # The wall that the same scene makes is no deviation of its own.
+    result = jaxform.run(study.scene)
+    assert float(parts[4][1].error(study.scene, result)) < 1e-12
+
+
+FIELD = 'kind = "thickness-field"\nbounds = [5e-4, 2e-3]\n'
+BAD = [
+    ([PROFILE + "slope = -1.0"], TARGET, "", "variable[0].slope"),
+    ([PROFILE + 'interpolation = "quintic"'], TARGET, "", "variable[0].interpolation"),
+    ([PROFILE + 'interpolation = "zones"\nslope = 1.0'], TARGET, "", "variable[0].slope"),
+    ([FIELD + "smoothness = -0.1"], TARGET, "", "variable[0].smoothness"),
+    ([FIELD + "smothness = 0.1"], TARGET, "", "did you mean smoothness"),
+    (['kind = "pressure"\nbounds = [0.0, 4e4]\nend_time = [0.1, 0.5]'], TARGET, "", "longer than the simulation"),
+    (['kind = "scale"\nof = "material.a01"\nbounds = [0.5, 2.0]'], TARGET, "", "no such number"),
+    (['kind = "scale"\nof = "colour"\nbounds = [0.5, 2.0]'], TARGET, "", "choose one of"),
+    (['kind = "scale"\nof = "material.c"\nbounds = [0.5, 2.0]'] * 2, TARGET, "", "there twice"),
+    ([PROFILE], '[objective]\nkind = "least-mas"\n', "", "did you mean least-mass"),
+    ([PROFILE], '[objective]\nkind = "least-mass"\n', "", "objective.minimum"),
+    ([PROFILE], '[[objective]]\nkind = "uniform"\nweight = 0.0\n', "", "objective[0].weight"),
+    ([PROFILE], TARGET.replace("6e-4", '{ scene = "nowhere" }'), "", "objective.thickness.scene"),
+    ([PROFILE], TARGET, 'method = "simplex"', "solver.method"),
+    ([PROFILE], TARGET, 'method = "least-squares"\nlearning_rate = 0.1', "learning_rate"),
+    ([PROFILE, FIELD], TARGET, "", "two variables"),
+    ([PROFILE], '[objective]\nkind = "least-mass"\nminimum = 3e-4\n', 'method = "least-squares"', "sum of squares"),
+]
+
+
+@pytest.mark.parametrize(("variables", "objective", "solver", "words"), BAD)
+def test_what_is_wrong_is_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], variables: list[str], objective: str, solver: str, words: str
+) -> None:
+    path = _write(tmp_path, variables, objective, solver or 'method = "lbfgs"')
+    assert cli.main(["optimize", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 1 and words in lines[0] and "study.toml" in lines[0], lines
+
+
+def test_the_command_goes_on_after_a_kill(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "_cache_folder", lambda: None)
+    solver = 'method = "fixed-point"\niterations = 3'
+    path, out = _write(tmp_path, [FIELD + "smoothness = 0.05"], TARGET, solver), tmp_path / "out"
+    assert cli.main(["optimize", str(path), "--out", str(out)]) == 0
+    whole = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
+    notes = out / "search.jsonl"
+    lines = notes.read_text().splitlines(keepends=True)
+    assert len(lines) == 1 + len(whole)
+    notes.write_text("".join(lines[:3]))
+    refused = cli.main(["optimize", str(path), "--out", str(out)])
+    assert refused == 2 and "--out" in capfd.readouterr().err
+    assert cli.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
+    assert "2 answers were known" in capfd.readouterr().out
+    again = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(again["objective"], whole["objective"])
+    facts = json.loads((out / "design.json").read_text())
+    assert facts["after"]["objective"] == whole["objective"].min() and facts["gradient_error"] is None
+    np.testing.assert_allclose(
+        float(jaxform.run(files.load(out / "best.toml")).mass), facts["after"]["mass"], rtol=1e-9
+    )
+    (tmp_path / "study.toml").write_text(path.read_text().replace("6e-4", "7e-4"))
+    assert cli.main(["optimize", str(path), "--out", str(out), "--resume"]) == 2
+    assert "another study" in capfd.readouterr().err
+
+
+def test_every_built_in_study_is_valid_and_so_is_its_scene() -> None:
+    scenes = catalog.built_in("scene")
+    for name, path in catalog.built_in("study").items():
+        model = validate(schema.StudyFile, catalog.read(path, "study").data, name)
+        assert model.description
+        if model.scene in scenes:
+            assert files.read_study(name).scene.name == model.scene
