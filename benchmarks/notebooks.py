@@ -25,6 +25,7 @@ def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
     notebook = nbformat.read(path, as_version=4)
     changes = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     changes[SMALL] = "1" if small else ""
+    changes["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # whatever the caller draws with
     if small:
         # Compiling is nearly all of it; less careful, it takes two thirds.
         changes["XLA_FLAGS"] = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"

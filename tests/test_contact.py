@@ -19,6 +19,7 @@ from jaxform.penetration import penetration, point_triangle_distance
 from jaxform.result import penetrated
 from jaxform.search import SearchGrid, build_grid
 from jaxform.state import State
+from jaxform.store import Store
 from tests import scenes
 
 
@@ -219,7 +220,7 @@ def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
     monkeypatch.setattr(nearness, "_ROOM_PER_NODE", 0)
     monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
     jax.clear_caches()
-    tight = jaxform.run(scene)
+    tight = jaxform.run(scene, store=Store())  # the program that is in memory has room
     jax.clear_caches()
     assert jaxform.explain(tight) == "ok"
     assert int(tight.shortened) > int(roomy.shortened)

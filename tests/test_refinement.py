@@ -145,7 +145,7 @@ def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> No
     for name in ("positions", "thickness", "used", "steps", "windows", "shortened", "velocities"):
         np.testing.assert_array_equal(getattr(again, name), getattr(live, name), err_msg=name)
     schedule = live.schedule
-    assert isinstance(schedule, Schedule) and int(schedule.counts.sum()) == int(live.steps)
+    assert isinstance(schedule, Schedule) and int((schedule.counts > 0).sum()) == int(live.windows)
     assert schedule.split_at is not None and int((schedule.split_at != NEVER).sum()) > 10
 
 

@@ -52,7 +52,7 @@ def test_what_sticks_is_packed_away() -> None:
     positions = state.positions + random
     load = force.Load(packed.taken(positions), sheet_body.thickness[packed.element], scenes.real(0.1), scene.material)
     got, volume = force.force(load, elements)
-    whole = sheet_body.whole
+    whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
     thickness = jnp.where(jnp.asarray(moving), sheet_body.thickness, 0.0)[whole.element]
     area = jnp.where(jnp.asarray(moving)[whole.element], whole.elements.area, 0.0)
     full = force.Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
@@ -108,7 +108,7 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
     @jax.jit
     def limit(positions: jax.Array, pressure: jax.Array) -> jax.Array:
         sheet_body = body(scene)
-        whole = sheet_body.whole
+        whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
         load = force.Load(whole.taken(positions.T), sheet_body.thickness[whole.element], pressure, scene.material)
         count = positions.shape[0]
         tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
