@@ -227,8 +227,10 @@ def _draw_schedule(found: Found, path: Path) -> None:
         rows = found["ramps"][kind]
         right.plot([row["units"] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
     right.set(xscale="log", yscale="log", xlabel="ends at [units]", ylabel="deviation from the slow wall, rms [%]")
+    right.set_xticks([3, 5, 10, 20, 40, 80], ["3", "5", "10", "20", "40", "80"])
+    right.set_xticks([], minor=True)
     for axes in (left, right):
-        axes.grid(alpha=0.3, which="both")
+        axes.grid(alpha=0.3)
         axes.legend(frameon=False)
     figure.savefig(path, dpi=110, metadata={"Software": None})
     plt.close(figure)
