@@ -114,12 +114,17 @@ def away_from_corner(places: np.ndarray, reference: Mapping[str, np.ndarray]) ->
     return np.abs(arc - corner) > CORNER * reference["arc"].max()
 
 
+def exact_ratio(places: np.ndarray, reference: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The exact h/h0 at initial radii [m]."""
+    order = np.argsort(reference["initial_radius"])
+    return np.interp(places, reference["initial_radius"][order], reference["thickness_ratio"][order])
+
+
 def wall_error(scene: Scene, result: Result, reference: Mapping[str, np.ndarray]) -> float:
     """Relative rms error of nodal h/h0 over the material, weighted by initial area, the corner left out."""
-    order = np.argsort(reference["initial_radius"])
     places = sections.initial_radius(scene)
-    exact = np.interp(places, reference["initial_radius"][order], reference["thickness_ratio"][order])
-    error = np.asarray(result.thickness) / np.asarray(scene.parison.thickness) / exact - 1
+    ratio = np.asarray(result.thickness) / np.asarray(scene.parison.thickness)
+    error = ratio / exact_ratio(places, reference) - 1
     triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
     weight = sum(np.bincount(triangles[:, k], area, len(places)) for k in range(3))
     away = away_from_corner(places, reference)

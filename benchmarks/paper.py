@@ -33,6 +33,7 @@ from benchmarks.sheets import best_in_turns, whole_loop
 from jaxform import files, plots, scenes, sections
 from jaxform.result import Result, only_used, summarize, wall_statistics
 from jaxform.scene import Scene
+from jaxform.store import Store
 
 Row = dict[str, Any]
 Part = tuple[Scene, Result]
@@ -83,8 +84,7 @@ def evenly(parts: Sequence[Part], count: int) -> list[Part]:
 
 def counted(name: str, scene: Scene) -> Row:
     """Elements and seconds of a scene's run on one core."""
-    jax.clear_caches()  # what was compiled for the pictures would come for nothing
-    first = jaxform.run(scene)
+    first = jaxform.run(scene, store=Store())  # in memory, what was compiled for the pictures would come for nothing
     assert first.seconds is not None and scene.mold is not None
     mold = len(scene.mold.triangles)
     scene = jaxform.fitted(scene, int(first.used.sum()))

@@ -1,4 +1,4 @@
-"""What refinement buys and costs: stages, error against time, overhead, smoothness along a line. `make refine`."""
+"""What refinement buys and costs: error against time, overhead, smoothness along a line. `make refine`."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ import numpy as np
 from matplotlib.tri import Triangulation
 
 import jaxform
-from benchmarks.accuracy import away_from_corner
+from benchmarks.accuracy import away_from_corner, exact_ratio
 from benchmarks.bench import one_core, say
 from benchmarks.sheets import best_in_turns
-from jaxform import body, files, plots, refinement, simulation, stepping
+from jaxform import body, files, refinement, simulation, stepping
 from jaxform.result import Result, only_used
 from jaxform.scene import Scene
 from jaxform.state import State, finished
 
 Row = dict[str, Any]
 _GRID = 240  # points along each side at which walls are compared
-_STAGES = 4  # of a picture
 
 
 def build(name: str, elements: int, limits: dict[str, Any], **changes: dict[str, Any]) -> Scene:
@@ -80,8 +79,7 @@ def exact_dish(scene: Scene, result: Result) -> float:
     scene, result = only_used(scene, result)
     triangles, start = np.asarray(result.triangles), np.asarray(scene.parison.positions)
     place = np.hypot(*start[triangles].mean(1)[:, :2].T)
-    order = np.argsort(reference["initial_radius"])
-    exact = np.interp(place, reference["initial_radius"][order], reference["thickness_ratio"][order])
+    exact = exact_ratio(place, reference)
     ratio = np.asarray(result.element_thickness) / np.asarray(scene.parison.thickness)[triangles].mean(1)
     away = away_from_corner(place, reference)
     weight = np.asarray(result.element_volume)[away]
@@ -242,35 +240,12 @@ def draw(found: dict[str, list[Row]], folder: Path) -> None:
         figure.savefig(folder / "refinement-smoothness.png", dpi=110)
 
 
-def show_stages() -> list[Row]:
-    """Four stages of dish and box, drawn."""
-    rows = []
-    for name, scene in (
-        ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
-        ("box", jaxform.load("box-insert")),
-    ):
-        scene = jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
-        parts: list[Result] = []
-        ends = np.linspace(0, 1, _STAGES + 1)[1:] * float(jaxform.run(scene).time)
-        jaxform.run(scene, on_window=lambda moment, ends=ends, parts=parts: _keep(moment, ends, parts))
-        plots.stages_picture(Path("docs") / f"{name}-stages.png", scene, parts)
-        rows.append({"scene": name, "elements": [int(part.used.sum()) for part in parts]})
-        say(rows[-1])
-    return rows
-
-
-def _keep(moment: jaxform.Moment, ends: np.ndarray, parts: list[Result]) -> None:
-    if len(parts) < len(ends) and moment.time >= (1 - 1e-6) * ends[len(parts)]:
-        parts.append(moment.result())
-
-
 SECTIONS: dict[str, Callable[[], list[Row]]] = {
     "dish": show_dish,
     "box": show_box,
     "tray": show_tray,
     "overhead": show_overhead,
     "smoothness": show_smoothness,
-    "stages": show_stages,
 }
 
 

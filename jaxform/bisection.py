@@ -60,12 +60,12 @@ class Forest:
         return np.repeat(np.arange(self.depth + 1), self.root_count << np.arange(self.depth + 1)).astype(np.int32)
 
 
-def extended(values: NDArray[np.floating], forest: Forest) -> NDArray[np.floating]:
-    """Values at all nodes (n_node, ...) from those at the mesh's: new nodes have their ends' mean."""
-    count, whole = len(values), np.zeros((len(forest.ends), *values.shape[1:]))
+def extended(values: NDArray[np.floating], ends: NDArray[np.integer], depth: int) -> NDArray[np.floating]:
+    """Values at all nodes (n_node, ...) from those at the mesh's: new nodes have the mean of their ends (n_node, 2)."""
+    count, whole = len(values), np.zeros((len(ends), *values.shape[1:]))
     whole[:count] = values
-    for _ in range(forest.depth):  # a new node can be the end of a newer one's edge
-        whole[count:] = whole[forest.ends[count:]].mean(1)
+    for _ in range(depth):  # a new node can be the end of a newer one's edge
+        whole[count:] = whole[ends[count:]].mean(1)
     return whole
 
 

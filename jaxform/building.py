@@ -175,7 +175,8 @@ def _planted(parison: Parison, refinement: Refinement) -> tuple[bisection.Forest
         clamped=np.asarray(parison.clamped),
         fixed=np.asarray(parison.fixed),
     )
-    return forest, grown_parison(forest, bisection.extended(np.asarray(parison.thickness, float), forest))
+    thickness = bisection.extended(np.asarray(parison.thickness, float), forest.ends, forest.depth)
+    return forest, grown_parison(forest, thickness)
 
 
 def grown_parison(forest: bisection.Forest, thickness: np.ndarray | float) -> Parison:

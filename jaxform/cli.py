@@ -276,8 +276,7 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     step = float(jax.jit(first_step)(scene))
     parison, law = scene.parison, document.model.material.model
     forest, refinement = scene.tables.forest, scene.refinement
-    first = len(parison.positions) if forest is None else forest.first_nodes
-    yield f"{scene.name}: {len(parison.triangles)} elements, {first} nodes, {law}"
+    yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
     if forest is not None and refinement is not None:
         yield (
             f"refined up to level {refinement.deepest} of {forest.depth}, looked at every {refinement.interval} steps: "

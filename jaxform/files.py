@@ -172,7 +172,7 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.For
     if forest is None:
         thickness = _thickness(document, sheet)
         return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
-    given = {name: bisection.extended(values, forest) for name, values in sheet.fields.items()}
+    given = {name: bisection.extended(values, forest.ends, forest.depth) for name, values in sheet.fields.items()}
     return grown_parison(forest, _thickness(document, replace(sheet, positions=forest.positions, fields=given)))
 
 

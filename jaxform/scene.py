@@ -247,6 +247,12 @@ class Scene:
     name: str = static(default="scene")
 
     @property
+    def first_nodes(self) -> int:
+        """Nodes of the mesh before it is refined."""
+        forest = self.tables.forest
+        return len(self.parison.positions) if forest is None else forest.first_nodes
+
+    @property
     def packs_moving(self) -> bool:
         """Whether windows work through what can still move alone."""
         return self.mold is not None and self.solver.skip_stuck

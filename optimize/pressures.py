@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import InputError, Scene
-from optimize.variables import _EDGE, Bounds, bounded, check_bounds, limited, unbounded, unlimited
+from optimize.variables import EDGE, Bounds, bounded, check_bounds, limited, unbounded, unlimited
 
 _STEEPEST = {"linear": 1.0, "cubic-ramp": 3.0}  # the largest slope between two knots over the mean one
 
@@ -81,7 +81,7 @@ class PressureKnots:
         """Of the way from the lower bound to the upper, what each knot climbs, and what is left; as logarithms."""
         fraction = np.clip((values - self.bounds[0]) / (self.bounds[1] - self.bounds[0]), 0.0, 1.0)
         climbs = np.diff(np.concatenate([[0.0], np.maximum.accumulate(fraction), [1.0]]))
-        climbs = np.maximum(climbs, _EDGE / len(climbs))
+        climbs = np.maximum(climbs, EDGE / len(climbs))
         return np.log(climbs[:-1] / climbs[-1])
 
     def _stretch(self, free: jax.Array) -> jax.Array:

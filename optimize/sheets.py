@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import interpolate, optimize
 
-from jaxform import InputError, Scene, sections
+from jaxform import InputError, Scene, bisection, sections
 from jaxform.profiles import Profile
 from optimize.variables import Bounds, bounded, check_bounds, limited, unbounded, unlimited
 
@@ -28,8 +28,7 @@ class _Sheet:
         self.bounds, self._change = bounds, change
         self._weights = jnp.asarray(weights)
         self._ease = _ease(scene, weights)
-        forest = scene.tables.forest
-        self._first_nodes = len(weights) if forest is None else forest.first_nodes
+        self._first_nodes = scene.first_nodes
         self.start = self.nearest(np.asarray(scene.parison.thickness, float))
 
     def _values(self, free: jax.Array) -> jax.Array:
@@ -213,21 +212,10 @@ def _images(scene: Scene, points: Array) -> list[Array]:
 
 def _first_positions(scene: Scene) -> Array:
     """Initial positions of the mesh's nodes before it is refined (n, 3) [m]."""
-    forest, positions = scene.tables.forest, np.asarray(scene.parison.positions, float)
-    return positions if forest is None else positions[: forest.first_nodes]
+    return np.asarray(scene.parison.positions, float)[: scene.first_nodes]
 
 
 def _spread(scene: Scene, weights: Array) -> Array:
-    """From the mesh's nodes (n, k) to all that refinement may make (n_node, k): the mean of their edge's ends."""
+    """From the mesh's nodes (n, k) to all that refinement may make (n_node, k)."""
     forest = scene.tables.forest
-    if forest is None:
-        return weights
-    ends = np.asarray(forest.ends)
-    spread = np.zeros((ends.shape[1], weights.shape[1]))
-    spread[: len(weights)] = weights
-    known = np.arange(ends.shape[1]) < len(weights)
-    while not known.all():
-        ready = ~known & known[ends].all(0)
-        spread[ready] = 0.5 * (spread[ends[0, ready]] + spread[ends[1, ready]])
-        known |= ready
-    return spread
+    return weights if forest is None else bisection.extended(weights, np.asarray(forest.ends).T, forest.depth)

@@ -18,7 +18,7 @@ from jaxform import InputError, Scene
 
 Bounds = tuple[float, float]
 
-_EDGE = 1e-3  # of the range: where a start that lies on a bound is put, for on it the map has no slope
+EDGE = 1e-3  # of the range: where a start that lies on a bound is put, for on it the map has no slope
 SCALABLE = (
     "material.c",
     "material.alpha",
@@ -69,7 +69,7 @@ def bounded(free: jax.Array, bounds: Any) -> jax.Array:
 
 def unbounded(values: Any, bounds: Any) -> np.ndarray:
     """Inverse of `bounded`; values on or beyond a bound are moved just inside it."""
-    fraction = np.clip((np.asarray(values, float) - bounds[0]) / (bounds[1] - bounds[0]), _EDGE, 1 - _EDGE)
+    fraction = np.clip((np.asarray(values, float) - bounds[0]) / (bounds[1] - bounds[0]), EDGE, 1 - EDGE)
     return np.log(fraction / (1 - fraction))
 
 
@@ -138,8 +138,7 @@ class Scale:
             jaxform.replace(scene, {of: 1.0})  # says what the scene has instead
         self.of, self.bounds = of, bounds
         self._present = jnp.asarray(present)
-        forest = scene.tables.forest
-        self._kept = self._present.size if forest is None or of != "parison.thickness" else forest.first_nodes
+        self._first_nodes = scene.first_nodes
         self.start = np.atleast_1d(unbounded(1.0, bounds))
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
@@ -150,6 +149,6 @@ class Scale:
         """The same; a sheet that is not of one thickness as a nodal field of the mesh, (n_node,) [m]."""
         values = np.asarray(self.changes(free)[self.of], float)
         if self.of == "parison.thickness":
-            values = values[: self._kept]
+            values = values[: self._first_nodes]
             return {self.of: float(values[0]) if np.ptp(values) == 0.0 else values}
         return {self.of: values.tolist()}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform import Result, Scene
+from jaxform import Result, Scene, membrane
 
 
 def formed_area(result: Result) -> jax.Array:
@@ -26,10 +26,7 @@ def nodal_volume(result: Result) -> jax.Array:
 
 
 def _to_nodes(result: Result, values: jax.Array) -> jax.Array:
-    share, total = values / 3.0, jnp.zeros_like(result.thickness)
-    for corner in result.triangles.T:
-        total = total.at[corner].add(share)
-    return total
+    return membrane.sum_to_nodes(values / 3.0, result.triangles.T, result.thickness.size)
 
 
 class Wall(NamedTuple):

@@ -16,6 +16,31 @@ from jaxform.scene import Scene
 from jaxform.shapes import Sheet
 from jaxform.state import State
 
+FILE = """
+name = "small"
+[parison]
+shape = "disc"
+radius = 0.1
+elements = 40
+symmetry = "quarter"
+thickness = 1.0e-3
+[material]
+model = "mooney-rivlin"
+c = 0.2e6
+alpha = 0.1
+density = 1000.0
+[pressure]
+time = [0.0, 0.2]
+value = [0.0, 2.0e4]
+[mold]
+shape = "revolved"
+profile = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
+segments = 48
+[solver]
+end_time = 0.05
+damping = 100.0
+"""
+
 
 def real(value: float) -> jnp.ndarray:
     return jnp.asarray(value, float)

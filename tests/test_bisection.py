@@ -145,7 +145,8 @@ def test_children_halve_their_parent_and_nodes_know_their_edge() -> None:
     np.testing.assert_array_equal(np.sort(forest.ends[forest.middle[inner]]), np.sort(forest.triangles[inner, 1:]))
     np.testing.assert_array_equal(forest.partner[forest.partner], np.arange(len(area)))
     values = forest.positions[: len(positions)] @ [1.0, 2.0, 3.0]
-    np.testing.assert_allclose(bisection.extended(values, forest), forest.positions @ [1.0, 2.0, 3.0], atol=1e-12)
+    extended = bisection.extended(values, forest.ends, forest.depth)
+    np.testing.assert_allclose(extended, forest.positions @ [1.0, 2.0, 3.0], atol=1e-12)
 
 
 def test_a_disc_s_rim_stays_round_clamped_and_on_its_planes() -> None:

@@ -12,31 +12,15 @@ import jaxform
 import optimize
 from jaxform import catalog, cli, files, schema
 from jaxform.validation import validate
+from tests import scenes
 
-SCENE = """
-name = "small"
-[parison]
-shape = "disc"
-radius = 0.1
-elements = 40
-symmetry = "quarter"
-thickness = 1.0e-3
-[material]
-model = "mooney-rivlin"
-c = 0.2e6
-alpha = 0.1
-density = 1000.0
-[pressure]
-time = [0.0, 0.1, 0.2]
-value = [0.0, 1.0e4, 2.0e4]
-[mold]
-shape = "revolved"
-profile = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
-segments = 24
-[solver]
-end_time = 0.22
-damping = 100.0
-"""
+SCENE = (
+    scenes.FILE.replace(
+        "time = [0.0, 0.2]\nvalue = [0.0, 2.0e4]", "time = [0.0, 0.1, 0.2]\nvalue = [0.0, 1.0e4, 2.0e4]"
+    )
+    .replace("segments = 48", "segments = 24")
+    .replace("end_time = 0.05", "end_time = 0.22")
+)
 PROFILE = 'kind = "thickness-profile"\nalong = "radius"\nknots = 4\nbounds = [5e-4, 2e-3]\n'
 TARGET = '[objective]\nkind = "target"\nthickness = 6e-4\n'
 

@@ -72,11 +72,12 @@ def dish(
         InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
     """
     changes = {"parison.radius": radius, "parison.symmetry": symmetry, "parison.thickness": thickness}
-    data = _table("dish", changes, material, pressure, end_time, damping, refinement)
+    document = files.read_scene("dish")
+    data = _table(document, changes, material, pressure, end_time, damping, refinement)
     _set_fineness(data, elements, element_size)
     if (radius, depth, wall_angle) != (None, None, None):
         data["mold"]["profile"] = _cup(data["mold"]["profile"], radius, depth, wall_angle)
-    return _built("dish", data)
+    return _built("dish", document, data)
 
 
 def box_insert(
@@ -130,9 +131,10 @@ def box_insert(
         "mold.insert_height": insert_height,
         "mold.draft": draft,
     }
-    data = _table("box-insert", changes, material, pressure, end_time, damping, refinement)
+    document = files.read_scene("box-insert")
+    data = _table(document, changes, material, pressure, end_time, damping, refinement)
     _set_fineness(data, elements, element_size)
-    return _built("box-insert", data)
+    return _built("box_insert", document, data)
 
 
 def soap_bottle(
@@ -186,12 +188,13 @@ def soap_bottle(
         "parison.element_size": element_size,
         "mold.element_size": mold_element_size,
     }
-    data = _table("soap-bottle", changes, material, pressure, end_time, damping, refinement)
-    return _built("soap-bottle", data)
+    document = files.read_scene("soap-bottle")
+    data = _table(document, changes, material, pressure, end_time, damping, refinement)
+    return _built("soap_bottle", document, data)
 
 
 def _table(
-    name: str,
+    document: files.SceneDocument,
     changes: Keys,
     material: Keys | None,
     pressure: float | Keys | None,
@@ -199,8 +202,8 @@ def _table(
     damping: float | None,
     refinement: Keys | Literal[False] | None,
 ) -> dict[str, Any]:
-    """The tables of a built-in scene with changes at dotted keys; what is None stays."""
-    data = copy.deepcopy(files.read_scene(name).data)
+    """The tables of a scene file with changes at dotted keys; what is None stays."""
+    data = copy.deepcopy(document.data)
     changes = {**changes, "solver.end_time": end_time, "solver.damping": damping}
     for key, value in changes.items():
         if value is not None:
@@ -284,8 +287,6 @@ def _ranged(key: str, value: Any, otherwise: float, least: float, most: float) -
     return float(number)
 
 
-def _built(name: str, data: dict[str, Any]) -> Scene:
-    document = files.read_scene(name)
-    file = f"jaxform.scenes.{name.replace('-', '_')}"
-    model = validate(schema.SceneFile, data, file)
-    return files.build(files.SceneDocument(file, document.folder, data, model))
+def _built(name: str, document: files.SceneDocument, data: dict[str, Any]) -> Scene:
+    file = f"jaxform.scenes.{name}"
+    return files.build(files.SceneDocument(file, document.folder, data, validate(schema.SceneFile, data, file)))
