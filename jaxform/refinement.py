@@ -34,8 +34,9 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
     if refinement is None or forest is None or mesh is None:
         return state, sheet_body
     if schedule is not None and schedule.split_at is not None:
-        due = jnp.any((schedule.split_at <= state.windows) & (mesh.split_at == NEVER))
-        wanted = functools.partial(_planned, planned=schedule.split_at)
+        planned = schedule.split_at <= schedule.upcoming(state.row)
+        due = jnp.any(planned & (mesh.split_at == NEVER))
+        wanted = functools.partial(_planned, planned=planned)
     else:
         due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
         wanted = _wanted
@@ -50,10 +51,10 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
 
 
 def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:
-    """What is bisected (n_triangle,) by plan at the latest now, and those of it that are not yet."""
+    """What is bisected (n_triangle,) where that is planned by now, and those of it that are not yet."""
     mesh, forest = state.mesh, scene.tables.forest
     assert mesh is not None and forest is not None
-    new = (planned <= state.windows) & (mesh.split_at == NEVER)
+    new = planned & (mesh.split_at == NEVER)
     return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
 
 

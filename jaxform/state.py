@@ -32,14 +32,19 @@ class Schedule:
     """The decisions of a run, taken at its windows' borders; given to another run, they are taken as they are.
 
     Attributes:
-        lengths: Of the steps of each window (n_window,) [s]; 0 for windows that were not taken.
-        counts: Steps of each window (n_window,).
+        lengths: Of the steps of each window (n_window,) [s].
+        counts: Steps of each window (n_window,); 0 for windows that were not taken, or tried in vain.
         split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
     """
 
     lengths: jax.Array
     counts: jax.Array
     split_at: jax.Array | None
+
+    def upcoming(self, row: jax.Array) -> jax.Array:
+        """The first window from `row` on that has steps; the number of windows where none has."""
+        index = jnp.arange(self.counts.size, dtype=row.dtype)
+        return jnp.min(jnp.where((index >= row) & (self.counts > 0), index, index.size))
 
 
 @pytree
@@ -63,7 +68,8 @@ class State:
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
         mesh: Which triangles of the forest there are; None without refinement.
         refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
-        last_length, last_count: Step length [s] and steps of the last window, taken or tried in vain.
+        last_length, last_count: Step length [s] and steps of the last window; no steps where it was tried in vain.
+        row, row_time: Of a schedule that is followed: whose steps come next, and how much of their time is over [s].
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
     """
@@ -87,6 +93,8 @@ class State:
     refinement_loss: jax.Array
     last_length: jax.Array
     last_count: jax.Array
+    row: jax.Array
+    row_time: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
@@ -124,6 +132,8 @@ def initial_state(scene: Scene) -> State:
         refinement_loss=zero,
         last_length=zero,
         last_count=none,
+        row=none,
+        row_time=zero,
         steps=none,
         windows=none,
         shortened=none,

@@ -20,12 +20,13 @@ from jaxform.body import Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
 from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
-from jaxform.pytree import pytree, static
+from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Schedule, State, Status, account, can_move, counted_volume, enclosed_volume, last_pressure
 from jaxform.timestep import choose_step
 
 _MOST_RETRIES = 12
+_SLACK = 1e-3  # of a step: less is rounding
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 
 
@@ -58,8 +59,8 @@ class _Window:
         compliance: Mobility over mass (3, place) [1/kg].
         begin: Its begin [s].
         length: The step [s].
-        most: How many steps it takes.
-        scheduled: Whether a schedule says how many steps it takes, so that nothing else cuts it short.
+        most: How many steps it takes, unless it is cut short.
+        row, left: Of a schedule that is followed: whose steps these are, and the time that is left of it [s].
         idle_volume: Enclosed by what is not worked through [m^3].
         near: The list of nodes near the mold; None where there is no mold.
     """
@@ -71,9 +72,10 @@ class _Window:
     begin: jax.Array
     length: jax.Array
     most: jax.Array | int
+    row: jax.Array | None
+    left: jax.Array | None
     idle_volume: jax.Array | float
     near: Near | None
-    scheduled: bool = static(default=False)
 
 
 def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _Window) -> _Moving:
@@ -212,7 +214,7 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         contact_time=landing.contact_time,
         wall=landing.wall,
         contact_loss=landing.loss,
-        halted=moved.halted | (moved.count >= now.most if now.scheduled else taken.leaving),
+        halted=moved.halted | taken.leaving | (moved.count >= now.most),
     )
 
 
@@ -221,10 +223,13 @@ def window(
 ) -> State:
     """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
 
-    Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
+    A design may move faster than the one whose schedule it follows: contact then cuts its window short, and the next
+    one goes on with the steps that are left; or it is taken anew with shorter ones, as any other. Where no derivative
+    is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
     packed = worked_through(state, scene, sheet_body)
-    length, mode, rate, most = _decided(state, scene, sheet_body, packed, schedule)
+    decided = _decided(state, scene, sheet_body, packed, schedule)
+    length = decided.length
     index = jnp.arange(STEPS_PER_WINDOW)
     times = state.time + index * length
     pressure = scene.pressure.at(times)
@@ -238,8 +243,9 @@ def window(
         compliance=packed.taken(sheet_body.compliance),
         begin=state.time,
         length=length,
-        most=most,
-        scheduled=schedule is not None,
+        most=decided.most,
+        row=decided.row,
+        left=decided.left,
         idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
         near=_list_near(moving, scene, length),
     )
@@ -254,22 +260,45 @@ def window(
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
-    return _close(dataclasses.replace(state, mode=mode, rate=rate), moving, scene, sheet_body, now)
+    return _close(dataclasses.replace(state, mode=decided.mode, rate=decided.rate), moving, scene, sheet_body, now)
 
 
-def _decided(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None
-) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array | int]:
-    """The step [s], the mode and squared frequency that it was measured with, and how many steps there are."""
+class _Decisions(NamedTuple):
+    """What is decided at a window's border.
+
+    The step [s], the mode and squared frequency that it was measured with, and how many there are at most; the row of
+    the schedule that they belong to, where one is followed, and the time that is left of it [s].
+    """
+
+    length: jax.Array
+    mode: jax.Array | None
+    rate: jax.Array
+    most: jax.Array | int
+    row: jax.Array | None = None
+    left: jax.Array | None = None
+
+
+def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        return *choose_step(state, scene, sheet_body, packed), STEPS_PER_WINDOW
-    at = jnp.minimum(state.windows, schedule.lengths.size - 1)
-    planned = schedule.lengths[at]
-    most = jnp.where(planned > 0.0, jnp.maximum(schedule.counts[at], 1), STEPS_PER_WINDOW)
-    rest = (scene.solver.end_time - state.time) / most
-    # Beyond what was recorded, the rest in one window.
-    length = jnp.where(planned > 0.0, jnp.minimum(planned, jnp.maximum(rest, 0.0)), rest)
-    return jax.lax.stop_gradient(length), state.mode, state.rate, most
+        return _Decisions(*choose_step(state, scene, sheet_body, packed), STEPS_PER_WINDOW)
+    row = schedule.upcoming(state.row)
+
+    def as_planned(state: State, scene: Scene, *_: Any) -> _Decisions:
+        length, count = schedule.lengths[row], schedule.counts[row]
+        left = jnp.minimum(length * count - state.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
+        # As many as planned, if none of them is taken yet; else what is left is divided evenly.
+        steps = jnp.ceil(left / length * jnp.exp2(state.retries) - _SLACK).astype(count.dtype)
+        fresh = (steps == count) & (state.row_time == 0.0)
+        even = left / jnp.maximum(steps, 1)
+        most = jnp.clip(steps, 1, STEPS_PER_WINDOW)
+        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), state.mode, state.rate, most, row, left)
+
+    def beyond(*now: Any) -> _Decisions:
+        most = jnp.full_like(schedule.counts[0], STEPS_PER_WINDOW)
+        return _Decisions(*choose_step(*now), most, row, jnp.full_like(state.time, jnp.inf))
+
+    now = (*jax.lax.stop_gradient((state, scene, sheet_body)), packed)
+    return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
 
 
 def worked_through(state: State, scene: Scene, sheet_body: Body) -> Packed:
@@ -361,6 +390,11 @@ def _close(
         status = jnp.where(missed, state.status, status) | jnp.where(hopeless, Status.CONTACT_MISSED, 0)
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
         bad, retries = bad | missed, jnp.where(missed, retries + 1, jnp.maximum(retries - 1, 0))
+    if now.row is not None and now.left is not None:
+        spent = moving.count * now.length
+        whole = now.left - spent <= _SLACK * now.length
+        row_time = jnp.where(whole, 0.0, state.row_time + spent)
+        new = dataclasses.replace(new, row=jnp.where(whole, now.row + 1, now.row), row_time=row_time)
     kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
@@ -370,7 +404,7 @@ def _close(
         windows=new.windows,
         shortened=shortened,
         last_length=now.length,
-        last_count=moving.count,
+        last_count=jnp.where(bad, 0, moving.count),
     )
 
 
