@@ -98,7 +98,9 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "damping_loss",
         "contact_loss",
         "refinement_loss",
+        "kinetic_peak",
         "balance_error",
+        "haste",
     }
     assert summary["energy"]["balance_error"] < 1e-2
     part = meshio.read(out / "final.vtu")
