@@ -74,11 +74,11 @@ def limit_point(alpha: float = 0.0) -> float:
     return -float(found.fun)
 
 
-class Square(NamedTuple):
-    """A clamped square [0, 1]^2 under pressure.
+class Rectangle(NamedTuple):
+    """A clamped rectangle [0, r] x [0, 1] under pressure.
 
     Attributes:
-        height: Of the middle, over the side.
+        height: Of the middle, over the short side.
         thickness: h / h0 at points (n, 2), as a function.
     """
 
@@ -86,14 +86,16 @@ class Square(NamedTuple):
     thickness: Any
 
 
-def square(pressure: float, degree: int, points: int = 40) -> Square:
-    """A clamped neo-Hookean square by Ritz's method: the potential energy of polynomials is stationary.
+def rectangle(pressure: float, alpha: float, ratio: float, degree: int = 8, points: int = 32) -> Rectangle:
+    """A clamped rectangle by Ritz's method: the potential energy of polynomials is stationary.
 
     Displacements are (1 - x^2) (1 - y^2) times Legendre polynomials over [-1, 1]^2 that are even or odd, as symmetry
     asks; Newton's method from a flat sheet with the pressure in parts. The pressure's potential is minus P V.
 
     Args:
-        pressure: P L / (c h0) of a square of side L.
+        pressure: P L / (c h0), L the short side.
+        alpha: Of the law.
+        ratio: Long over short side.
         degree: Polynomials up to twice this degree along each side.
         points: Of Gauss along half a side.
     """
@@ -113,12 +115,14 @@ def square(pressure: float, degree: int, points: int = 40) -> Square:
 
     def potential(free: jax.Array, pressure: jax.Array) -> jax.Array:
         (u, ux, uy), (v, vx, vy), (w, wx, wy) = gradients(free, fields)
+        ux, vx, wx = ux / ratio, vx / ratio, wx / ratio
         trace, determinant = _strain((1 + ux, vx, wx), (uy, 1 + vy, wy))
-        px, py = jnp.asarray(at)[:, None] + u, jnp.asarray(at)[None, :] + v
+        energy = trace + 1 / determinant - 3 + alpha * (determinant + trace / determinant - 3)
+        px, py = ratio * jnp.asarray(at)[:, None] + u, jnp.asarray(at)[None, :] + v
         normal = (vx * wy - wx * (1 + vy), wx * uy - (1 + ux) * wy, (1 + ux) * (1 + vy) - vx * uy)
         volume = (px * normal[0] + py * normal[1] + w * normal[2]) / 3
         # Over half sides of length 1, so that the pressure is in c h0 over half a side.
-        return jnp.sum(area * (trace + 1 / determinant - 3 - 0.5 * pressure * volume))
+        return jnp.sum(area * (energy - 0.5 * pressure * volume))
 
     slope, bend = jax.jit(jax.grad(potential)), jax.jit(jax.hessian(potential))
     free = np.zeros(3 * degree**2)
@@ -132,17 +136,17 @@ def square(pressure: float, degree: int, points: int = 40) -> Square:
                 break
 
     def thickness(places: Array) -> Array:
-        x, y = np.abs(2 * np.asarray(places).T - 1)
+        x, y = np.abs(2 * np.asarray(places).T / np.array([[ratio], [1.0]]) - 1)
         total = np.zeros((3, 2, x.size))
         for k, kinds in enumerate(((1, 0), (0, 1), (0, 0))):
             bx, by = (_along(p, [2 * n + first for n in range(degree)]) for p, first in zip((x, y), kinds, strict=True))
             part = free.reshape(3, degree, degree)[k]
             total[k] = [np.einsum("in,ij,jn->n", bx[a], part, by[b]) for a, b in ((1, 0), (0, 1))]
-        (ux, uy), (vx, vy), (wx, wy) = total
+        (ux, uy), (vx, vy), (wx, wy) = total / np.array([[[ratio], [1.0]]])
         return 1 / np.sqrt(np.asarray(_strain((1 + ux, vx, wx), (uy, 1 + vy, wy))[1]))
 
     middle = _along(np.zeros(1), [2 * k for k in range(degree)])[0, :, 0]
-    return Square(0.5 * float(middle @ free[2 * degree**2 :].reshape(degree, degree) @ middle), thickness)
+    return Rectangle(0.5 * float(middle @ free[2 * degree**2 :].reshape(degree, degree) @ middle), thickness)
 
 
 def _along(at: Array, degrees: list[int]) -> Array:
@@ -160,13 +164,3 @@ def _strain(first: Any, second: Any) -> tuple[Any, Any]:
         sum(p * q for p, q in zip(*pair, strict=True)) for pair in ((first, first), (first, second), (second, second))
     )
     return a + d, a * d - b * b
-
-
-def trough(angle: float, place: Array) -> Array:
-    """h / h0 of a long strip stuck to a V-shaped trough, over its initial places (n,): 0 in the middle, 1 at the mouth.
-
-    Nothing varies along the trough, so what is free is an arc, evenly thick whatever the law: h = sin(b)/b when it
-    comes to touch the walls of angle b, then dh/h = (b cot(b) - 1) ds/L with the half length L = b (1 - s cos b)/sin b
-    of the arc, which in the material's places is h = sin(b)/b x^(1 - b cot(b)).
-    """
-    return np.sin(angle) / angle * np.asarray(place) ** (1 - angle / np.tan(angle))
