@@ -99,8 +99,8 @@ def disc_errors(elements: int, alpha: float, pole_stretch: float) -> tuple[dict[
         "pole height": float(result.positions[pole, 2]) / float(exact.height[0]) - 1,
         "pole thickness": float(off[pole]),
         "nodal thickness": rms(off, weight),
-        "nodal thickness, rim": rms(off[rim], weight[rim]),
         "nodal thickness, inside": rms(off[~rim], weight[~rim]),
+        "nodal thickness, rim": rms(off[rim], weight[rim]),
     }
     return errors, result
 
@@ -126,7 +126,12 @@ def show_disc(elements: int) -> Measured:
     found: dict[str, float] = {}
     for alpha, stretch in ((0.0, 1.2), (0.0, 1.5), (0.5, 1.5), (0.5, 2.0)):
         errors, result = disc_errors(elements, alpha, stretch)
-        found |= {f"alpha {alpha}, pole stretch {stretch}: {name}": value for name, value in errors.items()}
+        shown = (
+            errors
+            if (alpha, stretch) == (0.0, 1.5)
+            else {name: errors[name] for name in ("pole height", "nodal thickness")}
+        )
+        found |= {f"alpha {alpha:g}, stretch {stretch:g}: {name}": value for name, value in shown.items()}
     return Measured(len(result.element_thickness), found, seconds(result))
 
 
@@ -352,7 +357,10 @@ def _exact_rectangle(pressure: float, alpha: float, ratio: float) -> membranes.R
 
 
 def rectangle_errors(elements: int, pressure: float, alpha: float, ratio: float) -> Measured:
-    """A clamped rectangle with sides 1 and a ratio, against polynomials of high degree in place of elements."""
+    """A clamped rectangle with sides 1 and a ratio, against polynomials of high degree in place of elements.
+
+    Off the rim, where the polynomials have converged to 2e-5; on it, to 3e-4 only.
+    """
     sheet = jaxform.shapes.rectangle(size=[ratio, 1.0], elements=elements, symmetry="quarter")
     ramp = jaxform.make_pressure([0.0, 20.0], [0.0, 0.01 * pressure])
     scene = scene_of(sheet, mooney(alpha), ramp, end_time=30.0, damping=2.0)
@@ -362,9 +370,7 @@ def rectangle_errors(elements: int, pressure: float, alpha: float, ratio: float)
     weight, rim = nodal_area(scene), np.asarray(scene.parison.clamped)
     errors = {
         "height": float(np.asarray(result.positions)[:, 2].max()) / exact.height - 1,
-        "nodal thickness": rms(off, weight),
-        "nodal thickness, rim": rms(off[rim], weight[rim]),
-        "nodal thickness, inside": rms(off[~rim], weight[~rim]),
+        "nodal thickness": rms(off[~rim], weight[~rim]),
     }
     return Measured(len(scene.parison.triangles), errors, seconds(result))
 
