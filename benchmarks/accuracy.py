@@ -340,7 +340,8 @@ def show_cone(elements: int) -> Measured:
     angle = np.linspace(0.02, np.pi / 2 - 0.02, 64)
     # On the rim's chords, where the exact radius would be outside the mesh.
     points = np.minimum(radius, 0.9999)[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    at = Triangulation(*np.asarray(scene.parison.positions)[:, :2].T, np.asarray(scene.parison.triangles))
+    x, y = np.asarray(scene.parison.positions, float)[:, :2].T
+    at = Triangulation(x, y, np.asarray(scene.parison.triangles))
     got = LinearTriInterpolator(at, nodal_ratio(scene, result))(points[..., 0], points[..., 1])
     off = np.ma.mean(got, axis=1).filled(np.nan) / expected - 1
     away = np.isfinite(off)

@@ -72,8 +72,9 @@ def test_haste_is_the_same_in_both_loops() -> None:
 
 def test_the_page_is_drawn_from_its_figures(tmp_path: Path) -> None:
     found = json.loads((validate.DOCS / "accuracy.json").read_text())
-    assert set(found) == set(validate.PARTS) and set(found["cases"]["found"]) == set(accuracy.CASES)
+    assert set(found) <= set(validate.PARTS) and "slow" in found
     validate_page.write(found, tmp_path)
     assert (tmp_path / "accuracy.md").read_text() == (validate.DOCS / "accuracy.md").read_text()
-    for name in ("convergence", "precision-dish", "precision-box", "haste", "ramps"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000 and (validate.DOCS / f"{name}.png").exists()
+    pictures = {path.name for path in tmp_path.glob("*.png")}
+    assert {"haste.png", "ramps.png"} <= pictures
+    assert all((tmp_path / name).stat().st_size > 10_000 and (validate.DOCS / name).exists() for name in pictures)
