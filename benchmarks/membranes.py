@@ -86,7 +86,7 @@ class Rectangle(NamedTuple):
     thickness: Any
 
 
-def rectangle(pressure: float, alpha: float, ratio: float, degree: int = 8, points: int = 32) -> Rectangle:
+def rectangle(pressure: float, alpha: float, ratio: float, degree: int = 10, points: int = 32) -> Rectangle:
     """A clamped rectangle by Ritz's method: the potential energy of polynomials is stationary.
 
     Displacements are (1 - x^2) (1 - y^2) times Legendre polynomials over [-1, 1]^2 that are even or odd, as symmetry
