@@ -161,7 +161,7 @@ def show_box(sizes: tuple[int, ...] = (128, 500, 2000, 6000)) -> list[Found]:
 
 
 def show_slow(
-    names: tuple[str, ...] = ("dish-coarse", "cup-slow"),
+    names: tuple[str, ...] = ("dish-coarse", "cup-slow", "bowl"),
     ramps: tuple[float, ...] = (1.35, 0.666, 0.333, 0.166, 0.083, 0.04),
     dampings: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0),
     longest: float = 2.7,
@@ -190,7 +190,7 @@ def _ramped(name: str, kind: str, longest: float) -> tuple[Scene, float]:
     document = files.read_scene(name)
     shape = {"time": [0.0, longest], "value": [0.0, document.data["pressure"]["value"][-1]], "interpolation": kind}
     solver = {"end_time": 1.15 * longest}
-    elements = document.data["parison"]["elements"]
+    elements = document.data["parison"].get("elements", 150)
     return refinement.build(name, elements, {}, pressure=shape, solver=solver), document.data["solver"]["damping"]
 
 

@@ -203,6 +203,7 @@ def _slow(found: Found, folder: Path) -> str:
     rows = [row for part in found.values() for row in part["rows"] if row["status"] == 0 and row["error"] > 0]
     seen = [row for row in rows if 5e-4 < row["error"] < 0.3]
     ratio = np.array([row["haste"] / row["error"] for row in seen])
+    seen_by = {name: [row for row in part["rows"] if row in seen] for name, part in found.items()}
     low, middle, high = np.percentile(ratio, [5, 50, 95])
     off = [row for row in rows if row["error"] > 2 * SLOW_ENOUGH]
     fine = [row for row in rows if row["error"] < 0.5 * SLOW_ENOUGH]
@@ -217,6 +218,9 @@ def _slow(found: Found, folder: Path) -> str:
         f"Over {len(seen)} runs that are off by 0.05 to 30 %, the prediction is {middle:.1f} times the "
         f"deviation in the middle, and {low:.2f} to {high:.1f} times in nine out of ten.\n",
         "![Predicted and true deviation](haste.png)\n",
+        f"By scene, in the middle: {_middles(seen_by)}. A shallow part feels haste less than the prediction says.\n"
+        if len(seen_by) > 2
+        else "",
         f"With `quasi_static = true` in [solver] a run that predicts more than {100 * SLOW_ENOUGH:.2g} % says so, "
         f"with what to do. Of the {len(off)} runs that are off by more than {200 * SLOW_ENOUGH:.2g} % it warns of "
         f"{_warned(off)}, and of {_warned(fine)} of the {len(fine)} that are off by less than "
@@ -237,6 +241,13 @@ def _slow(found: Found, folder: Path) -> str:
     return "\n".join([*lines, ""])
 
 
+def _middles(rows: dict[str, list[Found]]) -> str:
+    """The median of predicted over true deviation, by scene."""
+    return ", ".join(
+        f"{name} {np.median([row['haste'] / row['error'] for row in own]):.2g}" for name, own in rows.items()
+    )
+
+
 def _warned(rows: list[Found]) -> int:
     return sum(row["haste"] > SLOW_ENOUGH for row in rows)
 
@@ -250,7 +261,7 @@ def _spread(rows: list[Found], key: str) -> float:
 
 def _draw_haste(found: Found, path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6.4, 4.8), layout="constrained")
-    for mark, (name, part) in zip("os", found.items(), strict=False):
+    for mark, (name, part) in zip("os^", found.items(), strict=False):
         for kind, color in (("cubic-ramp", "C0"), ("linear", "C1")):
             rows = [row for row in part["rows"] if row["kind"] == kind and row["error"] > 0 and row["status"] == 0]
             points = [(100 * row["haste"], 100 * row["error"]) for row in rows]

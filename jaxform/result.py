@@ -55,7 +55,8 @@ class Energy:
         """About how far, relative, the wall is from that of the same process done slowly (0 where nothing was done).
 
         The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
-        went into damping, for drag; within a factor of about three in what docs/accuracy.md shows.
+        went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones
+        several times too high.
         """
         work = jnp.abs(self.external_work)
         work = jnp.where(work > 0, work, jnp.inf)
@@ -308,8 +309,8 @@ def warnings_of(result: Result, scene: Scene) -> list[str]:
     mend = f"raise the pressure more slowly ({mend}later pressure.time and solver.end_time)"
     mend += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
-        f"this is no slow process (solver.quasi_static): {what}, so the wall is about {100 * haste:.2g} % off that of "
-        f"one; {mend}"
+        f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * haste:.2g} % off that "
+        f"of one; {mend}"
     ]
 
 

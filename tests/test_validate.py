@@ -43,7 +43,7 @@ def test_sticking_in_a_cone() -> None:
 
 def _hurried(ramp: float) -> jaxform.Scene:
     """The cup with a ramp of so many units."""
-    scene = scenes.cup()
+    scene = scenes.cup(end_time=50.0)
     solver = dataclasses.replace(scene.solver, quasi_static=True)
     times = {"pressure.time": [0.0, ramp], "solver.end_time": 1.25 * ramp}
     return jaxform.replace(dataclasses.replace(scene, solver=solver), times)
@@ -54,17 +54,17 @@ def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
         fast = jaxform.run(_hurried(4.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        slow = jaxform.run(_hurried(16.0))
+        slow = jaxform.run(_hurried(40.0))
     assert float(slow.energy.haste) < SLOW_ENOUGH < float(fast.energy.haste)
     off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
     moved = accuracy.rms(off, np.asarray(fast.element_volume))
-    assert moved / 4 < float(fast.energy.haste) < 4 * moved
-    asked = jaxform.replace(scenes.cup(), {"solver.end_time": 5.0, "pressure.time": [0.0, 4.0]})
-    assert warnings_of(fast, asked) == []
+    # A shallow cup: its wall feels haste less than that of the deep ones from which the prediction comes.
+    assert moved < float(fast.energy.haste) < 20 * moved
+    assert warnings_of(fast, scenes.cup(end_time=50.0)) == []
 
 
 def test_haste_is_the_same_in_both_loops() -> None:
-    scene = scenes.cup()
+    scene = scenes.cup(end_time=50.0)
     pure, run = jaxform.simulate(scene), jaxform.run(scene)
     assert float(run.energy.kinetic_peak) > float(run.energy.kinetic) >= 0
     np.testing.assert_allclose(pure.energy.kinetic_peak, run.energy.kinetic_peak, rtol=1e-9)
