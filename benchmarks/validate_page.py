@@ -158,7 +158,7 @@ def _front(rows: list[Found]) -> list[str]:
 
 
 _MARKS = {
-    "uniform": "o-",
+    "uniform": "o",
     "refined": "s",
     "mass scaling": "P",
     "float32": "X",
