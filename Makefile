@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: accuracy bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
+.PHONY: validate bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -44,9 +44,11 @@ paper: environment
 notebooks: environment
 	.venv/bin/python -m benchmarks.notebooks
 
-# Figures against exact solutions, of the gradient and of the study; about ten minutes.
-accuracy: environment
-	.venv/bin/python -m benchmarks.accuracy
+# Errors against exact and independent solutions at three meshes each, what an error costs in time, how slow is slow
+# enough; writes docs/accuracy.md from docs/accuracy.json; about ten minutes. Parts by name:
+# `.venv/bin/python -m benchmarks.validate cases`.
+validate: environment
+	.venv/bin/python -m benchmarks.validate
 
 # The built-in studies' figures, and the search beside Nelder-Mead, CMA-ES and others; writes docs/design.md from
 # docs/design.json; about half an hour. Parts by name: `.venv/bin/python -m benchmarks.design pressure`.

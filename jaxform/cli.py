@@ -86,6 +86,8 @@ def _prepare(arguments: argparse.Namespace) -> tuple[Callable[..., None], Store]
 
     # Asked for on the command line, so the reminder that Python users get is not needed.
     warnings.filterwarnings("ignore", message="jaxform computes in float32")
+    # Told in one line, from the summary.
+    warnings.filterwarnings("ignore", message="jaxform: this is no slow process")
     jax.config.update("jax_enable_x64", arguments.dtype == "float64")
     folder = _cache_folder()
     if folder is not None:
@@ -166,6 +168,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
     summary = _write_part(arguments.out, scene, result, reference)
     frames.finish(scene, result)
     _tell(say, summary, arguments.out)
+    _warn(summary)
     return _exit_status(result)
 
 
@@ -218,6 +221,12 @@ def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str,
     return summary
 
 
+def _warn(summary: dict[str, Any]) -> None:
+    """On standard error, --quiet or not."""
+    for sentence in summary["warnings"]:
+        print(f"jaxform: warning: {sentence}", file=sys.stderr)
+
+
 def _exit_status(result: Result) -> int:
     from jaxform.result import explain
 
@@ -264,6 +273,7 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     import jax
 
     from jaxform.body import body
+    from jaxform.result import SLOW_ENOUGH
     from jaxform.scene import STEPS_PER_WINDOW
     from jaxform.state import initial_state
     from jaxform.stepping import worked_through
@@ -286,6 +296,8 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
         f"to {float(scene.solver.end_time):.4g} s, first step {step:.3g} s, at most "
         f"{scene.tables.window_count} windows of {STEPS_PER_WINDOW} steps"
     )
+    if scene.solver.quasi_static:
+        yield f"meant to be slow: it is warned of if the wall is more than {100 * SLOW_ENOUGH:.2g} % off for haste"
     if scene.mold is not None:
         dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
         yield f"mold: {len(scene.mold.triangles)} triangles{dropped}"

@@ -128,7 +128,12 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
             forest=forest,
             material=_material(model.material),
             pressure=make_pressure(pressure.time, pressure.value, pressure.interpolation),
-            solver=make_solver(end_time=solver.end_time, damping=solver.damping, safety=solver.safety),
+            solver=make_solver(
+                end_time=solver.end_time,
+                damping=solver.damping,
+                safety=solver.safety,
+                quasi_static=solver.quasi_static,
+            ),
             mold=_mold(document),
             name=document.name,
             store=store,

@@ -13,8 +13,12 @@ from jaxform import membrane
 from jaxform.body import Body, Mesh, levels, present_body
 from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
+from jaxform.recovery import nodal_ratio
 from jaxform.scene import Scene
 from jaxform.state import Schedule, State, Status, kinetic_energy, last_work, strain_energy
+
+_DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
+SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
 
 
 @pytree
@@ -28,6 +32,7 @@ class Energy:
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.
         refinement_loss: Strain and kinetic energy that new nodes took away.
+        kinetic_peak: Largest kinetic energy at the end of a window.
     """
 
     strain: jax.Array
@@ -36,6 +41,7 @@ class Energy:
     damping_loss: jax.Array
     contact_loss: jax.Array
     refinement_loss: jax.Array
+    kinetic_peak: jax.Array
 
     @property
     def balance_error(self) -> jax.Array:
@@ -43,6 +49,18 @@ class Energy:
         kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss + self.refinement_loss
         work = jnp.abs(self.external_work)
         return jnp.where(work > 0, jnp.abs(kept - self.external_work) / jnp.where(work > 0, work, 1.0), 0.0)
+
+    @property
+    def haste(self) -> jax.Array:
+        """About how far, relative, the wall is from that of the same process done slowly (0 where nothing was done).
+
+        The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
+        went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones
+        several times too high.
+        """
+        work = jnp.abs(self.external_work)
+        work = jnp.where(work > 0, work, jnp.inf)
+        return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
 
 
 @pytree
@@ -60,7 +78,8 @@ class Result:
     Attributes:
         positions: Final node positions (n_node, 3) [m].
         thickness: Final thickness at the nodes (n_node,) [m]: the adjacent elements' h/h0, weighted by reference
-            area, times the node's initial thickness; 0 where the node does not exist.
+            area, at rims and symmetry planes carried on from inside, times the node's initial thickness; 0 where the
+            node does not exist. See `jaxform.recovery`.
         active: Nodes that exist at the end (n_node,).
         stuck: Nodes that do not move any more (n_node,).
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
@@ -123,14 +142,15 @@ def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array,
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     ratio = 1.0 / jnp.sqrt(strain.determinant)
     count = now.mass.size
-    weight = membrane.sum_to_nodes(sheet.area, sheet.triangles, count)
-    ratios = membrane.sum_to_nodes(sheet.area * ratio, sheet.triangles, count) / jnp.where(weight > 0.0, weight, 1.0)
-    active, node = jnp.ones(count, bool), jnp.arange(count)
+    active, node, mobility = jnp.ones(count, bool), jnp.arange(count), scene.tables.mobility
+    reference = scene.parison.positions.T
     triangles, level, used = sheet.triangles, jnp.zeros(sheet.area.size, jnp.int32), sheet.area > 0.0
     if mesh is not None and forest is not None:
         place = jnp.arange(forest.owner.size)
         active, node = (place < forest.first_nodes) | (mesh.place > 0), mesh.place
         triangles, level = forest.sheet.triangles[:, mesh.element], levels(mesh.element, forest)
+        reference, mobility = reference[:, mesh.node], forest.mobility[:, mesh.node]
+    ratios = nodal_ratio(ratio, sheet, reference, jnp.all(mobility > 0.0, axis=0))
 
     def nodal(values: jax.Array, otherwise: jax.Array | float) -> jax.Array:
         """In the order of the scene's nodes; what does not exist has another value."""
@@ -159,6 +179,7 @@ def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array,
             damping_loss=state.damping_loss,
             contact_loss=state.contact_loss,
             refinement_loss=state.refinement_loss,
+            kinetic_peak=state.kinetic_peak,
         ),
         time=state.time,
         steps=state.steps,
@@ -266,8 +287,31 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
-        "energy": energy | {"balance_error": float(result.energy.balance_error)},
+        "energy": energy | {"balance_error": float(result.energy.balance_error), "haste": float(result.energy.haste)},
+        "warnings": warnings_of(result, scene),
     }
+
+
+def warnings_of(result: Result, scene: Scene) -> list[str]:
+    """What to mind about a part that was formed as asked for: a sentence each, with the mend."""
+    haste = float(result.energy.haste)
+    if not scene.solver.quasi_static or not haste > SLOW_ENOUGH:
+        return []
+    peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.external_work))
+    drag = haste - peak
+    what = (
+        f"the kinetic energy came to {100 * peak:.2g} % of the work"
+        if peak > drag
+        else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.external_work)):.2g} % of "
+        "the work"
+    )
+    mend = 'interpolation = "cubic-ramp" or ' if scene.pressure.interpolation == "linear" else ""
+    mend = f"raise the pressure more slowly ({mend}later pressure.time and solver.end_time)"
+    mend += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
+    return [
+        f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * haste:.2g} % off that "
+        f"of one; {mend}"
+    ]
 
 
 def penetrated(result: Result, scene: Scene) -> Penetration:

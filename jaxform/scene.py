@@ -86,6 +86,7 @@ class Solver:
         skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
         end_early: Whether the run ends when nothing can move any more.
         sharp_step: Whether the stable step is measured by power iteration; else it is bounded element by element.
+        quasi_static: Whether the process is meant to be slow; if inertia or damping show in the wall, it is warned of.
     """
 
     end_time: jax.Array
@@ -95,6 +96,7 @@ class Solver:
     skip_far: bool = static(default=True)
     end_early: bool = static(default=True)
     sharp_step: bool = static(default=True)
+    quasi_static: bool = static(default=False)
 
 
 @pytree
@@ -336,7 +338,9 @@ def make_pressure(time: ArrayLike, value: ArrayLike, interpolation: str = "linea
     return Pressure(as_real(times), as_real(values), interpolation)
 
 
-def make_solver(*, end_time: float, damping: float | None = None, safety: float = 0.9) -> Solver:
+def make_solver(
+    *, end_time: float, damping: float | None = None, safety: float = 0.9, quasi_static: bool = False
+) -> Solver:
     """Options of the time integration; see `Solver`.
 
     Raises:
@@ -346,7 +350,8 @@ def make_solver(*, end_time: float, damping: float | None = None, safety: float 
     if damping is not None:
         require(np.isfinite(damping) and damping >= 0, "must not be negative", "solver.damping", damping)
     require(0 < safety <= 1, "must be in (0, 1]", "solver.safety", safety)
-    return Solver(as_real(end_time), None if damping is None else as_real(damping), float(safety))
+    damped = None if damping is None else as_real(damping)
+    return Solver(as_real(end_time), damped, float(safety), quasi_static=bool(quasi_static))
 
 
 def make_refinement(

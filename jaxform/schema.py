@@ -305,11 +305,12 @@ class Refinement(Table):
 
 
 class Solver(Table):
-    """Time integration."""
+    """Time integration; `quasi_static` says that the process is meant to be slow, so that haste is warned of."""
 
     end_time: Positive
     damping: NotNegative | None = None
     safety: Annotated[float, Field(gt=0, le=1)] = 0.9
+    quasi_static: bool = False
 
 
 class Output(Table):

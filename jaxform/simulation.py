@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import os
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike
 from jaxform.body import Body, body, present_body
 from jaxform.errors import InputError
 from jaxform.refinement import can_have_more_room, refined, with_more_room
-from jaxform.result import Result, Seconds, make_result
+from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, finished, initial_state
 from jaxform.stepping import window
@@ -137,6 +138,9 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
         on_window: Called after every window with a `Moment`; a true answer stops the run, and its status says so.
             Without it the whole loop runs at once.
         store: Where traced programs are kept between runs; nowhere by default.
+
+    Warns:
+        UserWarning: If the solver is asked for a slow process (`quasi_static`) and this was none.
     """
     store = store or _IN_MEMORY
     began = time.perf_counter()
@@ -175,6 +179,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
+    for sentence in warnings_of(final, scene):
+        warnings.warn(f"jaxform: {sentence}", stacklevel=2)
     return dataclasses.replace(final, seconds=seconds)
 
 

@@ -63,6 +63,7 @@ class State:
         volume: Enclosed before the last step [m^3].
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
+        kinetic_peak: Largest kinetic energy at the end of a window so far [J].
         retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
@@ -86,6 +87,7 @@ class State:
     damping_loss: jax.Array
     contact_loss: jax.Array
     peak_work: jax.Array
+    kinetic_peak: jax.Array
     retries: jax.Array
     mode: jax.Array | None
     rate: jax.Array
@@ -125,6 +127,7 @@ def initial_state(scene: Scene) -> State:
         damping_loss=zero,
         contact_loss=zero,
         peak_work=zero,
+        kinetic_peak=zero,
         retries=none,
         mode=any_mode(positions) if scene.solver.sharp_step else None,
         rate=zero,

@@ -363,6 +363,7 @@ def _close(
 ) -> State:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
     packed, near = now.packed, now.near
+    kinetic = _kinetic(moving, now)
     new = dataclasses.replace(
         state,
         positions=packed.put_back(moving.positions),
@@ -377,11 +378,12 @@ def _close(
         damping_loss=moving.damping_loss,
         contact_loss=moving.contact_loss,
         peak_work=jnp.maximum(state.peak_work, jnp.abs(jax.lax.stop_gradient(moving.external_work))),
+        kinetic_peak=jnp.maximum(state.kinetic_peak, kinetic),
         steps=state.steps + moving.count,
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
-    status = _health(moving, new, scene, sheet_body, now) | state.status
+    status = _health(moving, new, kinetic, scene, sheet_body, now) | state.status
     bad, retries = (status & Status.NON_FINITE) != 0, state.retries
     if near is not None:
         # A node that flew out of its ball may have missed the mold: the window is taken anew with smaller steps.
@@ -408,12 +410,19 @@ def _close(
     )
 
 
-def _health(moving: _Moving, state: State, scene: Scene, sheet_body: Body, now: _Window) -> jax.Array:
+def _kinetic(moving: _Moving, now: _Window) -> jax.Array:
+    """Kinetic energy [J]; no derivative is taken of it."""
+    velocities, mass = jax.lax.stop_gradient((moving.velocities, now.mass))
+    return 0.5 * total(mass * membrane.dot(velocities, velocities))
+
+
+def _health(
+    moving: _Moving, state: State, kinetic: jax.Array, scene: Scene, sheet_body: Body, now: _Window
+) -> jax.Array:
     moving, state, scene, sheet_body, now = jax.lax.stop_gradient((moving, state, scene, sheet_body, now))
-    speed_square = membrane.dot(moving.velocities, moving.velocities)
-    finite = jnp.isfinite(total(moving.positions) + total(speed_square))
+    finite = jnp.isfinite(total(moving.positions) + kinetic)
     strain, volume = account(state.positions, scene, sheet_body)
-    held = strain + 0.5 * total(now.mass * speed_square)
+    held = strain + kinetic
     held += state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
     scale = scene.material.stiffness() * total(now.packed.elements.area * now.thickness)

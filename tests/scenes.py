@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +64,7 @@ def free_disc(
     )
 
 
-def sphere(elements: int, pressure: float, material: Material, time: list[float], **options: float) -> jaxform.Scene:
+def sphere(elements: int, pressure: float, material: Material, time: list[float], **options: Any) -> jaxform.Scene:
     """A quarter of a closed sphere of radius 1 and thickness 0.01; pressure in units of c h0/r."""
     sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
     knots = [0.0, 0.01 * pressure] if len(time) == 2 else [0.01 * pressure]

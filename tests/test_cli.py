@@ -98,7 +98,9 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "damping_loss",
         "contact_loss",
         "refinement_loss",
+        "kinetic_peak",
         "balance_error",
+        "haste",
     }
     assert summary["energy"]["balance_error"] < 1e-2
     part = meshio.read(out / "final.vtu")
@@ -191,7 +193,25 @@ def test_check_runs_no_step_and_names_what_is_skipped(tmp_path: Path, capfd: pyt
     text = capfd.readouterr().out
     for words in ("40 elements", "no mold", "damping (none given)", "frames"):
         assert words in text, text
+    assert "meant to be slow" not in text
     assert list(tmp_path.iterdir()) == [tmp_path / "scene.toml"]
+
+
+def test_a_wish_for_a_slow_process(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    wrong = _write(tmp_path, SCENE + 'quasi_static = "yes"\n', "wrong.toml")
+    line = _refused(capfd, "check", str(wrong))
+    assert "wrong.toml" in line and "solver.quasi_static" in line and "yes" in line
+    # The whole pressure within a hundredth of the time that the scene takes for it.
+    hasty = SCENE.replace("[0.0, 0.2]", "[0.0, 0.002]") + "quasi_static = true\n"
+    scene_file, out = _write(tmp_path, hasty), tmp_path / "out"
+    assert cli.main(["check", str(scene_file)]) == 0
+    assert "meant to be slow" in capfd.readouterr().out
+    assert cli.main(["simulate", str(scene_file), "--out", str(out), "--quiet"]) == 0
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 1 and "no slow process" in lines[0] and "pressure.time" in lines[0]
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["warnings"] == [lines[0].removeprefix("jaxform: warning: ")]
+    assert summary["energy"]["haste"] > 0.01
 
 
 def test_scenes_lists_all_and_each_can_be_checked(capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,80 @@
+"""What `make validate` stands on: the solutions it compares with, haste and its warning, and the page."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxform
+from benchmarks import accuracy, membranes, validate, validate_page
+from jaxform.result import SLOW_ENOUGH, warnings_of
+from tests import scenes
+
+
+def test_shooting_gives_the_tabled_discs_and_the_limit_point() -> None:
+    table = accuracy.exact_table("discs")
+    for row in range(0, len(table["alpha"]), 3):
+        disc = membranes.free_disc(table["alpha"][row], table["pole_stretch"][row])
+        got = disc.pressure, disc.height[0], disc.thickness[-1]
+        names = ("P_a_over_c_h0", "pole_height_over_a", "rim_h_over_h0")
+        np.testing.assert_allclose(got, [table[name][row] for name in names], rtol=1e-6)
+    np.testing.assert_allclose(membranes.limit_point(), 3.758347, rtol=1e-6)
+
+
+def test_the_spectral_rectangle_converges_and_the_elements_agree_with_it() -> None:
+    pressure, alpha, ratio = 4.0, 0.3, 2.0
+    coarse, fine = (membranes.rectangle(pressure, alpha, ratio, degree, 24) for degree in (4, 5))
+    np.testing.assert_allclose(coarse.height, fine.height, rtol=1e-3)
+    places = np.array([[1.0, 0.5], [0.4, 0.3]])
+    np.testing.assert_allclose(coarse.thickness(places), fine.thickness(places), rtol=2e-3)
+    measured = accuracy.rectangle_errors(128, pressure, alpha, ratio)
+    assert abs(measured.errors["height"]) < 4e-3 and measured.errors["nodal thickness"] < 0.01
+
+
+def test_sticking_in_a_cone() -> None:
+    measured = accuracy.show_cone(150)
+    assert measured.errors["thickness at the tabled places"] < 0.015
+
+
+def _hurried(ramp: float) -> jaxform.Scene:
+    """The cup with a ramp of so many units."""
+    scene = scenes.cup(end_time=50.0)
+    solver = dataclasses.replace(scene.solver, quasi_static=True)
+    times = {"pressure.time": [0.0, ramp], "solver.end_time": 1.25 * ramp}
+    return jaxform.replace(dataclasses.replace(scene, solver=solver), times)
+
+
+def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
+    with pytest.warns(UserWarning, match=r"no slow process .* raise the pressure more slowly"):
+        fast = jaxform.run(_hurried(4.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        slow = jaxform.run(_hurried(40.0))
+    assert float(slow.energy.haste) < SLOW_ENOUGH < float(fast.energy.haste)
+    off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
+    moved = accuracy.rms(off, np.asarray(fast.element_volume))
+    # A shallow cup: its wall feels haste less than that of the deep ones from which the prediction comes.
+    assert moved < float(fast.energy.haste) < 20 * moved
+    assert warnings_of(fast, scenes.cup(end_time=50.0)) == []
+
+
+def test_haste_is_the_same_in_both_loops() -> None:
+    scene = scenes.cup(end_time=50.0)
+    pure, run = jaxform.simulate(scene), jaxform.run(scene)
+    assert float(run.energy.kinetic_peak) > float(run.energy.kinetic) >= 0
+    np.testing.assert_allclose(pure.energy.kinetic_peak, run.energy.kinetic_peak, rtol=1e-9)
+
+
+def test_the_page_is_drawn_from_its_figures(tmp_path: Path) -> None:
+    found = json.loads((validate.DOCS / "accuracy.json").read_text())
+    assert set(found) <= set(validate.PARTS) and "slow" in found
+    validate_page.write(found, tmp_path)
+    assert (tmp_path / "accuracy.md").read_text() == (validate.DOCS / "accuracy.md").read_text()
+    pictures = {path.name for path in tmp_path.glob("*.png")}
+    assert {"haste.png", "ramps.png"} <= pictures
+    assert all((tmp_path / name).stat().st_size > 10_000 and (validate.DOCS / name).exists() for name in pictures)
