@@ -25,6 +25,7 @@ class Status(enum.IntFlag):
     CONTACT_MISSED = 16
     STOPPED = 32
     REFINEMENT_OVERFLOW = 64
+    RUNAWAY = 128
 
 
 @pytree
@@ -58,7 +59,8 @@ class State:
         volume: Enclosed before the last step [m^3].
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
-        retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
+        imbalance: Energy held and lost beyond the external work, at the last window's end [J].
+        retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the mold.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
         mesh: Which triangles of the forest there are; None without refinement.
@@ -80,6 +82,7 @@ class State:
     damping_loss: jax.Array
     contact_loss: jax.Array
     peak_work: jax.Array
+    imbalance: jax.Array
     retries: jax.Array
     mode: jax.Array | None
     rate: jax.Array
@@ -117,6 +120,7 @@ def initial_state(scene: Scene) -> State:
         damping_loss=zero,
         contact_loss=zero,
         peak_work=zero,
+        imbalance=zero,
         retries=none,
         mode=any_mode(positions) if scene.solver.sharp_step else None,
         rate=zero,

@@ -26,12 +26,17 @@ from jaxform.state import Schedule, State, Status, account, can_move, counted_vo
 from jaxform.timestep import choose_step
 
 _MOST_RETRIES = 12
+_WILD, _FAR = 1e8, 1e4  # of the sheet's size: a step to there is not taken; a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
+_JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.05, 4  # the same of one window, which is then taken anew at most so often
 
 
 @pytree
 class _Moving:
-    """What changes from step to step inside a window, in packed order; the room is None where derivatives are taken."""
+    """What changes from step to step inside a window, in packed order; the room is None where derivatives are taken.
+
+    There a step that would fly off is not taken: `wild` says so, and what overflows never meets a derivative.
+    """
 
     positions: jax.Array
     velocities: jax.Array
@@ -44,6 +49,7 @@ class _Moving:
     contact_loss: jax.Array
     count: jax.Array
     halted: jax.Array
+    wild: jax.Array
     room: Corners | None
 
 
@@ -61,6 +67,7 @@ class _Window:
         most: How many steps it takes.
         scheduled: Whether a schedule says how many steps it takes, so that nothing else cuts it short.
         idle_volume: Enclosed by what is not worked through [m^3].
+        size: Largest initial coordinate [m].
         near: The list of nodes near the mold; None where there is no mold.
     """
 
@@ -72,6 +79,7 @@ class _Window:
     length: jax.Array
     most: jax.Array | int
     idle_volume: jax.Array | float
+    size: jax.Array
     near: Near | None
     scheduled: bool = static(default=False)
 
@@ -88,7 +96,7 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     """
     pressure, mean_pressure, kick = pressures
     length = now.length
-    if now.near is not None and moving.room is None:
+    if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
     load = Load(moving.positions, now.thickness, pressure, scene.material)
@@ -105,9 +113,18 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
         count=count,
         room=taken.room,
     )
+    if moving.room is None:
+        moved = _unless_wild(moved, moving, now)
     if now.near is None:
         return moved
     return _touch(moved, taken, length, scene, now)
+
+
+def _unless_wild(moved: _Moving, moving: _Moving, now: _Window) -> _Moving:
+    """What a step moved, or what was before it where it flies off; the window halts then."""
+    wild = ~(jnp.max(jnp.abs(jax.lax.stop_gradient(moved.positions))) < _WILD * now.size)
+    kept = jax.tree.map(lambda old, new: jnp.where(wild, old, new), moving, moved)
+    return dataclasses.replace(kept, wild=moving.wild | wild, halted=kept.halted | wild)
 
 
 class _Taken(NamedTuple):
@@ -241,6 +258,7 @@ def window(
         most=most,
         scheduled=schedule is not None,
         idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
+        size=jnp.max(jnp.abs(jax.lax.stop_gradient(scene.parison.positions))),
         near=_list_near(moving, scene, length),
     )
 
@@ -294,6 +312,7 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
         contact_loss=state.contact_loss,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
+        wild=jnp.asarray(False),
         room=None if differentiable else no_corners(positions, packed.elements),
     )
 
@@ -352,15 +371,23 @@ def _close(
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
-    status = _health(moving, new, scene, sheet_body, now) | state.status
-    bad, retries = (status & Status.NON_FINITE) != 0, state.retries
+    status, imbalance = _health(moving, new, scene, sheet_body, now)
+    new = dataclasses.replace(new, imbalance=imbalance)
+    # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
+    jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + _rounding(scene, now)
+    unsure = jump & (state.retries < _RETRIES_FOR_ENERGY)
+    # What blew up, and what may have missed the mold since a node flew out of its ball, is taken anew with half the
+    # step: the sheet may have stiffened within the window.
+    missed = jnp.asarray(False) if near is None else left(moving.positions, near)
+    status = jnp.where(missed, Status.CONTACT_MISSED, status)
+    bad = (status != 0) | unsure
+    hopeless = state.retries >= _MOST_RETRIES
+    status = state.status | jnp.where(hopeless, status, 0)
     if near is not None:
-        # A node that flew out of its ball may have missed the mold: the window is taken anew with smaller steps.
-        missed = left(moving.positions, near)
-        hopeless = missed & (retries >= _MOST_RETRIES)
-        status = jnp.where(missed, state.status, status) | jnp.where(hopeless, Status.CONTACT_MISSED, 0)
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-        bad, retries = bad | missed, jnp.where(missed, retries + 1, jnp.maximum(retries - 1, 0))
+    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions))) > _FAR * now.size
+    status |= jnp.where(far & ~bad, Status.RUNAWAY, 0)
+    retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
     kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
@@ -374,7 +401,8 @@ def _close(
     )
 
 
-def _health(moving: _Moving, state: State, scene: Scene, sheet_body: Body, now: _Window) -> jax.Array:
+def _health(moving: _Moving, state: State, scene: Scene, sheet_body: Body, now: _Window) -> tuple[jax.Array, jax.Array]:
+    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     moving, state, scene, sheet_body, now = jax.lax.stop_gradient((moving, state, scene, sheet_body, now))
     speed_square = membrane.dot(moving.velocities, moving.velocities)
     finite = jnp.isfinite(total(moving.positions) + total(speed_square))
@@ -382,8 +410,14 @@ def _health(moving: _Moving, state: State, scene: Scene, sheet_body: Body, now: 
     held = strain + 0.5 * total(now.mass * speed_square)
     held += state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
+    # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
+    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + _rounding(scene, now)
+    status = jnp.where(finite & ~moving.wild, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    return status, excess
+
+
+def _rounding(scene: Scene, now: _Window) -> jax.Array:
+    """What the account may miss [J] near rest, where the strain energy is the rounding of I1 - 3."""
+    scene, now = jax.lax.stop_gradient((scene, now))
     scale = scene.material.stiffness() * total(now.packed.elements.area * now.thickness)
-    # Near rest the strain energy is the rounding of I1 - 3.
-    rounding = 1e-9 + 64 * jnp.finfo(scale.dtype).eps
-    unstable = excess > _ENERGY_TOLERANCE * state.peak_work + rounding * scale
-    return jnp.where(finite, jnp.where(unstable, Status.UNSTABLE, 0), Status.NON_FINITE)
+    return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale
