@@ -34,7 +34,7 @@ class Schedule:
 
     Attributes:
         lengths: Of the steps of each window (n_window,) [s]; 0 for windows that were not taken.
-        counts: Steps of each window (n_window,).
+        counts: Steps of each window (n_window,); 0 where they were tried in vain.
         split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
     """
 
@@ -65,7 +65,7 @@ class State:
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
         mesh: Which triangles of the forest there are; None without refinement.
         refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
-        last_length, last_count: Step length [s] and steps of the last window, taken or tried in vain.
+        last_length, last_count: Step length [s] and steps of the last window; no steps where it was tried in vain.
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
     """

@@ -248,6 +248,9 @@ def window(
     before = scene.pressure.at(jnp.where(index == 0, state.time - state.step_length, times - length))
     kick = jnp.where(index == 0, 0.5 * (state.step_length + length), length)
     moving = _begun(state, packed, differentiable)
+    if schedule is not None:
+        # What was tried in vain is not tried again.
+        moving = dataclasses.replace(moving, halted=jnp.asarray(most == 0))
     now = _Window(
         packed=packed,
         thickness=sheet_body.thickness[packed.element],
@@ -283,8 +286,8 @@ def _decided(
         return *choose_step(state, scene, sheet_body, packed), STEPS_PER_WINDOW
     at = jnp.minimum(state.windows, schedule.lengths.size - 1)
     planned = schedule.lengths[at]
-    most = jnp.where(planned > 0.0, jnp.maximum(schedule.counts[at], 1), STEPS_PER_WINDOW)
-    rest = (scene.solver.end_time - state.time) / most
+    most = jnp.where(planned > 0.0, schedule.counts[at], STEPS_PER_WINDOW)
+    rest = (scene.solver.end_time - state.time) / jnp.maximum(most, 1)
     # Beyond what was recorded, the rest in one window.
     length = jnp.where(planned > 0.0, jnp.minimum(planned, jnp.maximum(rest, 0.0)), rest)
     return jax.lax.stop_gradient(length), state.mode, state.rate, most
@@ -382,6 +385,11 @@ def _close(
     status = jnp.where(missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     hopeless = state.retries >= _MOST_RETRIES
+    if now.scheduled:
+        # A replay cannot shorten its steps, but takes what was taken.
+        in_vain = jnp.asarray(now.most == 0)
+        bad, status = in_vain | (status != 0), jnp.where(in_vain, 0, status)
+        hopeless &= ~in_vain
     status = state.status | jnp.where(hopeless, status, 0)
     if near is not None:
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
@@ -397,7 +405,7 @@ def _close(
         windows=new.windows,
         shortened=shortened,
         last_length=now.length,
-        last_count=moving.count,
+        last_count=jnp.where(bad, 0, moving.count),
     )
 
 

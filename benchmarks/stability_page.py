@@ -1,0 +1,3 @@
+"""The page docs/stability.md and its pictures, drawn from what `benchmarks.stability` found; no number stands here."""
+from pathlib import Path
+def write(found, folder: Path): ...
