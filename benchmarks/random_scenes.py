@@ -276,7 +276,7 @@ def _made(mold: molds.MoldShape, size: float, random: Generator, tags: list[str]
 
 
 def _cup(random: Generator, tags: list[str]) -> molds.MoldShape:
-    """A cup, 24 facets, whose profile has four points; some with an undercut, a bump or an opening that is too small."""
+    """A cup, 24 facets, whose profile has four points; some with an undercut, a bump or too small an opening."""
     depth, floor = random.uniform(0.15, 1.5), random.uniform(0.1, 0.95)
     middle, opening = random.uniform(0.2, 0.95), 1.0
     kind = random.choice(["cup", "undercut", "bump", "small", "wide"])
@@ -325,7 +325,7 @@ def _hill(random: Generator, tags: list[str]) -> molds.MoldShape:
     height, level = random.uniform(0.0, 0.3), random.uniform(0.3, 0.6)
     mold = molds.revolved(profile=[[0.0, level - height], [0.2, level - 0.5 * height], [0.4, level], [2.0, level]],
                           segments=24)  # fmt: skip
-    return dataclasses.replace(mold, vertices=mold.vertices + [0.75, 0.5, 0.0])
+    return dataclasses.replace(mold, vertices=mold.vertices + np.array([0.75, 0.5, 0.0]))
 
 
 def _disc(elements: int, symmetry: Any) -> Callable[[], Sheet]:

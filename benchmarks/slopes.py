@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -22,7 +21,16 @@ from jaxform.state import Schedule
 Found = dict[str, Any]
 LEAVES = ("parison.thickness", "pressure.value")
 SIZES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-CHOSEN = ("free disc", "free disc, no damping", "cup", "whole cup", "box", "free sphere", "sphere in a can", "refined cup")
+CHOSEN = (
+    "free disc",
+    "free disc, no damping",
+    "cup",
+    "whole cup",
+    "box",
+    "free sphere",
+    "sphere in a can",
+    "refined cup",
+)
 LONGEST = 8000  # steps of a scene that is differentiated
 
 
@@ -191,5 +199,3 @@ def roughness() -> Found:
         print(f"{name}: spread {found[name]['spread']:.1e}, against differences "
               f"{found[name]['against_differences']:.1e}", flush=True)  # fmt: skip
     return found
-
-

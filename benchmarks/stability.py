@@ -103,7 +103,7 @@ def windows(scene: Scene, most: int = 10_000) -> Iterator[tuple[State, State]]:
         state = after
 
 
-def measure_edge(scene: Scene, most: int = 150) -> Found:
+def measure_edge(scene: Scene, most: int = 60) -> Found:
     """Step taken over the true limit at each window's begin, over safety; and over the limit at its end."""
     scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, window_count=4096))
     begin, end, stretch, vain = [], [], 1.0, 0
@@ -128,10 +128,7 @@ def _stretches(state: State, scene: Scene) -> jax.Array:
 
 def blow_up(scene: Scene, most: int, factors: tuple[float, ...], steps: int = 4000) -> float:
     """The least of factors of the true limit at which a sheet, once inflated, leaves its shape; NaN where none."""
-    state = None
-    for _, state in windows(scene, most):
-        pass
-    assert state is not None
+    *_, (_, state) = windows(scene, most)
     limit = float(true_limit(state, scene))
     sheet_body = body(scene)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
@@ -251,7 +248,7 @@ def summary_of(rows: list[Found]) -> Found:
     for name in [*FAMILIES, "file"]:
         families[name] = dict(Counter(row["class"] for row in rows if _family(row) == name))
     slow = max(ran, key=lambda row: row["seconds"])
-    tagged = {tag: sum(tag in row["tags"] for row in ran) for tag in sorted({tag for row in ran for tag in row["tags"]})}
+    tagged = dict(Counter(tag for row in ran for tag in row["tags"]).most_common())
     return {
         "count": len(rows),
         "classes": dict(classes),

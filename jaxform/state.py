@@ -60,7 +60,8 @@ class State:
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
         imbalance: Energy held and lost beyond the external work, at the last window's end [J].
-        retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the mold.
+        retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the
+            mold.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
         mesh: Which triangles of the forest there are; None without refinement.
