@@ -168,7 +168,7 @@ def show_edge() -> Found:
         row = {"sheet": name, "law": law, "sudden": sudden, "ratio": ratio, "pressure": pressure}
         rows.append(row | measure_edge(scene))
         _say(f"{name}, {law}, sudden {sudden}, 1:{ratio:g}, {pressure:g}: stretch {rows[-1]['stretch']:.2f}, "
-             f"{_span(rows[-1]['begin'])} of safety, end {_span(rows[-1]['end'])}, vain {rows[-1]['vain']}")  # fmt: skip
+             f"{_span(rows[-1]['begin'])} of safety, end {_span(rows[-1]['end'])}")  # fmt: skip
     factors = (0.9, 0.95, 0.98, 1.0, 1.01, 1.02, 1.05, 1.1)
     observed = []
     for name, law, pressure in (("disc", "alpha 0.1", 4.0), ("disc", "alpha 0.5", 8.0), ("disc", "neo-Hookean", 2.0),
