@@ -40,8 +40,8 @@ def _edge(found: Found, folder: Path) -> str:
         "The true limit is that of the assembled tangent, pressure included, from all its eigenvalues. *At the begin* "
         "is the step taken over the true limit times the solver's safety, as it was when the window began; *at the "
         "end* is the step over the true limit itself, without safety, as it had become when the window ended: above 1 "
-        "the window ran unstably for a while. *Taken anew* are windows that were tried again with half the step. The last "
-        "steps, which divide the rest of the time, are left out.\n",
+        "the window ran unstably for a while. *Taken anew* are windows that were tried again with half the step. The "
+        "last steps, which divide the rest of the time, are left out.\n",
         "| sheet | material | pressure [c h/a] | thickness between neighbours | stretch up to | windows | at the begin "
         "| at the end | taken anew |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -123,8 +123,8 @@ def _random(found: Found, folder: Path) -> str:
         "no element deeper in it than half the longest side, and the end reached or everything stuck. A name without "
         "*status ok* is the status that the run reported itself.\n",
         f"A scene takes {seconds['median']:.2g} s (median) and {steps['median']:.0f} steps; the slowest, "
-        f"seed {seconds['slowest']}, {seconds['max']:.0f} s with its compilation. Of those that end well, 99 % miss less "
-        f"than {_percent(found['balance']['99 %'])} of the energy and have elements at most "
+        f"seed {seconds['slowest']}, {seconds['max']:.0f} s with its compilation. Of those that end well, 99 % miss "
+        f"less than {_percent(found['balance']['99 %'])} of the energy and have elements at most "
         f"{_percent(found['elements_beyond']['99 %'])} of the longest side beyond the mold.\n",
         "| family | " + " | ".join(name for name, _ in classes) + " |",
         "|---" * (len(classes) + 1) + "|",
@@ -148,7 +148,7 @@ def _gradients(found: Found, folder: Path) -> str:
     lines = [
         "## Gradients of random scenes\n",
         f"{len(rows)} of the scenes that end well, replayed with their schedules: the gradient of the wall's "
-        "mean-square deviation, weighted by volume, along a random direction against the best of a ladder of differences.\n",
+        "mean-square deviation, weighted by volume, along a random direction against the best of several differences.\n",
         f"All finite: {'yes' if all(row['finite'] for row in rows) else 'no'}.\n",
         "| with respect to | median | 90 % | worst | above 1e-4 |",
         "|---|---|---|---|---|",
