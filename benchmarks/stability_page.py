@@ -148,7 +148,7 @@ def _gradients(found: Found, folder: Path) -> str:
     lines = [
         "## Gradients of random scenes\n",
         f"{len(rows)} of the scenes that end well, replayed with their schedules: the gradient of the wall's "
-        "mean-square deviation, weighted by volume, along a random direction against the best of several differences.\n",
+        "mean-square deviation, weighted by volume, along a random direction against the best of some differences.\n",
         f"All finite: {'yes' if all(row['finite'] for row in rows) else 'no'}.\n",
         "| with respect to | median | 90 % | worst | above 1e-4 |",
         "|---|---|---|---|---|",
