@@ -108,7 +108,7 @@ def _drawn(name: str, family: Family, random: Generator) -> Drawn:
     refinement = None
     if family.refinement is not None:
         jump = {} if "jump" not in family.refinement else {"jump": random.uniform(0.05, 1.0)}
-        limits = family.refinement | jump
+        limits: dict[str, Any] = family.refinement | jump
         area = float(10 ** random.uniform(-7.0, -3.0) * size**2)
         refinement = jaxform.make_refinement(angle=random.uniform(1.0, 40.0), min_area=area, **limits)
     scene = jaxform.build_scene(

@@ -29,7 +29,7 @@ from jaxform.body import body
 from jaxform.force import Load
 from jaxform.materials import Material
 from jaxform.pytree import as_real
-from jaxform.result import Result
+from jaxform.result import Result, wall_statistics
 from jaxform.scene import Scene
 from jaxform.shapes import Sheet
 from jaxform.state import State, finished
@@ -335,7 +335,7 @@ def _apart(double: tuple[Result, float], single: tuple[Result, float]) -> Found:
 
 
 def _mean_wall(result: Result) -> float:
-    return jaxform.result.wall_statistics(result)["mean"]
+    return wall_statistics(result)["mean"]
 
 
 def _say(words: str) -> None:
