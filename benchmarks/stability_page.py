@@ -12,6 +12,8 @@ import numpy as np
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from jaxform.state import Status
+
 Found = dict[str, Any]
 _LEAVES = {"parison.thickness": "thickness", "pressure.value": "pressure"}
 _SHOWN = 12  # seeds of a class
@@ -80,18 +82,18 @@ def _edge(found: Found, folder: Path) -> str:
 def _drift(found: Found, folder: Path) -> str:
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     lines = [
-        "## Energy over a million steps\n",
+        "## Energy over many steps\n",
         "A sphere that a sudden small pressure lets ring, without damping. *Missing* is strain and kinetic energy less "
         "the work done, over the largest work; it swings with the motion, as the velocities are half a step behind.\n",
-        "| | elements | steps | swing | mean of the first tenth | of the last | drift |",
-        "|---|---|---|---|---|---|---|",
+        "| | elements | steps | ended as | swing | mean of the first tenth | of the last | drift |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name, part in found.items():
         steps, missed = np.array(part["rows"]).T
         tenth = max(1, len(missed) // 10)
         first, last = missed[:tenth].mean(), missed[-tenth:].mean()
         lines.append(
-            f"| {name} | {part['elements']} | {part['steps']} | {np.ptp(missed[:tenth]):.1e} | {first:.1e} "
+            f"| {name} | {part['elements']} | {part['steps']} | {_ended(part['status'])} | {np.ptp(missed[:tenth]):.1e} | {first:.1e} "
             f"| {last:.1e} | {last - first:.1e} |"
         )
         axes.plot(steps, missed, ".-", linewidth=0.6, markersize=3, label=name)
@@ -106,7 +108,8 @@ def _random(found: Found, folder: Path) -> str:
     classes = sorted(found["classes"].items(), key=lambda item: -item[1])
     lines = [
         "## Random scenes\n",
-        f"{found['count']} seeds, {len(found['families'])} families of one static shape each; all else is drawn: nodes "
+        f"{found['count']} seeds, {sum(map(bool, found['families'].values()))} of {len(found['families'])} families of "
+        "one static shape each; all else is drawn: nodes "
         "shaken, squeezed up to 1:50 or graded, thickness with spots down to a thousandth or up to a thousand times, "
         "pressure that jumps, pulls or turns negative, molds with triangles that turn any way, with undercuts, too "
         "small, or where the sheet is, no damping, nonsense in scene files. Each ends in one of these ways:\n",
@@ -209,6 +212,10 @@ def _float32(found: Found, _: Path) -> str:
         f"cent or have another mesh ({_seeds(bad)}).\n",
     ]
     return "\n".join(lines)
+
+
+def _ended(status: int) -> str:
+    return "ok" if status == 0 else str(Status(status).name).lower().replace("_", " ").replace("|", " and ")
 
 
 def _seeds(seeds: Iterable[int]) -> str:

@@ -65,24 +65,26 @@ def _short(scene: jaxform.Scene) -> jaxform.Scene:
 
 
 def test_the_gradient_goes_past_windows_that_were_tried_in_vain() -> None:
-    """Overflowed numbers meet no derivative, in a run that decides for itself and in a replay."""
+    """Overflowed numbers meet no derivative; the decisions are the same for sheets so little apart."""
     scene = _short(random_scenes.draw(ONCE_BROKEN[0]).scene)
 
-    def wall(thickness: jax.Array, schedule: jaxform.Schedule | None) -> tuple[jax.Array, jaxform.Result]:
-        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), schedule=schedule)
+    def wall(thickness: jax.Array) -> tuple[jax.Array, jaxform.Result]:
+        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}))
         return jnp.mean(jnp.square(result.thickness / scene.parison.thickness)), result
 
     slope = jax.jit(jax.value_and_grad(wall, has_aux=True))
-    (value, result), gradient = slope(scene.parison.thickness, None)
+    (_, result), gradient = slope(scene.parison.thickness)
     assert int(result.status) == 0
+    assert result.schedule is not None
+    assert np.any((np.asarray(result.schedule.counts) == 0) & (np.asarray(result.schedule.lengths) > 0))
     assert np.all(np.isfinite(gradient))
-    (again, _), replayed = slope(scene.parison.thickness, result.schedule)
-    np.testing.assert_allclose(again, value, rtol=1e-9)
-    np.testing.assert_allclose(replayed, gradient, rtol=1e-6, atol=1e-9 * float(jnp.abs(gradient).max()))
     direction = jnp.cos(jnp.arange(gradient.size)) * scene.parison.thickness
-    ends = [slope(scene.parison.thickness + sign * 1e-6 * direction, result.schedule)[0][0] for sign in (1, -1)]
     along = float(jnp.sum(gradient * direction))
-    np.testing.assert_allclose((float(ends[0]) - float(ends[1])) / 2e-6, along, rtol=1e-5)
+    apart = []
+    for size in (1e-5, 1e-6, 1e-7):
+        ends = [float(slope(scene.parison.thickness + sign * size * direction)[0][0]) for sign in (1, -1)]
+        apart.append(abs((ends[0] - ends[1]) / (2 * size * along) - 1))
+    assert min(apart) < 1e-5
 
 
 def test_a_sheet_that_runs_away_says_so() -> None:
@@ -93,16 +95,6 @@ def test_a_sheet_that_runs_away_says_so() -> None:
     assert int(result.status) & (Status.RUNAWAY | Status.NON_FINITE | Status.WINDOWS_EXHAUSTED)
     assert np.all(np.isfinite(np.asarray(result.positions)))
     assert float(result.energy.balance_error) < 0.05
-
-
-def test_energy_does_not_drift() -> None:
-    """Of an undamped sphere over 20 000 steps: the account swings with the motion and stays where it is."""
-    part = stability.measure_drift(20_000, points=40)
-    assert part["status"] == 0
-    missed = np.array(part["rows"])[:, 1]
-    tenth = len(missed) // 4
-    swing = np.ptp(missed[:tenth])
-    assert abs(missed[-tenth:].mean() - missed[:tenth].mean()) < 0.5 * swing < 0.05
 
 
 def test_the_page_is_drawn_from_what_was_found(tmp_path: Path) -> None:
