@@ -93,8 +93,8 @@ def _drift(found: Found, folder: Path) -> str:
         tenth = max(1, len(missed) // 10)
         first, last = missed[:tenth].mean(), missed[-tenth:].mean()
         lines.append(
-            f"| {name} | {part['elements']} | {part['steps']} | {_ended(part['status'])} | {np.ptp(missed[:tenth]):.1e} | {first:.1e} "
-            f"| {last:.1e} | {last - first:.1e} |"
+            f"| {name} | {part['elements']} | {part['steps']} | {_ended(part['status'])} "
+            f"| {np.ptp(missed[:tenth]):.1e} | {first:.1e} | {last:.1e} | {last - first:.1e} |"
         )
         axes.plot(steps, missed, ".-", linewidth=0.6, markersize=3, label=name)
     axes.set(xlabel="steps", ylabel="energy missing, over the largest work")
