@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
+.PHONY: validate stability bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
 
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
@@ -54,6 +54,12 @@ validate: environment
 # docs/design.json; about half an hour. Parts by name: `.venv/bin/python -m benchmarks.design pressure`.
 design: environment
 	.venv/bin/python -m benchmarks.design
+
+# How hard it is to break: steps against the true limit, energy over a million steps, two thousand random scenes,
+# gradients, float32; writes docs/stability.md from docs/stability.json; about forty minutes on a quiet core, most of it
+# the random scenes. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
+stability: environment
+	.venv/bin/python -m benchmarks.stability
 
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment

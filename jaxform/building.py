@@ -260,7 +260,7 @@ def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store
 def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: SearchGrid | None) -> int:
     """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare.
 
-    Among these are some that contact cuts short when nodes fly through the mold.
+    Among these are some that contact cuts short when nodes fly through the mold, and some that are taken anew.
     """
     step = solver.safety * _stiffest_step(bound, material)
     steps = 1.3 * float(solver.end_time / step)
@@ -271,7 +271,7 @@ def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: Se
             "solver.end_time",
             float(solver.end_time),
         )
-    spare = 16 if grid is None else 16 + round(2 * float(grid.size / grid.reach))
+    spare = 32 if grid is None else 32 + round(2 * float(grid.size / grid.reach))
     return int(np.ceil(steps / STEPS_PER_WINDOW)) + spare
 
 

@@ -25,6 +25,7 @@ class Status(enum.IntFlag):
     CONTACT_MISSED = 16
     STOPPED = 32
     REFINEMENT_OVERFLOW = 64
+    RUNAWAY = 128
 
 
 @pytree
@@ -64,7 +65,9 @@ class State:
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
         kinetic_peak: Largest kinetic energy at the end of a window so far [J].
-        retries: Times that the present window was taken anew with half the step, since a node flew out of its ball.
+        imbalance: Energy held and lost beyond the external work, at the last window's end [J].
+        retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the
+            mold.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
         rate: The square of that frequency [1/s^2]; 0 before it is measured.
         mesh: Which triangles of the forest there are; None without refinement.
@@ -88,6 +91,7 @@ class State:
     contact_loss: jax.Array
     peak_work: jax.Array
     kinetic_peak: jax.Array
+    imbalance: jax.Array
     retries: jax.Array
     mode: jax.Array | None
     rate: jax.Array
@@ -128,6 +132,7 @@ def initial_state(scene: Scene) -> State:
         contact_loss=zero,
         peak_work=zero,
         kinetic_peak=zero,
+        imbalance=zero,
         retries=none,
         mode=any_mode(positions) if scene.solver.sharp_step else None,
         rate=zero,

@@ -27,7 +27,9 @@ from jaxform.timestep import choose_step
 
 _MOST_RETRIES = 12
 _SLACK = 1e-3  # of a step: less is rounding
+_FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
+_JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.05, 4  # the same of one window, which is then taken anew at most so often
 
 
 @pytree
@@ -62,6 +64,7 @@ class _Window:
         most: How many steps it takes, unless it is cut short.
         row, left: Of a schedule that is followed: whose steps these are, and the time that is left of it [s].
         idle_volume: Enclosed by what is not worked through [m^3].
+        size: Largest initial coordinate [m].
         near: The list of nodes near the mold; None where there is no mold.
     """
 
@@ -75,6 +78,7 @@ class _Window:
     row: jax.Array | None
     left: jax.Array | None
     idle_volume: jax.Array | float
+    size: jax.Array
     near: Near | None
 
 
@@ -90,7 +94,7 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     """
     pressure, mean_pressure, kick = pressures
     length = now.length
-    if now.near is not None and moving.room is None:
+    if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
     load = Load(moving.positions, now.thickness, pressure, scene.material)
@@ -108,8 +112,14 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
         room=taken.room,
     )
     if now.near is None:
-        return moved
+        return moved if moving.room is not None else dataclasses.replace(moved, halted=_flown(moved, now))
     return _touch(moved, taken, length, scene, now)
+
+
+def _flown(moved: _Moving, now: _Window) -> jax.Array:
+    """Whether a window without contact halts: a sheet that flies off must not overflow where derivatives are taken."""
+    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.positions))) > _FAR * now.size
+    return moved.halted | far | (moved.count >= now.most)
 
 
 class _Taken(NamedTuple):
@@ -247,6 +257,7 @@ def window(
         row=decided.row,
         left=decided.left,
         idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
+        size=jnp.max(jnp.abs(jax.lax.stop_gradient(scene.parison.positions))),
         near=_list_near(moving, scene, length),
     )
 
@@ -383,15 +394,22 @@ def _close(
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
-    status = _health(moving, new, kinetic, scene, sheet_body, now) | state.status
-    bad, retries = (status & Status.NON_FINITE) != 0, state.retries
+    status, imbalance = _health(moving, new, kinetic, scene, sheet_body, now)
+    new = dataclasses.replace(new, imbalance=imbalance)
+    # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
+    jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + _rounding(scene, now)
+    unsure = jump & (state.retries < _RETRIES_FOR_ENERGY)
+    # What blew up, and what may have missed the mold since a node flew out of its ball, is taken anew with half the
+    # step: the sheet may have stiffened within the window.
+    missed = jnp.asarray(False) if near is None else left(moving.positions, near)
+    status = jnp.where(missed, Status.CONTACT_MISSED, status)
+    bad = (status != 0) | unsure
+    status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
     if near is not None:
-        # A node that flew out of its ball may have missed the mold: the window is taken anew with smaller steps.
-        missed = left(moving.positions, near)
-        hopeless = missed & (retries >= _MOST_RETRIES)
-        status = jnp.where(missed, state.status, status) | jnp.where(hopeless, Status.CONTACT_MISSED, 0)
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-        bad, retries = bad | missed, jnp.where(missed, retries + 1, jnp.maximum(retries - 1, 0))
+    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions))) > _FAR * now.size
+    status |= jnp.where(far & ~bad, Status.RUNAWAY, 0)
+    retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
     if now.row is not None and now.left is not None:
         spent = moving.count * now.length
         whole = now.left - spent <= _SLACK * now.length
@@ -418,15 +436,22 @@ def _kinetic(moving: _Moving, now: _Window) -> jax.Array:
 
 def _health(
     moving: _Moving, state: State, kinetic: jax.Array, scene: Scene, sheet_body: Body, now: _Window
-) -> jax.Array:
+) -> tuple[jax.Array, jax.Array]:
+    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     moving, state, scene, sheet_body, now = jax.lax.stop_gradient((moving, state, scene, sheet_body, now))
     finite = jnp.isfinite(total(moving.positions) + kinetic)
     strain, volume = account(state.positions, scene, sheet_body)
     held = strain + kinetic
     held += state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
+    # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
+    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + _rounding(scene, now)
+    status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    return status, excess
+
+
+def _rounding(scene: Scene, now: _Window) -> jax.Array:
+    """What the account may miss [J] near rest, where the strain energy is the rounding of I1 - 3."""
+    scene, now = jax.lax.stop_gradient((scene, now))
     scale = scene.material.stiffness() * total(now.packed.elements.area * now.thickness)
-    # Near rest the strain energy is the rounding of I1 - 3.
-    rounding = 1e-9 + 64 * jnp.finfo(scale.dtype).eps
-    unstable = excess > _ENERGY_TOLERANCE * state.peak_work + rounding * scale
-    return jnp.where(finite, jnp.where(unstable, Status.UNSTABLE, 0), Status.NON_FINITE)
+    return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

@@ -1,0 +1,251 @@
+"""The page docs/stability.md and its pictures, drawn from what `benchmarks.stability` found; no number stands here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from jaxform.state import Status
+
+Found = dict[str, Any]
+_LEAVES = {"parison.thickness": "thickness", "pressure.value": "pressure"}
+_SHOWN = 12  # seeds of a class
+
+
+def write(found: Found, folder: Path) -> None:
+    """Writes stability.md, and the pictures of those parts that there are."""
+    text = [_HEAD]
+    for name, section in _SECTIONS.items():
+        if found.get(name):
+            text.append(section(found[name], folder))
+    (folder / "stability.md").write_text("\n".join(text), encoding="utf-8")
+
+
+_HEAD = """# How hard it is to break
+
+Written by `make stability` from docs/stability.json; change neither by hand.
+"""
+
+
+def _edge(found: Found, folder: Path) -> str:
+    rows = found["rows"]
+    begin, end = (np.concatenate([row[name] for row in rows]) for name in ("begin", "end"))
+    lines = [
+        "## The edge of stability\n",
+        "The true limit is that of the assembled tangent, pressure included, from all its eigenvalues. *At the begin* "
+        "is the step taken over the true limit times the solver's safety, as it was when the window began; *at the "
+        "end* is the step over the true limit itself, without safety, as it had become when the window ended: above 1 "
+        "the window ran unstably for a while. *Taken anew* are windows that were tried again with half the step. The "
+        "last steps, which divide the rest of the time, are left out.\n",
+        "| sheet | material | pressure [c h/a] | thickness between neighbours | stretch up to | windows | at the begin "
+        "| at the end | taken anew |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        sudden = ", sudden" if row["sudden"] else ""
+        lines.append(
+            f"| {row['sheet']} | {row['law']} | {row['pressure']:g}{sudden} | 1:{row['ratio']:g} "
+            f"| {row['stretch']:.2f} | {len(row['begin'])} | {_range(row['begin'])} | {_range(row['end'])} "
+            f"| {row['vain']} |"
+        )
+    lines += [
+        "",
+        f"At the begin {_share(begin > 1)} of the windows are above 1, the worst at {begin.max():.3f}; "
+        f"{_share(begin < 0.9)} are below 0.9. {_share(end > 1)} end above the true limit, the worst at "
+        f"{end.max():.3f}. Above are windows of sheets that change fast: another mode has become the highest, or the "
+        "sheet has stiffened within the window. What comes of it is seen at the window's end, by the account of "
+        "energy, and the window is taken anew.\n",
+        "Observed: an inflated sheet, at rest, is stepped at factors of its true limit until it leaves its shape.\n",
+        "| sheet | material | stays at | leaves at |",
+        "|---|---|---|---|",
+    ]
+    for row in found["observed"]:
+        below = max((factor for factor in found["factors"] if not factor >= row["factor"]), default=float("nan"))
+        lines.append(f"| {row['sheet']} | {row['law']} | {below:g} | {row['factor']:g} |")
+    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    bins = np.linspace(0.6, 1.15, 45).tolist()
+    axes.hist(np.clip(begin, 0.6, 1.15), bins, alpha=0.7, label="at the begin, over safety x limit")
+    axes.hist(np.clip(end, 0.6, 1.15), bins, alpha=0.5, label="at the end, over the limit")
+    axes.axvline(1.0, color="black", linewidth=1)
+    axes.set(xlabel="step taken", ylabel="windows")
+    _save(figure, axes, folder / "stability-edge.png")
+    return "\n".join([*lines, "\n![Steps over the limit](stability-edge.png)\n"])
+
+
+def _drift(found: Found, folder: Path) -> str:
+    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    lines = [
+        "## Energy over many steps\n",
+        "A sphere that a sudden small pressure lets ring, without damping. *Missing* is strain and kinetic energy less "
+        "the work done, over the largest work; it swings with the motion, as the velocities are half a step behind.\n",
+        "| | elements | steps | ended as | swing | mean of the first tenth | of the last | drift |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, part in found.items():
+        steps, missed = np.array(part["rows"]).T
+        tenth = max(1, len(missed) // 10)
+        first, last = missed[:tenth].mean(), missed[-tenth:].mean()
+        lines.append(
+            f"| {name} | {part['elements']} | {part['steps']} | {_ended(part['status'])} "
+            f"| {np.ptp(missed[:tenth]):.1e} | {first:.1e} | {last:.1e} | {last - first:.1e} |"
+        )
+        axes.plot(steps, missed, ".-", linewidth=0.6, markersize=3, label=name)
+    axes.set(xlabel="steps", ylabel="energy missing, over the largest work")
+    axes.axhline(0.0, color="black", linewidth=0.8)
+    _save(figure, axes, folder / "stability-drift.png")
+    return "\n".join([*lines, "\n![Energy over time](stability-drift.png)\n"])
+
+
+def _random(found: Found, folder: Path) -> str:
+    seconds, steps = found["seconds"], found["steps"]
+    classes = sorted(found["classes"].items(), key=lambda item: -item[1])
+    lines = [
+        "## Random scenes\n",
+        f"{found['count']} seeds, {sum(map(bool, found['families'].values()))} of {len(found['families'])} families of "
+        "one static shape each; all else is drawn: nodes "
+        "shaken, squeezed up to 1:50 or graded, thickness with spots down to a thousandth or up to a thousand times, "
+        "pressure that jumps, pulls or turns negative, molds with triangles that turn any way, with undercuts, too "
+        "small, or where the sheet is, no damping, nonsense in scene files. Each ends in one of these ways:\n",
+        "| how it ended | scenes | seeds |",
+        "|---|---|---|",
+    ]
+    for name, count in classes:
+        seeds = found["seeds"].get(name, [])
+        shown = ", ".join(map(str, seeds[:_SHOWN])) + (", ..." if len(seeds) > _SHOWN else "")
+        lines.append(f"| {name} | {count} | {shown} |")
+    lines += [
+        "",
+        "*ok* means: finite, the account of energy right to one per cent of the largest work, no node beyond the mold, "
+        "no element deeper in it than half the longest side, and the end reached or everything stuck. A name without "
+        "*status ok* is the status that the run reported itself; *unbalanced, status ok* is one that went to the end "
+        "with an account that misses more, which the summary's `balance_error` says and no status does.\n",
+        f"A scene takes {seconds['median']:.2g} s (median) and {steps['median']:.0f} steps; the slowest, "
+        f"seed {seconds['slowest']}, {seconds['max']:.0f} s with its compilation. Of those that end well, 99 % miss "
+        f"less than {_percent(found['balance']['99 %'])} of the energy and have elements at most "
+        f"{_percent(found['elements_beyond']['99 %'])} of the longest side beyond the mold.\n",
+        "| family | " + " | ".join(name for name, _ in classes) + " |",
+        "|---" * (len(classes) + 1) + "|",
+    ]
+    for family, counts in found["families"].items():
+        lines.append(f"| {family} | " + " | ".join(str(counts.get(name, 0)) for name, _ in classes) + " |")
+    figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    left = np.zeros(len(found["families"]))
+    for name, _ in classes:
+        counts = np.array([family.get(name, 0) for family in found["families"].values()], float)
+        axes.barh(list(found["families"]), counts, left=left, label=name)
+        left += counts
+    axes.invert_yaxis()
+    axes.set_xlabel("scenes")
+    _save(figure, axes, folder / "stability-random.png", outside=True)
+    return "\n".join([*lines, "\n![How random scenes end](stability-random.png)\n"])
+
+
+def _gradients(found: Found, folder: Path) -> str:
+    rows = found["rows"]
+    lines = [
+        "## Gradients of random scenes\n",
+        f"{len(rows)} of the scenes that end well, replayed with their schedules: the gradient of the wall's "
+        "mean-square deviation, weighted by volume, along a random direction against the best of some differences.\n",
+        f"All finite: {'yes' if all(row['finite'] for row in rows) else 'no'}.\n",
+        "| with respect to | median | 90 % | worst | above 1e-4 |",
+        "|---|---|---|---|---|",
+    ]
+    for leaf, words in _LEAVES.items():
+        apart = np.array([row[leaf]["apart"] for row in rows])
+        bad = [f"{row['seed']} ({row['family']})" for row in rows if not row[leaf]["apart"] < 1e-4]
+        lines.append(
+            f"| {words} | {np.median(apart):.0e} | {np.percentile(apart, 90):.0e} | {apart.max():.0e} | {len(bad)}"
+            f"{': ' if bad else ''}{', '.join(bad[:_SHOWN])} |"
+        )
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.0), layout="constrained")
+    for curve in found["growth"]["curves"]:
+        left.plot(found["growth"]["shares"], np.maximum(curve["norms"], 1e-12), "o-", alpha=0.6, linewidth=1)
+    left.set(yscale="log", xlabel="share of the time", ylabel="norm of the gradient by the relative thickness")
+    for name, line in found["rough"].items():
+        right.plot(line["line"], np.array(line["slopes"]) / np.mean(np.abs(line["slopes"])), ".-", label=name)
+    right.set(xlabel="place on the line", ylabel="slope over its mean size")
+    left.grid(alpha=0.3)
+    _save(figure, right, folder / "stability-gradients.png", outside=True)
+    lines += [
+        "",
+        "Where a slope is rough: a cup, its slope at points of a line of sheets. *Spread* is the deviation of the "
+        "slopes from a parabola, over their mean size; *against differences* how far they are from the differences "
+        "of the values between these points (median).\n",
+        "| cup | spread | against differences |",
+        "|---|---|---|",
+    ]
+    for name, line in found["rough"].items():
+        lines.append(f"| {name} | {line['spread']:.1e} | {line['against_differences']:.1e} |")
+    return "\n".join([*lines, "\n![Growth and roughness](stability-gradients.png)\n"])
+
+
+def _float32(found: Found, _: Path) -> str:
+    lines = [
+        "## float32\n",
+        "Its walls beside those of float64.\n",
+        "| scene | wall, rms | largest | mean wall | elements | time over float64's |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in found["built"]:
+        double, single = row["seconds"]
+        count = " and ".join(str(n) for n in sorted(set(row["elements"])))
+        lines.append(
+            f"| {row['scene']} | {_apart(row['rms'])} | {_apart(row['max'])} | {_percent(row['mean'])} | {count} "
+            f"| {single / double:.2f} |"
+        )
+    rows = found["random"]
+    rms = np.array([row["rms"] for row in rows if row["rms"] is not None and np.isfinite(row["rms"])])
+    stopped = [row["seed"] for row in rows if row["status"]]
+    bad = [row["seed"] for row in rows if not row["rms"] < 1e-2]
+    lines += [
+        "",
+        f"Of {len(rows)} random scenes that end well in float64 the walls differ by {_percent(np.median(rms))} rms "
+        f"(median), {_percent(np.percentile(rms, 90))} (nine in ten) and {_percent(rms.max())} (worst). "
+        f"{len(stopped)} stop with a status in float32 ({_seeds(stopped)}); {len(bad)} differ by more than a per "
+        f"cent or have another mesh ({_seeds(bad)}).\n",
+    ]
+    return "\n".join(lines)
+
+
+def _ended(status: int) -> str:
+    return "ok" if status == 0 else str(Status(status).name).lower().replace("_", " ").replace("|", " and ")
+
+
+def _seeds(seeds: Iterable[int]) -> str:
+    return ", ".join(map(str, seeds)) or "none"
+
+
+def _save(figure: Any, axes: Any, path: Path, *, outside: bool = False) -> None:
+    axes.grid(alpha=0.3)
+    if outside:
+        axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    else:
+        axes.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _range(values: list[float]) -> str:
+    return f"{min(values):.3f} to {max(values):.3f}" if values else "none"
+
+
+def _share(which: np.ndarray) -> str:
+    return _percent(float(np.mean(which)))
+
+
+def _apart(value: float) -> str:
+    return "other mesh" if value is None or not np.isfinite(value) else _percent(value)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2g} %" if abs(value) < 0.1 else f"{100 * value:.1f} %"
+
+
+_SECTIONS = {"edge": _edge, "drift": _drift, "random": _random, "gradients": _gradients, "float32": _float32}
