@@ -241,7 +241,7 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
         new,
         mesh=mesh,
         mode=mode,
-        rate=jnp.zeros_like(state.rate),
+        sharpness=jnp.zeros_like(state.sharpness),
         refinement_loss=state.refinement_loss + loss,
         volume=state.volume + new_volume - volume,
     ), body

@@ -174,7 +174,7 @@ def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array,
         added_mass=_added_mass(scene, now, mesh),
         energy=Energy(
             strain=strain_energy(state, scene, now),
-            kinetic=kinetic_energy(state, now.mass),
+            kinetic=kinetic_energy(state, now.mass) - state.kinetic_excess,
             external_work=state.external_work + last_work(state, scene, sheet),
             damping_loss=state.damping_loss,
             contact_loss=state.contact_loss,

@@ -65,11 +65,13 @@ class State:
         external_work, damping_loss, contact_loss: So far [J].
         peak_work: Largest magnitude of the external work so far [J].
         kinetic_peak: Largest kinetic energy at the end of a window so far [J].
+        kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end
+            [J]; 0 where damping leaves little of the fast modes that it concerns.
         imbalance: Energy held and lost beyond the external work, at the last window's end [J].
         retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the
             mold.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
-        rate: The square of that frequency [1/s^2]; 0 before it is measured.
+        bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
         mesh: Which triangles of the forest there are; None without refinement.
         refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was tried in vain.
@@ -91,10 +93,12 @@ class State:
     contact_loss: jax.Array
     peak_work: jax.Array
     kinetic_peak: jax.Array
+    kinetic_excess: jax.Array
     imbalance: jax.Array
     retries: jax.Array
     mode: jax.Array | None
-    rate: jax.Array
+    bound: jax.Array
+    sharpness: jax.Array
     mesh: Mesh | None
     refinement_loss: jax.Array
     last_length: jax.Array
@@ -132,10 +136,12 @@ def initial_state(scene: Scene) -> State:
         contact_loss=zero,
         peak_work=zero,
         kinetic_peak=zero,
+        kinetic_excess=zero,
         imbalance=zero,
         retries=none,
         mode=any_mode(positions) if scene.solver.sharp_step else None,
-        rate=zero,
+        bound=zero,
+        sharpness=zero,
         mesh=mesh,
         refinement_loss=zero,
         last_length=zero,

@@ -23,7 +23,7 @@ from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Schedule, State, Status, account, can_move, counted_volume, enclosed_volume, last_pressure
-from jaxform.timestep import choose_step
+from jaxform.timestep import Limit, choose_step
 
 _MOST_RETRIES = 12
 _SLACK = 1e-3  # of a step: less is rounding
@@ -271,19 +271,18 @@ def window(
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
-    return _close(dataclasses.replace(state, mode=decided.mode, rate=decided.rate), moving, scene, sheet_body, now)
+    return _close(dataclasses.replace(state, **decided.limit._asdict()), moving, scene, sheet_body, now)
 
 
 class _Decisions(NamedTuple):
     """What is decided at a window's border.
 
-    The step [s], the mode and squared frequency that it was measured with, and how many there are at most; the row of
-    the schedule that they belong to, where one is followed, and the time that is left of it [s].
+    The step [s], what it was found with, and how many there are at most; the row of the schedule that they belong to,
+    where one is followed, and the time that is left of it [s].
     """
 
     length: jax.Array
-    mode: jax.Array | None
-    rate: jax.Array
+    limit: Limit
     most: jax.Array | int
     row: jax.Array | None = None
     left: jax.Array | None = None
@@ -302,7 +301,7 @@ def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, sched
         fresh = (steps == count) & (state.row_time == 0.0)
         even = left / jnp.maximum(steps, 1)
         most = jnp.clip(steps, 1, STEPS_PER_WINDOW)
-        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), state.mode, state.rate, most, row, left)
+        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), Limit.of(state), most, row, left)
 
     def beyond(*now: Any) -> _Decisions:
         most = jnp.full_like(schedule.counts[0], STEPS_PER_WINDOW)
@@ -374,7 +373,7 @@ def _close(
 ) -> State:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
     packed, near = now.packed, now.near
-    kinetic = _kinetic(moving, now)
+    kinetic, excess = _kinetic(moving, scene, now)
     new = dataclasses.replace(
         state,
         positions=packed.put_back(moving.positions),
@@ -390,6 +389,7 @@ def _close(
         contact_loss=moving.contact_loss,
         peak_work=jnp.maximum(state.peak_work, jnp.abs(jax.lax.stop_gradient(moving.external_work))),
         kinetic_peak=jnp.maximum(state.kinetic_peak, kinetic),
+        kinetic_excess=excess,
         steps=state.steps + moving.count,
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
@@ -428,10 +428,21 @@ def _close(
     )
 
 
-def _kinetic(moving: _Moving, now: _Window) -> jax.Array:
-    """Kinetic energy [J]; no derivative is taken of it."""
-    velocities, mass = jax.lax.stop_gradient((moving.velocities, now.mass))
-    return 0.5 * total(mass * membrane.dot(velocities, velocities))
+def _kinetic(moving: _Moving, scene: Scene, now: _Window) -> tuple[jax.Array, jax.Array]:
+    """Kinetic energy [J] and by how much that of the velocities is larger; no derivative is taken of them.
+
+    Velocities are half a step behind. Of a mode near the stable limit that is most of its energy's swing, so where
+    nothing damps such modes the half step that follows counts as well: their product is what a linear mode keeps.
+    """
+    moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
+    behind = 0.5 * total(now.mass * membrane.dot(moving.velocities, moving.velocities))
+    if scene.solver.damping is not None:
+        return behind, jnp.zeros_like(behind)
+    end = now.begin + moving.count * now.length
+    load = Load(moving.positions, now.thickness, scene.pressure.at(end), scene.material)
+    ahead = (_taken if moving.room is None else _taken_in_blocks)(load, moving, now.length, now.length, scene, now)
+    kinetic = 0.5 * total(now.mass * membrane.dot(moving.velocities, ahead.velocities))
+    return kinetic, behind - kinetic
 
 
 def _health(

@@ -8,7 +8,7 @@ iterations do.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,40 +26,64 @@ _RUNGS_PER_OCTAVE = 8
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
 _COLD_ITERATIONS, _AFTER_BIRTHS, _ITERATIONS = 16, 8, 1
 _MOST_SHARPENING = 2.0  # how far beyond the elements' bound the step may go
+_RISE = 1.02  # of that from one window to the next
+_REGAIN = 2.0  # how many times as long the step must be to rise again where nothing damps
+_MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
 
-def choose_step(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed
-) -> tuple[jax.Array, jax.Array | None, jax.Array]:
+class Limit(NamedTuple):
+    """How the longest stable step was found, kept for the next window; as in `State`."""
+
+    mode: jax.Array | None
+    bound: jax.Array
+    sharpness: jax.Array
+
+    @classmethod
+    def of(cls, state: State) -> Limit:
+        """What the last window found."""
+        return cls(state.mode, state.bound, state.sharpness)
+
+
+def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
     """The step [s] of the next window: from the ladder 2^(k/8), or what divides the rest of the time evenly.
 
-    With it the mode of the highest frequency (3, n_node), where it is measured, and that frequency's square [1/s^2].
+    With it what the next window needs to know of the limit.
     """
     state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
-    limit, mode, rate = _limit(state, scene, sheet_body, packed)
-    limit = scene.solver.safety * limit
+    longest, limit = _limit(state, scene, sheet_body, packed)
+    longest = scene.solver.safety * longest
     if scene.tables.grid is not None:
         # No node passes more of the range of its list in one step than can be watched.
         fastest = jnp.sqrt(jnp.max(membrane.dot(state.velocities, state.velocities)))
-        limit = jnp.minimum(limit, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
-    rung = jnp.exp2(jnp.floor(jnp.log2(limit) * _RUNGS_PER_OCTAVE) / _RUNGS_PER_OCTAVE)
+        longest = jnp.minimum(longest, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
+    rung = jnp.exp2(jnp.floor(jnp.log2(longest) * _RUNGS_PER_OCTAVE) / _RUNGS_PER_OCTAVE)
     rung = rung * jnp.exp2(-state.retries)
+    if scene.solver.damping is None:
+        # Every change of the step changes the energy of the fast modes, which nothing takes away.
+        held = (state.step_length <= rung) & (rung < _REGAIN * state.step_length)
+        rung = jnp.where(held, state.step_length, rung)
     rest = (scene.solver.end_time - state.time) / STEPS_PER_WINDOW
-    return jax.lax.stop_gradient((jnp.minimum(rung, rest), mode, rate))
+    return jax.lax.stop_gradient((jnp.minimum(rung, rest), limit))
 
 
-def _limit(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed
-) -> tuple[jax.Array, jax.Array | None, jax.Array]:
-    """The longest stable step [s], its mode and its squared frequency."""
+def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
+    """The longest stable step [s], and how it was found.
+
+    The iteration follows one mode, while another may have become the highest; it comes from below, so the step would
+    be too long. How much sharper it is than the elements' bound depends on shapes and changes slowly: where it seems
+    to rise quickly, the mode was lost. The bound itself is of this moment.
+    """
     bound = _bound(state, scene, sheet_body, packed)
     if state.mode is None:
-        return bound, None, state.rate
+        return bound, Limit(None, bound, state.sharpness)
     mode, rate, residual = _measured(state, scene, sheet_body, packed)
-    # It comes from below: the residual makes up for what is missing, growth so far for growth within the window.
-    growth = jnp.clip(rate / jnp.where(state.rate > 0.0, state.rate, rate), 1.0, 2.0)
-    sharp = 2.0 / jnp.sqrt(growth * (rate + residual))
-    return jnp.clip(sharp, bound, _MOST_SHARPENING * bound), mode, rate
+    # The residual makes up for what is missing.
+    sharpness = jnp.clip(2.0 / (bound * jnp.sqrt(rate + residual)), 1.0, _MOST_SHARPENING)
+    known = state.sharpness > 0.0
+    sharpness = jnp.where(known, jnp.minimum(sharpness, _RISE * state.sharpness), sharpness)
+    # Growth of the stiffness so far stands for growth within the window.
+    growth = jnp.where(known, jnp.clip(bound / state.bound, _MOST_GROWTH, 1.0), 1.0)
+    return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness)
 
 
 def _bound(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
@@ -98,7 +122,9 @@ def _measured(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> t
 
     start = jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0)
     start = start / jnp.sqrt(jnp.maximum(product(start, start), jnp.finfo(mass.dtype).tiny))
-    count = jnp.where(state.rate == 0.0, jnp.where(state.windows == 0, _COLD_ITERATIONS, _AFTER_BIRTHS), _ITERATIONS)
+    count = jnp.where(
+        state.sharpness == 0.0, jnp.where(state.windows == 0, _COLD_ITERATIONS, _AFTER_BIRTHS), _ITERATIONS
+    )
     zero = jnp.zeros((), mass.dtype)
     mode, rate, residual = jax.lax.fori_loop(0, count, iterate, (start, zero, zero))
     return packed.put_back(mode), rate, residual
