@@ -61,6 +61,7 @@ class _Window:
         compliance: Mobility over mass (3, place) [1/kg].
         begin: Its begin [s].
         length: The step [s].
+        bound: The elements' bound on it [s].
         most: How many steps it takes, unless it is cut short.
         row, left: Of a schedule that is followed: whose steps these are, and the time that is left of it [s].
         idle_volume: Enclosed by what is not worked through [m^3].
@@ -74,6 +75,7 @@ class _Window:
     compliance: jax.Array
     begin: jax.Array
     length: jax.Array
+    bound: jax.Array
     most: jax.Array | int
     row: jax.Array | None
     left: jax.Array | None
@@ -253,6 +255,7 @@ def window(
         compliance=packed.taken(sheet_body.compliance),
         begin=state.time,
         length=length,
+        bound=decided.limit.bound,
         most=decided.most,
         row=decided.row,
         left=decided.left,
@@ -271,7 +274,8 @@ def window(
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
-    return _close(dataclasses.replace(state, **decided.limit._asdict()), moving, scene, sheet_body, now)
+    found = dataclasses.replace(state, mode=decided.limit.mode, sharpness=decided.limit.sharpness)
+    return _close(found, moving, scene, sheet_body, now)
 
 
 class _Decisions(NamedTuple):
@@ -383,6 +387,7 @@ def _close(
         wall=packed.put_back(moving.wall),
         time=state.time + moving.count * now.length,
         step_length=now.length,
+        bound=now.bound,
         volume=moving.volume,
         external_work=moving.external_work,
         damping_loss=moving.damping_loss,

@@ -57,11 +57,11 @@ def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) ->
         fastest = jnp.sqrt(jnp.max(membrane.dot(state.velocities, state.velocities)))
         longest = jnp.minimum(longest, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * _RUNGS_PER_OCTAVE) / _RUNGS_PER_OCTAVE)
-    rung = rung * jnp.exp2(-state.retries)
     if scene.solver.damping is None:
         # Every change of the step changes the energy of the fast modes, which nothing takes away.
         held = (state.step_length <= rung) & (rung < _REGAIN * state.step_length)
         rung = jnp.where(held, state.step_length, rung)
+    rung = rung * jnp.exp2(-state.retries)
     rest = (scene.solver.end_time - state.time) / STEPS_PER_WINDOW
     return jax.lax.stop_gradient((jnp.minimum(rung, rest), limit))
 
