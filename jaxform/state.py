@@ -66,7 +66,7 @@ class State:
         peak_work: Largest magnitude of the external work so far [J].
         kinetic_peak: Largest kinetic energy at the end of a window so far [J].
         kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end
-            [J]; 0 where damping leaves little of the fast modes that it concerns.
+            [J].
         imbalance: Energy held and lost beyond the external work, at the last window's end [J].
         retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the
             mold.
