@@ -127,14 +127,16 @@ class Result:
     seconds: Seconds | None = None
 
 
-def make_result(state: State, scene: Scene, first: Body, taken: tuple[jax.Array, jax.Array] | None = None) -> Result:
+def make_result(
+    state: State, scene: Scene, first: Body, taken: tuple[jax.Array, jax.Array, jax.Array] | None = None
+) -> Result:
     """The result of a state; pure, so it can be traced.
 
     Args:
         state: The state.
         scene: The scene.
         first: The sheet as it was at first.
-        taken: The windows that were taken: length of the steps and their number (n_window,) each.
+        taken: The windows that were taken, as the first parts of a `Schedule`.
     """
     now, forest, mesh = present_body(scene, state.mesh, first), scene.tables.forest, state.mesh
     sheet = now.sheet

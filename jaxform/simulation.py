@@ -44,7 +44,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
     first = body(scene)
     count = scene.tables.window_count
 
-    def unless_finished(state: State, _: None = None) -> tuple[State, tuple[jax.Array, jax.Array]]:
+    def unless_finished(state: State, _: None = None) -> tuple[State, Taken]:
         def take(state: State) -> State:
             state, now = refined(state, scene, present_body(scene, state.mesh, first), schedule)
             return _unless_full(state, scene, lambda state: window(state, scene, now, schedule))
@@ -52,10 +52,10 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
         take = jax.checkpoint(take) if windows_per_checkpoint else take
         done = finished(state, scene) | (state.windows >= count)
         state = jax.lax.cond(done, lambda state: state, take, state)
-        taken = state.last_length, state.last_count
+        taken = state.last_length, state.last_count, state.bound
         return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), taken)
 
-    def several(state: State, _: None) -> tuple[State, tuple[jax.Array, jax.Array]]:
+    def several(state: State, _: None) -> tuple[State, Taken]:
         return jax.lax.scan(unless_finished, state, length=windows_per_checkpoint)
 
     state = initial_state(scene)
@@ -187,14 +187,15 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
 _make_result = jax.jit(make_result)
 
 
-Taken = tuple[jax.Array, jax.Array]  # length of the steps and their number of each window (n_window,)
+Taken = tuple[jax.Array, jax.Array, jax.Array]  # as in `Schedule`, of each window (n_window,)
 
 
 @jax.jit
 def _begin(scene: Scene) -> tuple[State, Body, Taken]:
     count = scene.tables.window_count
     state = initial_state(scene)
-    return state, body(scene), (jnp.zeros(count, state.time.dtype), jnp.zeros(count, jnp.int32))
+    none = jnp.zeros(count, state.time.dtype)
+    return state, body(scene), (none, jnp.zeros(count, jnp.int32), none)
 
 
 @jax.jit
@@ -208,8 +209,12 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         at = carry[0].windows
         state, now = refined(carry[0], scene, carry[1])
         state = _unless_full(state, scene, lambda state: window(state, scene, now, differentiable=False))
-        lengths, counts = carry[2]
-        taken = lengths.at[at].set(state.last_length), counts.at[at].set(state.last_count)
+        lengths, counts, bounds = carry[2]
+        taken = (
+            lengths.at[at].set(state.last_length),
+            counts.at[at].set(state.last_count),
+            bounds.at[at].set(state.bound),
+        )
         return state, now, taken, carry[3] + 1
 
     begun = state, present_body(scene, state.mesh, first), taken, jnp.int32(0)

@@ -35,11 +35,13 @@ class Schedule:
     Attributes:
         lengths: Of the steps of each window (n_window,) [s].
         counts: Steps of each window (n_window,); 0 for windows that were not taken, or tried in vain.
+        bounds: The elements' bound on the step at their begin (n_window,) [s].
         split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
     """
 
     lengths: jax.Array
     counts: jax.Array
+    bounds: jax.Array
     split_at: jax.Array | None
 
     def upcoming(self, row: jax.Array) -> jax.Array:

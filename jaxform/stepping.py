@@ -23,9 +23,10 @@ from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Schedule, State, Status, account, can_move, counted_volume, enclosed_volume, last_pressure
-from jaxform.timestep import Limit, choose_step
+from jaxform.timestep import RUNGS_PER_OCTAVE, Limit, choose_step, elements_bound
 
 _MOST_RETRIES = 12
+_STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
 _SLACK = 1e-3  # of a step: less is rounding
 _FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
@@ -297,15 +298,20 @@ def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, sched
         return _Decisions(*choose_step(state, scene, sheet_body, packed), STEPS_PER_WINDOW)
     row = schedule.upcoming(state.row)
 
-    def as_planned(state: State, scene: Scene, *_: Any) -> _Decisions:
+    def as_planned(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
+        # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
+        bound = elements_bound(state, scene, sheet_body, packed)
+        rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
+        finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.retries)
         # As many as planned, if none of them is taken yet; else what is left is divided evenly.
-        steps = jnp.ceil(left / length * jnp.exp2(state.retries) - _SLACK).astype(count.dtype)
+        steps = jnp.ceil(left / length * finer - _SLACK).astype(count.dtype)
         fresh = (steps == count) & (state.row_time == 0.0)
         even = left / jnp.maximum(steps, 1)
         most = jnp.clip(steps, 1, STEPS_PER_WINDOW)
-        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), Limit.of(state), most, row, left)
+        limit = Limit(state.mode, bound, state.sharpness)
+        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), limit, most, row, left)
 
     def beyond(*now: Any) -> _Decisions:
         most = jnp.full_like(schedule.counts[0], STEPS_PER_WINDOW)

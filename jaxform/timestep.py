@@ -22,7 +22,7 @@ from jaxform.packing import Packed
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import State, can_move
 
-_RUNGS_PER_OCTAVE = 8
+RUNGS_PER_OCTAVE = 8
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
 _COLD_ITERATIONS, _AFTER_BIRTHS, _ITERATIONS = 16, 8, 1
 _MOST_SHARPENING = 2.0  # how far beyond the elements' bound the step may go
@@ -38,11 +38,6 @@ class Limit(NamedTuple):
     bound: jax.Array
     sharpness: jax.Array
 
-    @classmethod
-    def of(cls, state: State) -> Limit:
-        """What the last window found."""
-        return cls(state.mode, state.bound, state.sharpness)
-
 
 def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
     """The step [s] of the next window: from the ladder 2^(k/8), or what divides the rest of the time evenly.
@@ -56,7 +51,7 @@ def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) ->
         # No node passes more of the range of its list in one step than can be watched.
         fastest = jnp.sqrt(jnp.max(membrane.dot(state.velocities, state.velocities)))
         longest = jnp.minimum(longest, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
-    rung = jnp.exp2(jnp.floor(jnp.log2(longest) * _RUNGS_PER_OCTAVE) / _RUNGS_PER_OCTAVE)
+    rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:
         # Every change of the step changes the energy of the fast modes, which nothing takes away.
         held = (state.step_length <= rung) & (rung < _REGAIN * state.step_length)
@@ -73,7 +68,7 @@ def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tupl
     be too long. How much sharper it is than the elements' bound depends on shapes and changes slowly: where it seems
     to rise quickly, the mode was lost. The bound itself is of this moment.
     """
-    bound = _bound(state, scene, sheet_body, packed)
+    bound = elements_bound(state, scene, sheet_body, packed)
     if state.mode is None:
         return bound, Limit(None, bound, state.sharpness)
     mode, rate, residual = _measured(state, scene, sheet_body, packed)
@@ -86,7 +81,7 @@ def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tupl
     return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness)
 
 
-def _bound(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
+def elements_bound(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension."""
     rows, bounds = membrane.rows_of(packed.taken(state.positions)), sheet_body.bound[packed.element]
     moving = can_move(state, sheet_body.sheet)[packed.element]
