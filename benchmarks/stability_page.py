@@ -84,7 +84,7 @@ def _drift(found: Found, folder: Path) -> str:
     lines = [
         "## Energy over many steps\n",
         "A sphere that a sudden small pressure lets ring, without damping. *Missing* is strain and kinetic energy less "
-        "the work done, over the largest work; it swings with the motion, as the velocities are half a step behind.\n",
+        "the work done, over the largest work.\n",
         "| | elements | steps | ended as | swing | mean of the first tenth | of the last | drift |",
         "|---|---|---|---|---|---|---|---|",
     ]

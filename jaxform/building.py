@@ -156,7 +156,17 @@ def _reference_sheet(parison: Parison) -> Sheet:
     # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)
-    origin = [places[on_plane[:, k], k].mean() if on_plane[:, k].any() else 0.0 for k in range(3)]
+    origin = []
+    for k, axis in enumerate("xyz"):
+        there = places[on_plane[:, k], k] if on_plane[:, k].any() else np.zeros(1)
+        if np.ptp(there) > 1e-6 * np.ptp(places, axis=0).max():
+            raise InputError(
+                "nodes are held on more than one plane, from which the enclosed volume cannot be counted",
+                f"keep one symmetry plane across {axis}",
+                "parison.fixed",
+                f"{axis} from {there.min():.4g} to {there.max():.4g} m",
+            )
+        origin.append(there.mean())
     return Sheet(triangles, inverse, area, as_real(origin))
 
 

@@ -274,3 +274,18 @@ def test_float32_is_close_and_warns_once() -> None:
     assert int(single.status) == 0
     error = np.asarray(single.thickness, float) / np.asarray(result.thickness) - 1
     assert np.sqrt(np.mean(np.square(error))) < 5e-3
+
+
+def test_two_parallel_symmetry_planes_are_refused() -> None:
+    """The volume is counted from one point on every plane; of a strip between two it would be wrong."""
+    sheet = shapes.rectangle(size=(1.0, 0.5), elements=40)
+    ends = np.isclose(sheet.positions[:, 0] % 1.0, 0.0)
+    fixed = np.zeros_like(sheet.fixed)
+    fixed[:, 1] = np.isclose(sheet.positions[:, 1] % 0.5, 0.0)
+    with pytest.raises(jaxform.InputError, match=r"parison.fixed.*y from 0 to 0.5 m"):
+        jaxform.build_scene(
+            parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, ends, fixed),
+            material=scenes.mooney(0.1),
+            pressure=jaxform.make_pressure([0.0], [1.0]),
+            solver=jaxform.make_solver(end_time=1.0),
+        )
