@@ -116,6 +116,20 @@ def test_forward_mode_equals_reverse_mode() -> None:
     np.testing.assert_allclose(float(forward), reverse, rtol=1e-9)
 
 
+def test_vmap_equals_single_runs() -> None:
+    scene = scenes.cup()
+    factors = jnp.asarray([0.8, 1.0, 1.25])
+
+    def wall(factor: jax.Array) -> jax.Array:
+        return jaxform.simulate(
+            jaxform.replace(scene, {"parison.thickness": factor * scene.parison.thickness})
+        ).thickness
+
+    together = jax.jit(jax.vmap(wall))(factors)
+    for k, factor in enumerate(factors):
+        np.testing.assert_allclose(together[k], jax.jit(wall)(factor), rtol=1e-9)
+
+
 def test_uniform_thickness_cancels_where_pressure_scales_with_it() -> None:
     scene = scenes.cup()
     double = {"parison.thickness": 2 * scene.parison.thickness, "pressure.value": 2 * scene.pressure.value}
