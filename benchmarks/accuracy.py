@@ -52,15 +52,23 @@ def modified(a02: float) -> jaxform.ModifiedMooneyRivlin:
 
 
 def scene_of(
-    sheet: Any, material: Any, pressure: jaxform.Pressure, mold: jaxform.Mold | None = None, **solver: Any
+    sheet: Any,
+    material: Any,
+    pressure: jaxform.Pressure,
+    mold: jaxform.Mold | None = None,
+    *,
+    thickness: Any = 0.01,
+    refinement: jaxform.Refinement | None = None,
+    **solver: Any,
 ) -> Scene:
-    """A sheet of thickness 0.01."""
+    """A scene of one of the library's sheets."""
     return jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed),
         material=material,
         pressure=pressure,
         solver=jaxform.make_solver(**solver),
         mold=mold,
+        refinement=refinement,
     )
 
 
@@ -250,12 +258,9 @@ def exact_ratio(places: np.ndarray, reference: Mapping[str, np.ndarray]) -> np.n
 def wall_error(scene: Scene, result: Result, reference: Mapping[str, np.ndarray]) -> float:
     """Relative rms error of nodal h/h0 over the material, weighted by initial area, the corner left out."""
     places = sections.initial_radius(scene)
-    ratio = np.asarray(result.thickness) / np.asarray(scene.parison.thickness)
-    error = ratio / exact_ratio(places, reference) - 1
-    triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
-    weight = sum(np.bincount(triangles[:, k], area, len(places)) for k in range(3))
+    off = nodal_ratio(scene, result) / exact_ratio(places, reference) - 1
     away = away_from_corner(places, reference)
-    return float(np.sqrt(np.average(np.square(error[away]), weights=np.asarray(weight)[away])))
+    return rms(off[away], nodal_area(scene)[away])
 
 
 def variation(scene: Scene, result: Result, reference: Mapping[str, np.ndarray]) -> float:

@@ -7,12 +7,10 @@ What a part finds goes into docs/design.json; the page and pictures in docs are 
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -21,13 +19,13 @@ import numpy as np
 import jaxform
 import optimize
 from benchmarks import design_page
+from benchmarks.pages import DOCS, Found, keep, kept
 from jaxform import catalog
 from jaxform.profiles import Profile
 from optimize.search import Search
 from optimize.walls import nodal_area
 
-DOCS = Path(__file__).parent.parent / "docs"
-Found = dict[str, Any]
+_FILE = DOCS / "design.json"
 BOUNDS = (0.3e-4, 1.5e-3)  # m, of the dish's sheet
 MINIMUM = 0.6e-4  # m, of the dish's wall
 TOUCHING = 0.99  # of the formed area, from which a part counts as formed
@@ -344,28 +342,13 @@ def main(names: list[str]) -> None:
     races = {f"race-{name}": make for name, make in cases().items()}
     for name in names or [*PARTS, *races]:
         if name in PARTS:
-            _keep(name, PARTS[name]())
+            keep(_FILE, name, PARTS[name]())
         if name in races:
             case = name.removeprefix("race-")
-            _keep("searches", compare(races[name](), BUDGETS[case]), case)
-    design_page.write(_kept(), DOCS)
+            keep(_FILE, "searches", compare(races[name](), BUDGETS[case]), case=case)
+        print(f"{name}: done", flush=True)
+    design_page.write(kept(_FILE), DOCS)
     print((DOCS / "design.md").read_text())
-
-
-def _kept() -> Found:
-    path = DOCS / "design.json"
-    return json.loads(path.read_text()) if path.exists() else {}
-
-
-def _keep(name: str, found: Found | None, case: str = "") -> None:
-    """Puts what was found into the file, which another part may have written in the meantime."""
-    kept = _kept()
-    if case:
-        kept.setdefault(name, {})[case] = found
-    else:
-        kept[name] = found
-    (DOCS / "design.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-    print(f"{name} {case}: done", flush=True)
 
 
 if __name__ == "__main__":

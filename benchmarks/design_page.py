@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+from benchmarks.pages import Found, save
 
-Found = dict[str, Any]
 _OWN = ("L-BFGS", "least squares", "fixed point")
 
 
@@ -213,8 +210,7 @@ def _draw_searches(found: Found, path: Path) -> None:
         place.set_title(case["title"], fontsize=10)
         place.grid(alpha=0.3, which="both")
         place.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+    save(figure, path)
 
 
 def _draw_schedule(found: Found, path: Path) -> None:
@@ -232,8 +228,7 @@ def _draw_schedule(found: Found, path: Path) -> None:
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(frameon=False)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+    save(figure, path)
 
 
 def _percent(value: float) -> str:

@@ -7,16 +7,11 @@ Parts run alone by name: a scene, or a step of pictures, tables and counts.
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.animation import PillowWriter
@@ -29,6 +24,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 import jaxform
 from benchmarks import scenes as bottle_tables
 from benchmarks.bench import one_core, say
+from benchmarks.pages import DOCS, keep, kept, save
 from benchmarks.sheets import best_in_turns, whole_loop
 from jaxform import files, plots, scenes, sections
 from jaxform.result import Result, only_used, summarize, wall_statistics
@@ -37,7 +33,6 @@ from jaxform.store import Store
 
 Row = dict[str, Any]
 Part = tuple[Scene, Result]
-DOCS = Path("docs")
 OURS, THEIRS, LINE = "#0072b2", "#d55e00", "#333333"
 PAPER: dict[str, Row] = {
     "dish": {"elements": (27, 996), "mold": 63},
@@ -166,8 +161,7 @@ def finished_axes(axes: Any, **words: Any) -> None:
 
 
 def saved(figure: Any, name: str) -> None:
-    figure.savefig(DOCS / name, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+    save(figure, DOCS / name)
 
 
 def stages(name: str, parts: Sequence[Part]) -> None:
@@ -443,7 +437,6 @@ def main(names: list[str]) -> None:
     """Runs what is named, of the scenes and of the steps (pictures, tables, counts), and writes the page."""
     jax.config.update("jax_enable_x64", True)
     path, page = DOCS / "scenes.json", DOCS / "scenes.md"
-    found: Row = {"counts": {}}
     steps = {"pictures", "tables", "counts"}
     wanted = steps & set(names) or steps
     chosen = {name: make for name, make in SCENES.items() if name in names or not set(SCENES) & set(names)}
@@ -451,16 +444,13 @@ def main(names: list[str]) -> None:
         for name, make in chosen.items():
             draw(name, make())
     if "tables" in wanted and "soap-bottle" in chosen:
-        found |= bottle_tables.tables()
+        for part, found in bottle_tables.tables().items():
+            keep(path, part, found)
     if "counts" in wanted:
         one_core()
         for name, make in chosen.items():
-            found["counts"][name] = counted(name, make())
-    # Another part may have been written meanwhile.
-    kept: Row = json.loads(path.read_text()) if path.exists() else {}
-    found = kept | found | {"counts": kept.get("counts", {}) | found.get("counts", {})}
-    path.write_text(json.dumps(found, indent=1) + "\n")
-    page.write_text(with_tables(page.read_text(), found))
+            keep(path, "counts", counted(name, make()), case=name)
+    page.write_text(with_tables(page.read_text(), kept(path)))
 
 
 if __name__ == "__main__":

@@ -80,12 +80,15 @@ def draw(seed: int) -> Drawn:
     Raises:
         jaxform.InputError: Where the scene is refused.
     """
-    names = [*FAMILIES, "file"]
-    name = names[seed % len(names)]
-    random = np.random.default_rng(seed)
+    name, random = family_of(seed), np.random.default_rng(seed)
     if name == "file":
         return _from_file(random)
     return _drawn(name, FAMILIES[name], random)
+
+
+def family_of(seed: int) -> str:
+    """The name of a seed's family."""
+    return NAMES[seed % len(NAMES)]
 
 
 def _drawn(name: str, family: Family, random: Generator) -> Drawn:
@@ -357,6 +360,7 @@ FAMILIES: dict[str, Family] = {
     "refined cup": Family(_disc(24, "quarter"), _NEO, _cup, refinement=_FINER),
     "refined box": Family(_rectangle(48, "quarter"), _MOONEY, _box, refinement=_NEAR, damped=False),
 }
+NAMES = (*FAMILIES, "file")
 
 _FILE = """
 [parison]

@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.tri import Triangulation
 
 import jaxform
-from benchmarks.accuracy import away_from_corner, exact_ratio
+from benchmarks.accuracy import away_from_corner, exact_ratio, rms
 from benchmarks.bench import one_core, say
 from benchmarks.sheets import best_in_turns
 from jaxform import body, files, refinement, simulation, stepping
@@ -82,8 +82,7 @@ def exact_dish(scene: Scene, result: Result) -> float:
     exact = exact_ratio(place, reference)
     ratio = np.asarray(result.element_thickness) / np.asarray(scene.parison.thickness)[triangles].mean(1)
     away = away_from_corner(place, reference)
-    weight = np.asarray(result.element_volume)[away]
-    return 100 * float(np.sqrt(np.average(np.square(ratio / exact - 1)[away], weights=weight)))
+    return 100 * rms((ratio / exact - 1)[away], np.asarray(result.element_volume)[away])
 
 
 def timed(scene: Scene) -> tuple[Scene, Result, float]:

@@ -12,9 +12,9 @@ import numpy as np
 
 import jaxform
 from benchmarks import stress
-from benchmarks.random_scenes import FAMILIES, draw
+from benchmarks.accuracy import real, scene_of
+from benchmarks.random_scenes import NAMES
 from jaxform import molds, shapes
-from jaxform.pytree import as_real
 from jaxform.scene import Scene
 from jaxform.state import Schedule
 
@@ -89,18 +89,19 @@ def growth(scene: Scene, schedule: Schedule, wall: jax.Array, shares: tuple[floa
 def show_gradients(count: int = 100) -> Found:
     """Of random scenes that end well."""
     rows, curves, shares = [], [], (0.1, 0.25, 0.5, 0.75, 1.0)
-    names = [*FAMILIES, "file"]
     # Family by family, so that each is compiled for once and then forgotten.
     each = -(-count // len(CHOSEN))
     for name in CHOSEN:
         jax.clear_caches()
-        done, seed = 0, names.index(name)
+        done, seed = 0, NAMES.index(name)
         while done < each and len(rows) < count:
-            seed += len(names)
-            found = _well_ended(seed)
+            seed += len(NAMES)
+            found = stress.ended_well(seed, LONGEST, 20.0)
             if found is None:
                 continue
-            scene, schedule, wall = found
+            scene, result = found[0].scene, found[1]
+            assert result.schedule is not None
+            schedule, wall = result.schedule, mean_wall(result)
             row = {"seed": seed, "family": name} | compare(scene, schedule, wall, seed)
             rows.append(row)
             done += 1
@@ -110,18 +111,9 @@ def show_gradients(count: int = 100) -> Found:
     return {"rows": rows, "growth": {"shares": shares, "curves": curves}, "rough": roughness()}
 
 
-def _well_ended(seed: int) -> tuple[Scene, Schedule, jax.Array] | None:
-    try:
-        drawn = draw(seed)
-    except jaxform.InputError:
-        return None
-    state, result = stress.run_drawn(drawn)
-    row = stress.examine(drawn, state, result) | {"seed": seed}
-    if stress.classify(row) != "ok" or row["steps"] > LONGEST or row["stretch"] > 20.0:
-        return None
-    wall = jnp.sum(result.element_volume * result.element_thickness) / jnp.sum(result.element_volume)
-    assert result.schedule is not None
-    return drawn.scene, result.schedule, wall
+def mean_wall(result: jaxform.Result) -> jax.Array:
+    """The wall [m], weighted by volume."""
+    return jnp.sum(result.element_volume * result.element_thickness) / jnp.sum(result.element_volume)
 
 
 # --- Along a line -----------------------------------------------------------------------------------------------------
@@ -131,13 +123,14 @@ def cup(elements: int, limits: dict[str, Any] | None = None) -> Scene:
     """A damped cup, a quarter; refined where there are limits."""
     sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
     mold = molds.revolved(profile=[[0.0, 0.5], [0.55, 0.5], [1.0, 0.0]], segments=48)
-    return jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
-        material=jaxform.NeoHookean(as_real(1.0), as_real(1.0)),
-        pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.2], "cubic-ramp"),
-        solver=jaxform.make_solver(end_time=20.0, damping=2.0),
-        mold=jaxform.make_mold(mold.vertices, mold.triangles),
+    return scene_of(
+        sheet,
+        jaxform.NeoHookean(real(1.0), real(1.0)),
+        jaxform.make_pressure([0.0, 16.0], [0.0, 0.2], "cubic-ramp"),
+        jaxform.make_mold(mold.vertices, mold.triangles),
         refinement=None if limits is None else jaxform.make_refinement(**limits),
+        end_time=20.0,
+        damping=2.0,
     )
 
 
@@ -147,7 +140,7 @@ def along_a_line(scene: Scene, *, replayed: bool, points: int = 30, span: float 
     The spread is that of the slopes about a smooth curve (a parabola), over their mean size.
     """
     result = jaxform.run(scene)
-    wall = jnp.sum(result.element_volume * result.element_thickness) / jnp.sum(result.element_volume)
+    wall = mean_wall(result)
     schedule = result.schedule if replayed else None
     radius = jnp.linalg.norm(scene.parison.positions[:, :2], axis=1)
     direction = scene.parison.thickness * (1.0 - 2.0 * jnp.square(radius))

@@ -8,14 +8,12 @@ its pictures are drawn from that file alone.
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,20 +21,20 @@ import numpy as np
 
 import jaxform
 from benchmarks import slopes, stability_page, stress
-from benchmarks.random_scenes import FAMILIES
+from benchmarks.accuracy import modified, mooney, real, scene_of
+from benchmarks.pages import DOCS, Found, keep, kept
+from benchmarks.random_scenes import NAMES, family_of
 from jaxform import force, packing, shapes, simulation
 from jaxform.body import body
 from jaxform.force import Load
 from jaxform.materials import Material
-from jaxform.pytree import as_real
 from jaxform.result import Result, wall_statistics
-from jaxform.scene import Scene
+from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.shapes import Sheet
 from jaxform.state import State, finished
 
-DOCS = Path(__file__).parent.parent / "docs"
+_FILE = DOCS / "stability.json"
 OUT = Path(__file__).parent.parent / "out" / "stability"
-Found = dict[str, Any]
 SEEDS = 2000
 STEPS = 1_000_000
 
@@ -58,36 +56,36 @@ def sheets() -> dict[str, Sheet]:
 
 
 def laws() -> dict[str, Material]:
-    one = as_real(1.0)
-    found: dict[str, Material] = {"neo-Hookean": jaxform.NeoHookean(one, one)}
-    for alpha in (0.0, 0.1, 0.3, 0.5):
-        found[f"alpha {alpha:g}"] = jaxform.MooneyRivlin(one, as_real(alpha), one)
-    return found | {"modified": jaxform.ModifiedMooneyRivlin(one, as_real(0.01), one)}
+    """By name, with c = 1 and density 1."""
+    found: dict[str, Material] = {"neo-Hookean": jaxform.NeoHookean(real(1.0), real(1.0))}
+    return found | {f"alpha {alpha:g}": mooney(alpha) for alpha in (0.0, 0.1, 0.3, 0.5)} | {"modified": modified(0.01)}
 
 
 def edge_scene(sheet: Sheet, law: Material, *, sudden: bool, ratio: float, pressure: float, end: float) -> Scene:
     """A free sheet of thickness 0.01 with other elements at random up to `ratio` thinner than their neighbours."""
     thin = np.where(np.random.default_rng(3).random(len(sheet.positions)) < 0.3, 1.0 / ratio, 1.0)
     times = [0.0, 1e-6] if sudden else [0.0, 0.8 * end]
-    return jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01 * thin, sheet.clamped, sheet.fixed),
-        material=law,
-        pressure=jaxform.make_pressure(times, [0.0, 0.01 * pressure]),
-        solver=jaxform.make_solver(end_time=end, damping=1.0),
-    )
+    ramp = jaxform.make_pressure(times, [0.0, 0.01 * pressure])
+    return scene_of(sheet, law, ramp, thickness=0.01 * thin, end_time=end, damping=1.0)
+
+
+def _loaded(state: State, scene: Scene) -> tuple[Load, packing.Packed, jax.Array]:
+    """The whole sheet as it is: what makes its forces, its packed elements, and mobility over mass (3, place)."""
+    sheet_body = body(scene)
+    whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
+    load = Load(whole.taken(state.positions), sheet_body.thickness[whole.element], scene.pressure.at(state.time),
+                scene.material)  # fmt: skip
+    return load, whole, whole.taken(sheet_body.compliance)
 
 
 @jax.jit
 def true_limit(state: State, scene: Scene) -> jax.Array:
     """The longest stable step [s] of the assembled tangent, from all its eigenvalues."""
-    sheet_body = body(scene)
-    whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-    load = Load(whole.taken(state.positions), sheet_body.thickness[whole.element], scene.pressure.at(state.time),
-                scene.material)  # fmt: skip
+    load, whole, compliance = _loaded(state, scene)
     count = state.positions.shape[1]
     tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
     stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
-    root = jnp.sqrt(sheet_body.compliance).ravel()
+    root = jnp.sqrt(compliance[:, :count]).ravel()
     matrix = root[:, None] * stiffness * root[None, :]
     return 2.0 / jnp.sqrt(jnp.linalg.eigvalsh(0.5 * (matrix + matrix.T)).max())
 
@@ -114,7 +112,7 @@ def measure_edge(scene: Scene, most: int = 60) -> Found:
         rest = float(scene.solver.end_time - before.time)
         if int(after.last_count) == 0:
             vain += 1
-        elif length < 0.999 * rest / 64 and int(before.retries) == 0:
+        elif length < 0.999 * rest / STEPS_PER_WINDOW and int(before.retries) == 0:
             begin.append(length / (scene.solver.safety * limit))
             end.append(length / float(true_limit(after, scene)))
         stretch = max(stretch, float(np.asarray(_stretches(after, scene)).max()))
@@ -130,11 +128,7 @@ def blow_up(scene: Scene, most: int, factors: tuple[float, ...], steps: int = 40
     """The least of factors of the true limit at which a sheet, once inflated, leaves its shape; NaN where none."""
     *_, (_, state) = windows(scene, most)
     limit = float(true_limit(state, scene))
-    sheet_body = body(scene)
-    whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-    load = Load(whole.taken(state.positions), sheet_body.thickness[whole.element], scene.pressure.at(state.time),
-                scene.material)  # fmt: skip
-    compliance = whole.taken(sheet_body.compliance)
+    load, whole, compliance = _loaded(state, scene)
 
     @jax.jit
     def away(length: jax.Array) -> jax.Array:
@@ -195,21 +189,16 @@ def ringing(steps: int) -> Scene:
 
 
 def _ringing(sheet: Sheet, end: float) -> Scene:
-    return jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
-        material=jaxform.MooneyRivlin(as_real(1.0), as_real(0.1), as_real(1.0)),
-        pressure=jaxform.make_pressure([0.0], [0.01]),
-        solver=jaxform.make_solver(end_time=end),
-    )
+    return scene_of(sheet, mooney(0.1), jaxform.make_pressure([0.0], [0.01]), end_time=end)
 
 
 def measure_drift(steps: int, points: int = 200) -> Found:
     """What the account of energy misses over time, over the largest work."""
     scene = ringing(steps)
     state, first, taken = simulation._begin(scene)
-    rows, began = [], time.perf_counter()
+    rows, began, most = [], time.perf_counter(), max(1, steps // STEPS_PER_WINDOW // points)
     while not bool(finished(state, scene)) and int(state.windows) < scene.tables.window_count:
-        state, taken, _ = simulation._advance(state, scene, first, taken, jnp.int32(max(1, steps // 64 // points)))
+        state, taken, _ = simulation._advance(state, scene, first, taken, jnp.int32(most))
         result = simulation._make_result(state, scene, first, taken)
         energy = result.energy
         missed = float(energy.strain) + float(energy.kinetic) - float(energy.external_work)
@@ -245,8 +234,8 @@ def summary_of(rows: list[Found]) -> Found:
     seconds = np.array([row["seconds"] for row in ran])
     good = [row for row in ran if row["class"] == "ok"]
     families: Found = {}
-    for name in [*FAMILIES, "file"]:
-        families[name] = dict(Counter(row["class"] for row in rows if _family(row) == name))
+    for name in NAMES:
+        families[name] = dict(Counter(row["class"] for row in rows if family_of(row["seed"]) == name))
     slow = max(ran, key=lambda row: row["seconds"])
     tagged = dict(Counter(tag for row in ran for tag in row["tags"]).most_common())
     return {
@@ -262,11 +251,6 @@ def summary_of(rows: list[Found]) -> Found:
         "elements_beyond": _percentiles([row["elements_beyond"] for row in good]),
         "stretch": _percentiles([row["stretch"] for row in good]),
     }
-
-
-def _family(row: Found) -> str:
-    names = [*FAMILIES, "file"]
-    return names[row["seed"] % len(names)]
 
 
 def _words(refused: str) -> str:
@@ -302,13 +286,12 @@ def show_float32(names: tuple[str, ...] = ("dish", "box-insert", "soap-bottle"),
 
 def _in_both(seed: int) -> Found | None:
     """A seed in both precisions; None where it does not end well in float64, or is refused."""
-    row = stress.one(seed)
-    if "refused" in row or stress.classify(row) != "ok" or row["stretch"] > 6.0 or row["steps"] > 20_000:
+    double = stress.ended_well(seed, 20_000, 6.0)
+    if double is None:
         return None
-    _, double = stress.run_drawn(stress.draw(seed))
     with jax.enable_x64(False):
         _, single = stress.run_drawn(stress.draw(seed))
-    return {"seed": seed} | _apart((double, 1.0), (single, 1.0))
+    return {"seed": seed} | _apart((double[1], 1.0), (single, 1.0))
 
 
 def _timed(make: Callable[[], Scene]) -> tuple[Result, float]:
@@ -356,20 +339,8 @@ def main(names: list[str]) -> None:
     jax.config.update("jax_enable_x64", True)
     for name in names or PARTS:
         if name in PARTS:
-            path = DOCS / "stability.json"
-            found = json.loads(path.read_text()) if path.exists() else {}
-            found[name] = PARTS[name]()
-            path.write_text(json.dumps(_rounded(found), indent=1) + "\n", encoding="utf-8")
-    stability_page.write(json.loads((DOCS / "stability.json").read_text()), DOCS)
-
-
-def _rounded(value: Any) -> Any:
-    """Numbers to five digits."""
-    if isinstance(value, dict):
-        return {key: _rounded(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(part) for part in value]
-    return float(f"{value:.5g}") if isinstance(value, float) else value
+            keep(_FILE, name, PARTS[name](), digits=5)
+    stability_page.write(kept(_FILE), DOCS)
 
 
 if __name__ == "__main__":

@@ -6,15 +6,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
+from benchmarks.pages import Found, save
 from jaxform.state import Status
 
-Found = dict[str, Any]
 _LEAVES = {"parison.thickness": "thickness", "pressure.value": "pressure"}
 _SHOWN = 12  # seeds of a class
 
@@ -228,8 +225,7 @@ def _save(figure: Any, axes: Any, path: Path, *, outside: bool = False) -> None:
         axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
         axes.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+    save(figure, path)
 
 
 def _range(values: list[float]) -> str:

@@ -80,6 +80,18 @@ def examine(drawn: Drawn, state: State, result: Result) -> Row:
     }
 
 
+def ended_well(seed: int, steps: int, stretch: float) -> tuple[Drawn, Result] | None:
+    """A seed's scene and its part; None where it is refused, does not end well, or goes beyond these limits."""
+    try:
+        drawn = draw(seed)
+    except jaxform.InputError:
+        return None
+    state, result = run_drawn(drawn)
+    row = examine(drawn, state, result)
+    well = classify(row) == "ok" and row["steps"] <= steps and row["stretch"] <= stretch
+    return (drawn, result) if well else None
+
+
 def classify(row: Row) -> str:
     """In a word or two how a scene ended."""
     if "refused" in row:

@@ -7,13 +7,11 @@ pictures are drawn from that file alone.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -23,12 +21,12 @@ import jaxform
 import optimize
 from benchmarks import accuracy, refinement, validate_page
 from benchmarks.bench import one_core
+from benchmarks.pages import DOCS, Found, keep, kept
 from jaxform import files
 from jaxform.result import Result
 from jaxform.scene import Scene
 
-DOCS = Path(__file__).parent.parent / "docs"
-Found = dict[str, Any]
+_FILE = DOCS / "accuracy.json"
 _RUNS = 3  # of which the fastest is taken
 _FINE = 16000  # elements of the box that the others are compared with
 _DISH = {"angle": 4.0, "max_level": 6, "base_level": 6}
@@ -240,18 +238,8 @@ def main(names: list[str]) -> None:
             print(f"{name}:", flush=True)
             began = time.perf_counter()
             found = PARTS[name]()
-            _keep(name, {"found": found, "seconds": time.perf_counter() - began})
-    validate_page.write(_kept(), DOCS)
-
-
-def _kept() -> Found:
-    path = DOCS / "accuracy.json"
-    return json.loads(path.read_text()) if path.exists() else {}
-
-
-def _keep(name: str, found: Found) -> None:
-    text = json.dumps(_kept() | {name: found}, indent=1)
-    (DOCS / "accuracy.json").write_text(text + "\n", encoding="utf-8")
+            keep(_FILE, name, {"found": found, "seconds": time.perf_counter() - began})
+    validate_page.write(kept(_FILE), DOCS)
 
 
 if __name__ == "__main__":

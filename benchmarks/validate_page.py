@@ -5,15 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
+from benchmarks.pages import Found, save
 from jaxform.result import SLOW_ENOUGH
-
-Found = dict[str, Any]
 
 
 def write(found: Found, folder: Path) -> None:
@@ -103,7 +99,7 @@ def _draw_cases(found: Found, path: Path) -> None:
     axes.set_xticks([], minor=True)
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
-    _save(figure, path)
+    save(figure, path)
 
 
 def _main(case: Found) -> str:
@@ -183,7 +179,7 @@ def _draw_precision(rows: list[Found], path: Path) -> None:
     _plain_ticks(axes.xaxis, [row["seconds"] for row in good])
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False, fontsize=9, loc="center left", bbox_to_anchor=(1, 0.5))
-    _save(figure, path)
+    save(figure, path)
 
 
 def _plain_ticks(axis: Any, values: list[float]) -> None:
@@ -276,7 +272,7 @@ def _draw_haste(found: Found, path: Path) -> None:
         axis.set_ticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _draw_ramps(found: Found, path: Path) -> None:
@@ -296,7 +292,7 @@ def _draw_ramps(found: Found, path: Path) -> None:
         axes.set_xticks([], minor=True)
         axes.grid(alpha=0.3)
         axes.legend(frameon=False, fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 # --- Gradient ---------------------------------------------------------------------------------------------------------
@@ -319,11 +315,6 @@ def _gradient(found: Found, _: Path) -> str:
 
 def _percent(value: float) -> str:
     return f"{100 * value:.2g} %" if abs(value) < 0.1 else f"{100 * value:.0f} %"
-
-
-def _save(figure: Any, path: Path) -> None:
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
 
 
 _SECTIONS = {

@@ -52,8 +52,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
         take = jax.checkpoint(take) if windows_per_checkpoint else take
         done = finished(state, scene) | (state.windows >= count)
         state = jax.lax.cond(done, lambda state: state, take, state)
-        taken = state.last_length, state.last_count, state.bound
-        return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), taken)
+        return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), _latest(state))
 
     def several(state: State, _: None) -> tuple[State, Taken]:
         return jax.lax.scan(unless_finished, state, length=windows_per_checkpoint)
@@ -209,17 +208,17 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         at = carry[0].windows
         state, now = refined(carry[0], scene, carry[1])
         state = _unless_full(state, scene, lambda state: window(state, scene, now, differentiable=False))
-        lengths, counts, bounds = carry[2]
-        taken = (
-            lengths.at[at].set(state.last_length),
-            counts.at[at].set(state.last_count),
-            bounds.at[at].set(state.bound),
-        )
+        taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry[2], _latest(state))
         return state, now, taken, carry[3] + 1
 
     begun = state, present_body(scene, state.mesh, first), taken, jnp.int32(0)
     state, _, taken, _ = jax.lax.while_loop(going, take, begun)
     return state, taken, finished(state, scene)
+
+
+def _latest(state: State) -> Taken:
+    """Of the last window."""
+    return state.last_length, state.last_count, state.bound
 
 
 def _unless_full(state: State, scene: Scene, take: Callable[[State], State]) -> State:

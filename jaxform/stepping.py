@@ -64,7 +64,7 @@ class _Window:
         length: The step [s].
         bound: The elements' bound on it [s].
         most: How many steps it takes, unless it is cut short.
-        row, left: Of a schedule that is followed: whose steps these are, and the time that is left of it [s].
+        row: Of a schedule that is followed; None where none is.
         idle_volume: Enclosed by what is not worked through [m^3].
         size: Largest initial coordinate [m].
         near: The list of nodes near the mold; None where there is no mold.
@@ -78,8 +78,7 @@ class _Window:
     length: jax.Array
     bound: jax.Array
     most: jax.Array | int
-    row: jax.Array | None
-    left: jax.Array | None
+    row: _Row | None
     idle_volume: jax.Array | float
     size: jax.Array
     near: Near | None
@@ -259,7 +258,6 @@ def window(
         bound=decided.limit.bound,
         most=decided.most,
         row=decided.row,
-        left=decided.left,
         idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
         size=jnp.max(jnp.abs(jax.lax.stop_gradient(scene.parison.positions))),
         near=_list_near(moving, scene, length),
@@ -279,18 +277,24 @@ def window(
     return _close(found, moving, scene, sheet_body, now)
 
 
+class _Row(NamedTuple):
+    """The row of a schedule whose steps are taken, and the time that is left of it [s]."""
+
+    number: jax.Array
+    left: jax.Array
+
+
 class _Decisions(NamedTuple):
     """What is decided at a window's border.
 
-    The step [s], what it was found with, and how many there are at most; the row of the schedule that they belong to,
-    where one is followed, and the time that is left of it [s].
+    The step [s], what it was found with, and how many there are at most; the row they belong to, where a schedule is
+    followed.
     """
 
     length: jax.Array
     limit: Limit
     most: jax.Array | int
-    row: jax.Array | None = None
-    left: jax.Array | None = None
+    row: _Row | None = None
 
 
 def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None) -> _Decisions:
@@ -311,11 +315,11 @@ def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, sched
         even = left / jnp.maximum(steps, 1)
         most = jnp.clip(steps, 1, STEPS_PER_WINDOW)
         limit = Limit(state.mode, bound, state.sharpness)
-        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), limit, most, row, left)
+        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), limit, most, _Row(row, left))
 
     def beyond(*now: Any) -> _Decisions:
         most = jnp.full_like(schedule.counts[0], STEPS_PER_WINDOW)
-        return _Decisions(*choose_step(*now), most, row, jnp.full_like(state.time, jnp.inf))
+        return _Decisions(*choose_step(*now), most, _Row(row, jnp.full_like(state.time, jnp.inf)))
 
     now = (*jax.lax.stop_gradient((state, scene, sheet_body)), packed)
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
@@ -405,10 +409,11 @@ def _close(
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
-    status, imbalance = _health(moving, new, kinetic, scene, sheet_body, now)
+    rounding = _rounding(scene, now)
+    status, imbalance = _health(moving, new, kinetic, rounding, scene, sheet_body)
     new = dataclasses.replace(new, imbalance=imbalance)
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
-    jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + _rounding(scene, now)
+    jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + rounding
     unsure = jump & (state.retries < _RETRIES_FOR_ENERGY)
     # What blew up, and what may have missed the mold since a node flew out of its ball, is taken anew with half the
     # step: the sheet may have stiffened within the window.
@@ -421,11 +426,11 @@ def _close(
     far = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions))) > _FAR * now.size
     status |= jnp.where(far & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
-    if now.row is not None and now.left is not None:
+    if now.row is not None:
         spent = moving.count * now.length
-        whole = now.left - spent <= _SLACK * now.length
+        whole = now.row.left - spent <= _SLACK * now.length
         row_time = jnp.where(whole, 0.0, state.row_time + spent)
-        new = dataclasses.replace(new, row=jnp.where(whole, now.row + 1, now.row), row_time=row_time)
+        new = dataclasses.replace(new, row=now.row.number + whole, row_time=row_time)
     kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
@@ -455,17 +460,17 @@ def _kinetic(moving: _Moving, scene: Scene, now: _Window) -> tuple[jax.Array, ja
 
 
 def _health(
-    moving: _Moving, state: State, kinetic: jax.Array, scene: Scene, sheet_body: Body, now: _Window
+    moving: _Moving, state: State, kinetic: jax.Array, rounding: jax.Array, scene: Scene, sheet_body: Body
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
-    moving, state, scene, sheet_body, now = jax.lax.stop_gradient((moving, state, scene, sheet_body, now))
+    moving, state, scene, sheet_body = jax.lax.stop_gradient((moving, state, scene, sheet_body))
     finite = jnp.isfinite(total(moving.positions) + kinetic)
     strain, volume = account(state.positions, scene, sheet_body)
     held = strain + kinetic
     held += state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
-    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + _rounding(scene, now)
+    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + rounding
     status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
     return status, excess
 

@@ -1,0 +1,53 @@
+"""What the pages under docs/ have in common: a file of what was found, kept part by part, and pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+DOCS = Path(__file__).parent.parent / "docs"
+Found = dict[str, Any]
+
+
+def kept(path: Path) -> Found:
+    """What was found so far; nothing where there is no file."""
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def keep(path: Path, name: str, found: Any, *, case: str = "", digits: int | None = None) -> None:
+    """Puts a part, or a case of it, into the file, which another part may have written in the meantime.
+
+    Args:
+        path: The file.
+        name: The part.
+        found: What it found.
+        case: Which of the part's cases that is; the part itself by default.
+        digits: Of the numbers that are kept; all by default.
+    """
+    parts = kept(path)
+    rounded = found if digits is None else _rounded(found, digits)
+    if case:
+        parts.setdefault(name, {})[case] = rounded
+    else:
+        parts[name] = rounded
+    path.write_text(json.dumps(parts, indent=1) + "\n", encoding="utf-8")
+
+
+def _rounded(value: Any, digits: int) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(part, digits) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(part, digits) for part in value]
+    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
+
+
+def save(figure: Any, path: Path) -> None:
+    """Writes a picture, the same bytes each time, and closes it."""
+    figure.savefig(path, dpi=110, metadata={"Software": None})
+    plt.close(figure)
