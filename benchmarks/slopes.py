@@ -14,6 +14,7 @@ import jaxform
 from benchmarks import stress
 from benchmarks.accuracy import real, scene_of
 from benchmarks.random_scenes import NAMES
+from benchmarks.refinement import box
 from jaxform import molds, shapes
 from jaxform.scene import Scene
 from jaxform.state import Schedule
@@ -143,6 +144,7 @@ def along_a_line(scene: Scene, *, replayed: bool, points: int = 30, span: float 
     wall = mean_wall(result)
     schedule = result.schedule if replayed else None
     radius = jnp.linalg.norm(scene.parison.positions[:, :2], axis=1)
+    radius = radius / jnp.max(radius)
     direction = scene.parison.thickness * (1.0 - 2.0 * jnp.square(radius))
     line = np.linspace(-span, span, points)
     values, slopes = [], []
@@ -167,7 +169,7 @@ def spread(line: np.ndarray, values: list[float], slopes: list[float]) -> Found:
 
 
 def lines() -> dict[str, Callable[[], Found]]:
-    """Cups whose slopes along a line are compared."""
+    """Cups and boxes whose slopes along a line are compared."""
     finer = {"angle": 8.0, "interval": 64, "max_level": 4, "base_level": 4, "elements": 512}
 
     def uniform(elements: int, replayed: bool) -> Found:
@@ -181,11 +183,19 @@ def lines() -> dict[str, Callable[[], Found]]:
     found["refined"] = functools.partial(refined, False, True)
     found["refined, replayed"] = functools.partial(refined, True, True)
     found["refined, replayed, new nodes in motion"] = functools.partial(refined, True, False)
+    found["box with insert, 494 elements, replayed"] = lambda: along_a_line(box(500), replayed=True, span=1e-3)
+    found["box with insert, refined, replayed"] = lambda: along_a_line(_fitting("box-insert"), replayed=True, span=1e-3)
     return found
 
 
+def _fitting(name: str) -> Scene:
+    """A built-in scene that is refined, with room for what it needs."""
+    scene = jaxform.load(name)
+    return jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
+
+
 def roughness() -> Found:
-    """Slopes along a line for several cups."""
+    """Slopes along a line for several scenes."""
     found = {}
     for name, look in lines().items():
         found[name] = look()

@@ -45,7 +45,7 @@ def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
         left -= most
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
-    state = simulation._closed(state, scene)
+    state = simulation._closed(state, scene, first)
     return state, simulation._make_result(state, scene, first, taken)
 
 
@@ -96,10 +96,10 @@ def classify(row: Row) -> str:
     """In a word or two how a scene ended."""
     if "refused" in row:
         return "refused"
-    if "hang" in row or row["status"] & Status.STOPPED:
-        return "hang"
     if "error" in row:
         return "error"
+    if "hang" in row or row["status"] & Status.STOPPED:
+        return "hang"
     if row["status"]:
         return " and ".join(bit.name.lower().replace("_", " ") for bit in Status if bit.name and row["status"] & bit)
     if not row["finite"]:

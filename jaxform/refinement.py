@@ -237,14 +237,17 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, sheet_body), (new, body))
     )
     loss = strain + kinetic - new_strain - new_kinetic
-    return dataclasses.replace(
+    made = dataclasses.replace(
         new,
         mesh=mesh,
         mode=mode,
         sharpness=jnp.zeros_like(state.sharpness),
         refinement_loss=state.refinement_loss + loss,
         volume=state.volume + new_volume - volume,
-    ), body
+    )
+    # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
+    sound = jnp.isfinite(loss)
+    return jax.tree.map(lambda new, old: jnp.where(sound, new, old), (made, body), (state, sheet_body))
 
 
 def _with_noise(mode: jax.Array, old: Mesh, mesh: Mesh) -> jax.Array:

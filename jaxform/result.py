@@ -208,6 +208,7 @@ _WORDS = {
     Status.STOPPED: "stopped by the caller",
     Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than there is room for",
     Status.RUNAWAY: "the sheet ran away: it is ten thousand times as large as it was",
+    Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
 }
 _MENDS = {
     Status.NON_FINITE: "lower solver.safety or the pressure",
@@ -218,6 +219,7 @@ _MENDS = {
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
     Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",
+    Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
 }
 
 

@@ -21,10 +21,11 @@ from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, finished, initial_state
-from jaxform.stepping import window
+from jaxform.stepping import energy_rounding, window
 from jaxform.store import Store
 
 _IN_MEMORY = Store()
+_UNBALANCED = 0.01  # of the largest work
 
 
 @functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
@@ -64,7 +65,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
         taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
         state, taken = jax.lax.scan(unless_finished, state, length=count)
-    return make_result(_closed(state, scene), scene, first, jax.lax.stop_gradient(taken))
+    return make_result(_closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
 
 
 def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:
@@ -103,13 +104,16 @@ def _whole(scene: Scene) -> Result:
     """A run without its host's loop."""
     state, first, taken = _begin(scene)
     state, taken, _ = _advance(state, scene, first, taken, jnp.int32(scene.tables.window_count))
-    return make_result(_closed(state, scene), scene, first, taken)
+    return make_result(_closed(state, scene, first), scene, first, taken)
 
 
-def _closed(state: State, scene: Scene) -> State:
-    """The last state; where the windows did not suffice, its status says so."""
+def _closed(state: State, scene: Scene, first: Body) -> State:
+    """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
     short = jnp.where(finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
-    return dataclasses.replace(state, status=(state.status | short).astype(jnp.int32))
+    least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
+    missing = jnp.abs(state.imbalance) > _UNBALANCED * state.peak_work + least
+    status = jnp.where((state.status | short) == 0, jnp.where(missing, Status.UNBALANCED, 0), state.status | short)
+    return dataclasses.replace(state, status=status.astype(jnp.int32))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,7 +178,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
                 break
         if done:
             break
-    final = result(_closed(state, scene), scene, first, taken)
+    final = result(_closed(state, scene, first), scene, first, taken)
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)

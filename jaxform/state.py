@@ -16,7 +16,7 @@ from jaxform.scene import Scene, Sheet
 
 
 class Status(enum.IntFlag):
-    """Why a run stopped early; no bit is set when all went well."""
+    """Why a run stopped early, or why it is not to be trusted (UNBALANCED); no bit is set when all went well."""
 
     NON_FINITE = 1
     UNSTABLE = 2
@@ -26,6 +26,7 @@ class Status(enum.IntFlag):
     STOPPED = 32
     REFINEMENT_OVERFLOW = 64
     RUNAWAY = 128
+    UNBALANCED = 256
 
 
 @pytree

@@ -409,7 +409,7 @@ def _close(
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
-    rounding = _rounding(scene, now)
+    rounding = energy_rounding(scene, total(packed.elements.area * now.thickness))
     status, imbalance = _health(moving, new, kinetic, rounding, scene, sheet_body)
     new = dataclasses.replace(new, imbalance=imbalance)
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
@@ -475,8 +475,7 @@ def _health(
     return status, excess
 
 
-def _rounding(scene: Scene, now: _Window) -> jax.Array:
-    """What the account may miss [J] near rest, where the strain energy is the rounding of I1 - 3."""
-    scene, now = jax.lax.stop_gradient((scene, now))
-    scale = scene.material.stiffness() * total(now.packed.elements.area * now.thickness)
+def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
+    """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
+    scale = jax.lax.stop_gradient(scene.material.stiffness() * volume)
     return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

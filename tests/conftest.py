@@ -5,10 +5,9 @@ from pathlib import Path
 
 import hypothesis
 
-# What is compiled is kept for other tests, for the programs that they start and for the next run; each worker has a
-# folder, since two must not write one file. `pytest --cache-clear` empties them.
-_WORKER = os.environ.get("PYTEST_XDIST_WORKER", "alone")
-_PROGRAMS = Path(__file__).parent.parent / ".pytest_cache" / "programs" / _WORKER
+# What is compiled is kept for other tests, for the other worker, for the programs that they start and for the next run.
+# `pytest --cache-clear` empties it.
+_PROGRAMS = Path(__file__).parent.parent / ".pytest_cache" / "programs"
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_PROGRAMS))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")

@@ -146,8 +146,7 @@ def test_the_first_step_is_not_cold() -> None:
     assert 1.1 < float(sharp / bound) < 2.0
 
 
-@pytest.mark.parametrize("every", [0, 3])
-def test_what_is_stored_does_not_change_the_gradient(every: int) -> None:
+def test_what_is_stored_does_not_change_the_gradient() -> None:
     scene = jaxform.replace(scenes.free_disc(60, 2.0, scenes.mooney(0.1)), {"solver.end_time": 10.0})
 
     def wall(thickness: jax.Array, every: int) -> jax.Array:
@@ -156,9 +155,12 @@ def test_what_is_stored_does_not_change_the_gradient(every: int) -> None:
         )
         return jnp.mean(jnp.square(result.thickness))
 
-    usual, other = (jax.jit(jax.value_and_grad(lambda h, n=n: wall(h, n)))(scene.parison.thickness) for n in (1, every))
-    np.testing.assert_allclose(other[0], usual[0], rtol=1e-12)
-    np.testing.assert_allclose(other[1], usual[1], rtol=1e-9, atol=1e-12)
+    usual, *others = (
+        jax.jit(jax.value_and_grad(lambda h, n=n: wall(h, n)))(scene.parison.thickness) for n in (1, 0, 3)
+    )
+    for other in others:
+        np.testing.assert_allclose(other[0], usual[0], rtol=1e-12)
+        np.testing.assert_allclose(other[1], usual[1], rtol=1e-9, atol=1e-12)
 
 
 def test_a_batch_gives_the_results_of_single_runs() -> None:
