@@ -183,9 +183,13 @@ def lines() -> dict[str, Callable[[], Found]]:
     found["refined"] = functools.partial(refined, False, True)
     found["refined, replayed"] = functools.partial(refined, True, True)
     found["refined, replayed, new nodes in motion"] = functools.partial(refined, True, False)
-    found["box with insert, 494 elements, replayed"] = lambda: along_a_line(box(500), replayed=True, span=1e-3)
-    found["box with insert, refined, replayed"] = lambda: along_a_line(_fitting("box-insert"), replayed=True, span=1e-3)
+    found["box with insert, 494 elements"] = functools.partial(_on_a_box, lambda: box(500))
+    found["box with insert, refined"] = functools.partial(_on_a_box, lambda: _fitting("box-insert"))
     return found
+
+
+def _on_a_box(make: Callable[[], Scene]) -> Found:
+    return along_a_line(make(), replayed=True, span=1e-3)
 
 
 def _fitting(name: str) -> Scene:
