@@ -121,8 +121,8 @@ def _random(found: Found, folder: Path) -> str:
         "",
         "*ok* means: finite, the account of energy right to one per cent of the largest work, no node beyond the mold, "
         "no element deeper in it than half the longest side, and the end reached or everything stuck. A name without "
-        "*status ok* is the status that the run reported itself; *unbalanced, status ok* is one that went to the end "
-        "with an account that misses more, which the summary's `balance_error` says and no status does.\n",
+        "*status ok* is what the run reported itself: its status, or the warning that the sheet hangs over a mold too "
+        "small for it. One with *status ok* would be a wrong answer that nobody is told of.\n",
         f"A scene takes {seconds['median']:.2g} s (median) and {steps['median']:.0f} steps; the slowest, "
         f"seed {seconds['slowest']}, {seconds['max']:.0f} s with its compilation. Of those that end well, 99 % miss "
         f"less than {_percent(found['balance']['99 %'])} of the energy and have elements at most "

@@ -19,6 +19,8 @@ from jaxform.state import Schedule, State, Status, kinetic_energy, last_work, st
 
 _DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
+_NODES_BEYOND = 1e-6  # of the sheet's size, that a node may be beyond the mold
+_ELEMENTS_BEYOND = 0.5  # of the longest side of an element, the same of an element
 
 
 @pytree
@@ -295,7 +297,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
         "energy": energy | {"balance_error": float(result.energy.balance_error), "haste": float(result.energy.haste)},
-        "warnings": warnings_of(result, scene),
+        "warnings": warnings_of(result, scene) + warnings_of_mold(result, scene, beyond),
     }
 
 
@@ -318,6 +320,22 @@ def warnings_of(result: Result, scene: Scene) -> list[str]:
     return [
         f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * haste:.2g} % off that "
         f"of one; {mend}"
+    ]
+
+
+def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[str]:
+    """A sentence where the part is so far beyond the mold that its shape is not to be trusted."""
+    if scene.mold is None:
+        return []
+    corners = np.asarray(result.positions, float)[np.asarray(result.triangles)[np.asarray(result.used)]]
+    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
+    if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
+        return []
+    place = ", ".join(f"{value:.4g}" for value in beyond.place)
+    return [
+        f"the sheet is beyond the mold, deepest at ({place}) m with {beyond.elements:.3g} m: it hangs over the mold's "
+        "rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the elements smaller"
     ]
 
 

@@ -195,7 +195,7 @@ def test_the_gradient_of_a_replay_is_that_of_central_differences(uneven: Both) -
 
 def test_a_replay_is_smooth_along_a_line(uneven: Both) -> None:
     # With new nodes that move as their edges did it jumps by 1e-4 where a node lands before or after a border.
-    values = np.array([float(uneven(share)[0]) for share in np.linspace(-1e-4, 1e-4, 41)])
+    values = np.array([float(uneven(float(share))[0]) for share in np.linspace(-1e-4, 1e-4, 41)])
     assert np.ptp(values) > 1e-4 * values[20]
     assert np.abs(np.diff(values, 2)).max() < 1e-7 * values[20]
 

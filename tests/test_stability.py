@@ -13,6 +13,7 @@ import pytest
 import jaxform
 from benchmarks import random_scenes, stability, stability_page, stress
 from jaxform import simulation, stepping
+from jaxform.result import summarize
 from jaxform.state import Status
 from tests import scenes
 
@@ -35,9 +36,7 @@ def test_a_random_scene_is_right_or_says_that_it_is_not(seed: int) -> None:
     state, result = stress.run_drawn(drawn)
     row = stress.examine(drawn, state, result)
     if not row["status"]:
-        assert stress.classify(row) in ("ok", "unbalanced, status ok")
-        # What the account misses is never hidden, and never more than what counts as unstable.
-        assert row["balance"] < stepping._ENERGY_TOLERANCE
+        assert stress.classify(row) == "ok"
         # The summary's is relative to the work at the end, which may be a step's work more than the largest before it.
         assert row["reported"] >= 0.9 * row["balance"]
     else:
@@ -86,6 +85,27 @@ def test_the_gradient_goes_past_windows_that_were_tried_in_vain() -> None:
         ends = [float(slope(scene.parison.thickness + sign * size * direction)[0][0]) for sign in (1, -1)]
         apart.append(abs((ends[0] - ends[1]) / (2 * size * along) - 1))
     assert min(apart) < 1e-5
+
+
+def test_a_sheet_that_hangs_over_a_mold_too_small_for_it_is_warned_of() -> None:
+    """Random seed 1190: nodes beside the opening fall past the mold."""
+    drawn = random_scenes.draw(1190)
+    _, result = stress.run_drawn(drawn)
+    assert int(result.status) == 0
+    (sentence,) = summarize(result, drawn.scene)["warnings"]
+    assert "beyond the mold" in sentence and "wide as the sheet" in sentence
+    cup = scenes.cup()
+    assert summarize(jaxform.run(cup), cup)["warnings"] == []
+
+
+def test_a_run_that_reaches_its_end_with_energy_missing_says_so() -> None:
+    """Random seed 127: two in a hundred of the work are missing after a sudden pressure, nothing damped."""
+    drawn = random_scenes.draw(127)
+    state, result = stress.run_drawn(drawn)
+    assert float(result.time) == pytest.approx(float(drawn.scene.solver.end_time))
+    assert abs(float(state.imbalance)) > 0.01 * float(state.peak_work)
+    assert int(result.status) == Status.UNBALANCED
+    assert "misses more than 1 % of the work" in jaxform.explain(result)
 
 
 def test_a_sheet_that_runs_away_says_so() -> None:
