@@ -78,7 +78,8 @@ make_libraries() {
     rm -f "$libraries_note" "$project_note"
     rm -rf .venv
     "$python" -m venv .venv || stop "$python could not make .venv"
-    install --require-hashes --only-binary :all: -r requirements.lock ||
+    # Byte code is made when a module is first imported: most of what is installed never is.
+    install --no-compile --require-hashes --only-binary :all: -r requirements.lock ||
         stop "requirements.lock could not be installed (the lines above say why)"
     libraries_now >"$libraries_note"
 }
