@@ -144,12 +144,12 @@ def ramp(scene: jaxform.Scene, kind: str, time: float, value: float) -> jaxform.
     return jaxform.replace(replace(scene, pressure=shape), {"solver.end_time": time})
 
 
-def show_pressure(times: tuple[float, ...] = (3, 4, 5, 7, 10, 14, 20, 28, 40, 56, 80), iterations: int = 15) -> Found:
+def show_pressure(times: tuple[float, ...] = (3, 4, 5, 7, 10, 14, 20, 28, 40, 56, 80), iterations: int = 25) -> Found:
     """The designed schedule beside ramps that take longer and longer."""
     study = replace(optimize.load_study("pressure-schedule"), iterations=iterations)
     target: Any = study.objective
     slow = jaxform.load("cup-slow")
-    most = float(np.asarray(study.scene.pressure.value).max())
+    most = float(np.asarray(slow.pressure.value).max())
     unit = float(np.sqrt(study.scene.material.density / 2e5) * 0.1)
     ramps: Found = {}
     for kind in ("linear", "cubic-ramp"):
@@ -238,7 +238,7 @@ def _mass_case() -> Case:
 def _pressure_case() -> Case:
     study = optimize.load_study("pressure-schedule")
     own = {"least squares": {}, "L-BFGS": {"method": "lbfgs", "iterations": 25}}
-    return Case("pressure-schedule, 9 knots", "deviation, rms [%]", study, deviation, own)
+    return Case("pressure-schedule, 14 knots", "deviation, rms [%]", study, deviation, own)
 
 
 def compare(case: Case, budget: int, others: tuple[str, ...] = ("Nelder-Mead", "CMA-ES", "random search")) -> Found:

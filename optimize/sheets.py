@@ -12,7 +12,7 @@ from scipy import interpolate, optimize
 
 from jaxform import InputError, Scene, bisection, sections
 from jaxform.profiles import Profile
-from optimize.variables import Bounds, bounded, check_bounds, limited, unbounded, unlimited
+from optimize.variables import Bounds, check_bounds, limited, log_bounded, log_unbounded, unlimited
 
 Array = np.ndarray
 
@@ -34,7 +34,7 @@ class _Sheet:
     def _values(self, free: jax.Array) -> jax.Array:
         free = free * self._ease
         if self._change is None:
-            return bounded(free, self.bounds)
+            return log_bounded(free, self.bounds)
         return limited(free, self.bounds, self._change)
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
@@ -58,7 +58,7 @@ class _Sheet:
         if np.any((values < low) | (values > high)):
             values = optimize.lsq_linear(rows, wanted, (low, high)).x
         if self._change is None:
-            return unbounded(mean * values, self.bounds) / self._ease
+            return log_unbounded(mean * values, self.bounds) / self._ease
         return unlimited(mean * values, self.bounds, self._change) / self._ease
 
 

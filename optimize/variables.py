@@ -73,6 +73,19 @@ def unbounded(values: Any, bounds: Any) -> np.ndarray:
     return np.log(fraction / (1 - fraction))
 
 
+def log_bounded(free: jax.Array, bounds: Bounds) -> jax.Array:
+    """The same between positive bounds, whose logarithms are divided evenly.
+
+    A wall goes with its sheet in ratio: searched in logarithms, the one is nearly linear in the other.
+    """
+    return jnp.clip(jnp.exp(bounded(free, np.log(bounds))), *bounds)  # rounding must not lead out of them
+
+
+def log_unbounded(values: Any, bounds: Bounds) -> np.ndarray:
+    """Inverse of `log_bounded`; values on or beyond a bound are moved just inside it."""
+    return unbounded(np.log(np.clip(values, *bounds)), np.log(bounds))
+
+
 def limited(free: jax.Array, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> jax.Array:
     """Values between the bounds of which neighbours differ by less than a limit, for any numbers.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ import jaxform
 import optimize
 from jaxform import files
 from jaxform.profiles import Profile
-from optimize.variables import bounded, limited, unbounded, unlimited
+from optimize.variables import bounded, limited, log_bounded, log_unbounded, unbounded, unlimited
 from tests import scenes
 
 BOUNDS = (0.005, 0.02)
@@ -23,12 +24,14 @@ def _thickness(variable: optimize.ThicknessProfile | optimize.ThicknessField, fr
     return np.asarray(variable.changes(jnp.asarray(free))["parison.thickness"])
 
 
-def test_bounds_hold_for_any_number_and_the_map_can_be_undone() -> None:
+@pytest.mark.parametrize("into, back", [(bounded, unbounded), (log_bounded, log_unbounded)])
+def test_bounds_hold_for_any_number_and_the_map_can_be_undone(into: Any, back: Any) -> None:
     free = jnp.asarray([-80.0, -1.0, 0.0, 2.0, 80.0])
-    inside = bounded(free, (2.0, 5.0))
+    inside = into(free, (2.0, 5.0))
     assert np.all((inside >= 2.0) & (inside <= 5.0))
     values = np.array([2.1, 3.0, 4.9])
-    np.testing.assert_allclose(bounded(jnp.asarray(unbounded(values, (2.0, 5.0))), (2.0, 5.0)), values, rtol=1e-12)
+    np.testing.assert_allclose(into(jnp.asarray(back(values, (2.0, 5.0))), (2.0, 5.0)), values, rtol=1e-12)
+    assert np.all(np.isfinite(back(np.array([2.0, 5.0]), (2.0, 5.0))))
 
 
 @pytest.mark.parametrize("rising", [False, True])
