@@ -10,7 +10,7 @@ demo: environment
 	@echo "final.vtu (for ParaView), best.toml (run it again with: .venv/bin/jaxform simulate out/demo/best.toml --out out/best)"
 
 test: lint
-	.venv/bin/python -m pytest -n 2 --dist loadfile
+	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # The variable keeps pyright from asking the network whether there is a newer one.
 lint: environment

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import hypothesis
+import pytest
 
 # What is compiled is kept for other tests, for the other worker, for the programs that they start and for the next run.
 # `pytest --cache-clear` empties it.
@@ -19,3 +20,12 @@ jax.config.update("jax_enable_x64", True)
 # The first example of a test compiles, so its time says nothing; the same examples in every run.
 hypothesis.settings.register_profile("jaxform", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("jaxform")
+
+# Files go to the workers whole, in this order: those that take longest first, so that all workers end together.
+_FIRST = ("notebooks", "refinement", "contact", "skips", "simulation", "cli", "bench", "optimize", "validate", "files")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts the longest files first and leaves the order otherwise."""
+    places = {f"test_{name}": place for place, name in enumerate(_FIRST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
