@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxform import InputError, Result, Scene
+from jaxform import InputError, Result, Scene, simulate
 from jaxform.profiles import Profile
 from optimize.walls import formed_area, nodal_area, nodal_volume
 
@@ -44,12 +44,14 @@ class Objective:
         squares: Whether the value is the sum of the squares of `deviations`.
         constrained: Whether there are constraints.
         aims: Whether it says how thick the wall shall be, so that a fixed point applies.
+        price: The multipliers of its constraints to begin with, before anything is known of them.
     """
 
     uniform: float | None = None
     aims: bool = False
     squares: bool = False
     constrained: bool = False
+    price: float = 0.0
 
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
         """The number to make small; no unit."""
@@ -66,6 +68,11 @@ class Objective:
     def constraints(self, scene: Scene, result: Result) -> Constraints:
         """What must be kept; by default nothing."""
         return no_constraints()
+
+    def first_multipliers(self, scene: Scene) -> jax.Array:
+        """Those of the constraints (n,) to begin with."""
+        excess = jax.eval_shape(lambda scene: self.constraints(scene, simulate(scene)).excess, scene)
+        return jnp.full(excess.shape, self.price)
 
     def wanted(self, result: Result) -> jax.Array:
         """The wall (n_node,) [m] that a fixed point leads to, where the objective aims at one."""
@@ -180,7 +187,8 @@ class LeastMass(Objective):
 
     The value is the mass over that of the scene to begin with. Every element keeps the minimum by itself, with a
     multiplier of its own: nothing is blurred into an average. The multipliers' weighted sum is what the mass gains,
-    relative to the first one, per relative change of the minimum.
+    relative to the first one, per relative change of the minimum. Wall and mass are nearly in ratio, so it comes out
+    near the value: about 1 to begin with.
 
     Args:
         scene: The scene that is designed.
@@ -191,6 +199,7 @@ class LeastMass(Objective):
     """
 
     constrained = aims = True
+    price = 1.0
 
     def __init__(self, scene: Scene, minimum: float) -> None:
         """See the class."""
@@ -284,6 +293,10 @@ class Weighted(Objective):
         """Those of all parts."""
         each = [part.constraints(scene, result) for _, part in self.parts]
         return Constraints(*(jnp.concatenate(values) for values in zip(*each, strict=True)))
+
+    def first_multipliers(self, scene: Scene) -> jax.Array:
+        """Those of all parts, times their weights."""
+        return jnp.concatenate([weight * part.first_multipliers(scene) for weight, part in self.parts])
 
     def wanted(self, result: Result) -> jax.Array:
         """That of the first part that aims."""

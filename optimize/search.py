@@ -26,7 +26,7 @@ from optimize.walls import wall
 
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _IDLE_STEPS = 5
-_FIRST_PENALTY, _LARGER_PENALTY = 100.0, 4.0
+_FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
 _CHECK_SIZES = (1e-3, 1e-4, 1e-5)  # of steps in the unbounded numbers, for the gradient's check
 _ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
 
@@ -77,13 +77,8 @@ class Search:
         self._programs: dict[str, Any] = {}
         self._curved: tuple[Point, np.ndarray] | None = None
         if self.study.objective.constrained:
-            self.limits = self._first_limits()
-
-    def _first_limits(self) -> Limits:
-        shape = jax.eval_shape(
-            lambda scene: self.study.objective.constraints(scene, jaxform.simulate(scene)).excess, self.study.scene
-        ).shape
-        return Limits(jnp.zeros(shape), jnp.asarray(_FIRST_PENALTY))
+            multipliers = self.study.objective.first_multipliers(self.study.scene)
+            self.limits = Limits(multipliers, jnp.asarray(_FIRST_PENALTY))
 
     @property
     def start(self) -> np.ndarray:

@@ -182,8 +182,10 @@ def _searched(search: Search, study: Study, on_check: Callable[[float], object] 
     if study.starts > 1:
         free = _best_start(search, study)
     if study.warm_start:
-        updates(search, study, free, study.warm_start)
-        free = free if search.best is None else search.best.free
+        last, _ = updates(search, study, free, study.warm_start)
+        if search.best is not None:
+            # Where there are limits the last one is the best, though it may break them by a few per cent more.
+            free = last.free if search.limits is not None and np.isfinite(last.value) else search.best.free
     point = search.plain(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
     if search.stopped:
         return STOPPED
