@@ -220,11 +220,11 @@ def wall_gradient(scene: Scene, seed: int = 0) -> tuple[float, list[float]]:
         result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}))
         return jnp.mean(jnp.square(result.thickness / jnp.mean(scene.parison.thickness)))
 
-    slope = float(jnp.vdot(jax.jit(jax.grad(measure))(thickness), direction))
-    value = jax.jit(measure)
+    both = jax.jit(jax.value_and_grad(measure))  # a program for the value alone would take longer to compile
+    slope = float(jnp.vdot(both(thickness)[1], direction))
     deviations = []
     for size in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
-        up, down = (float(value(thickness + sign * size * direction)) for sign in (1, -1))
+        up, down = (float(both(thickness + sign * size * direction)[0]) for sign in (1, -1))
         deviations.append(abs((up - down) / (2 * size) / slope - 1))
     return slope, deviations
 

@@ -152,10 +152,7 @@ def element_mean(values: jax.Array, triangles: jax.Array) -> jax.Array:
 
 def sum_to_nodes(values: jax.Array, triangles: jax.Array, node_count: int) -> jax.Array:
     """Sum (n_node,) over the adjacent triangles of values (n_element,)."""
-    zeros = jnp.zeros(node_count, values.dtype)
-    for corner in triangles:
-        zeros = zeros.at[corner].add(values)
-    return zeros
+    return jnp.zeros(node_count, values.dtype).at[triangles.ravel()].add(jnp.tile(values, 3))
 
 
 @jax.jit

@@ -202,12 +202,7 @@ def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.A
 
 def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
     """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
-    node_count = balls.near.size
-    rank = jnp.cumsum(balls.near) - 1
-    padded = -(-node_count // _LANES) * _LANES
-    member = jnp.zeros(padded, jnp.int32)
-    member = member.at[jnp.where(balls.near, rank, padded)].set(jnp.arange(node_count, dtype=jnp.int32), mode="drop")
-    total = rank[-1] + 1
+    member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES)
 
     def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
         return carry[0] < total

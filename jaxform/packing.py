@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.blocks import BLOCK, listed, over_blocks, padded
+from jaxform.blocks import BLOCK, listed, over_blocks, padded, running_count
 from jaxform.force import Elements
 from jaxform.pytree import pytree
 from jaxform.scene import Assembly, Sheet
@@ -102,7 +102,7 @@ def pack(
         place = jnp.arange(node_count)
     else:
         kept, (element, count) = moving, listed(moving, room)
-        rank = jnp.cumsum(moving, dtype=jnp.int32) - 1
+        rank = running_count(moving) - 1
         place, node_total = _moved_first(_touched(moving, assembly, counts[1]))
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
@@ -187,7 +187,7 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
 
 def _moved_first(first: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked."""
-    running = jnp.cumsum(first, dtype=jnp.int32)
+    running = running_count(first)
     count = running[-1]
     others = count + jnp.arange(first.size, dtype=jnp.int32) - running
     return jnp.where(first, running - 1, others), count

@@ -76,12 +76,13 @@ def can_have_more_room(scene: Scene) -> bool:
 def fitted(scene: Scene, used: int) -> Scene:
     """A scene with room for somewhat more elements than were `used` in a run of it: what is not used takes time too.
 
-    Any scene without refinement is as it was.
+    A scene without refinement, or with no more room than that, is as it was.
     """
-    forest = scene.tables.forest
-    if forest is None:
+    forest, refinement = scene.tables.forest, scene.refinement
+    if forest is None or refinement is None:
         return scene
-    return _with_room(scene, min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK)))
+    blocks = min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK))
+    return scene if used <= refinement.elements <= blocks * BLOCK else _with_room(scene, blocks)
 
 
 def _with_room(scene: Scene, blocks: int) -> Scene:
@@ -247,7 +248,7 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = jnp.isfinite(loss)
-    return jax.tree.map(lambda new, old: jnp.where(sound, new, old), (made, body), (state, sheet_body))
+    return jax.lax.cond(sound, lambda new, _: new, lambda _, old: old, (made, body), (state, sheet_body))
 
 
 def _with_noise(mode: jax.Array, old: Mesh, mesh: Mesh) -> jax.Array:

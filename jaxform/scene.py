@@ -27,6 +27,7 @@ from jaxform.search import SearchGrid
 STEPS_PER_WINDOW = 64
 _DEEPEST = 14
 _INTERPOLATIONS = ("linear", "cubic-ramp")
+_FEW_KNOTS = 256
 
 
 @pytree
@@ -66,7 +67,10 @@ class Pressure:
         """Pressure [Pa] at any times [s], of their shape."""
         if self.time.size == 1:
             return jnp.broadcast_to(self.value[0], jnp.shape(time))
-        knot = jnp.clip(jnp.searchsorted(self.time, time, side="right") - 1, 0, self.time.size - 2)
+        # Few knots are compared one by one: a search takes longer to compile than all of this.
+        way = "compare_all" if self.time.size <= _FEW_KNOTS else "scan"
+        knot = jnp.searchsorted(self.time, time, side="right", method=way)
+        knot = jnp.clip(knot - 1, 0, self.time.size - 2)
         begin, end = self.time[knot], self.time[knot + 1]
         fraction = jnp.clip((time - begin) / (end - begin), 0.0, 1.0)
         if self.interpolation == "cubic-ramp":

@@ -410,7 +410,8 @@ def _close(
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
     rounding = energy_rounding(scene, total(packed.elements.area * now.thickness))
-    status, imbalance = _health(moving, new, kinetic, rounding, scene, sheet_body)
+    largest = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions)))
+    status, imbalance = _health(new, kinetic + largest, kinetic, rounding, scene, sheet_body)
     new = dataclasses.replace(new, imbalance=imbalance)
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + rounding
@@ -423,15 +424,15 @@ def _close(
     status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
     if near is not None:
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions))) > _FAR * now.size
-    status |= jnp.where(far & ~bad, Status.RUNAWAY, 0)
+    status |= jnp.where((largest > _FAR * now.size) & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
         whole = now.row.left - spent <= _SLACK * now.length
         row_time = jnp.where(whole, 0.0, state.row_time + spent)
         new = dataclasses.replace(new, row=now.row.number + whole, row_time=row_time)
-    kept = jax.tree.map(lambda old, new: jnp.where(bad, old, new), state, new)
+    # Chosen as a whole: leaf by leaf it would be a kernel for each.
+    kept = jax.lax.cond(bad, lambda old, _: old, lambda _, new: new, state, new)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
         kept,
@@ -460,18 +461,20 @@ def _kinetic(moving: _Moving, scene: Scene, now: _Window) -> tuple[jax.Array, ja
 
 
 def _health(
-    moving: _Moving, state: State, kinetic: jax.Array, rounding: jax.Array, scene: Scene, sheet_body: Body
+    state: State, finite: jax.Array, kinetic: jax.Array, rounding: jax.Array, scene: Scene, sheet_body: Body
 ) -> tuple[jax.Array, jax.Array]:
-    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
-    moving, state, scene, sheet_body = jax.lax.stop_gradient((moving, state, scene, sheet_body))
-    finite = jnp.isfinite(total(moving.positions) + kinetic)
+    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J].
+
+    `finite` is a number that is so if all others are.
+    """
+    state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
     strain, volume = account(state.positions, scene, sheet_body)
     held = strain + kinetic
     held += state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + rounding
-    status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    status = jnp.where(jnp.isfinite(finite), jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
     return status, excess
 
 

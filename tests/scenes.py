@@ -105,6 +105,7 @@ def refinable(sheet: Sheet, elements: int, *, at_rest: bool = True) -> Scene:
     )
 
 
+@jax.jit
 def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tuple[State, Body]:
     """A state with wanted elements (element_room,) bisected, and what that asks for; and its body."""
     mesh, forest = state.mesh, scene.tables.forest

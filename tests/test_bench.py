@@ -53,7 +53,7 @@ def test_the_share_of_moving_elements_is_counted() -> None:
 
 
 def test_refinement_s_table_has_a_row_per_case(tmp_path: Path) -> None:
-    cases = [{"elements": 27}, {"elements": 27, "angle": 8.0, "max_level": 2}]
+    cases = [{"elements": 27, "angle": angle, "max_level": 2} for angle in (80.0, 8.0)]
     rows = refinement.curve(refinement.dish, refinement.exact_dish, cases)
     assert [row["status"] for row in rows] == ["ok", "ok"]
     assert rows[0]["final"] == 26 < rows[1]["final"] and rows[1]["error"] < rows[0]["error"]

@@ -199,7 +199,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
 
     def windows() -> State:
         state, body, _ = simulation._begin(scene)
-        advance = jax.jit(lambda state: stepping.window(state, scene, body))
+        advance = jax.jit(lambda state: stepping.window(state, scene, body, differentiable=False))
         for _ in range(25):
             state = advance(state)
         return state
@@ -215,7 +215,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
 def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scene = scenes.cup(elements=600, end_time=14.0)
+    scene = scenes.cup()
     roomy = jaxform.run(scene)
     monkeypatch.setattr(nearness, "_ROOM_PER_NODE", 0)
     monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
@@ -298,16 +298,16 @@ def test_gradient_with_respect_to_the_mold_s_vertices() -> None:
     stretch = mold.vertices * jnp.asarray([0.0, 0.0, 1.0])
     random = jnp.asarray(np.random.default_rng(2).uniform(0.5, 1.0, scene.parison.thickness.shape))
 
-    def measure(vertices: jax.Array, scene: jaxform.Scene = scene) -> jax.Array:
+    def measure(vertices: jax.Array, scene: jaxform.Scene) -> jax.Array:
         moved = dataclasses.replace(scene, mold=dataclasses.replace(mold, vertices=vertices))
         return jnp.vdot(random, jaxform.simulate(moved).thickness)
 
-    slope = float(jnp.vdot(jax.jit(jax.grad(measure))(mold.vertices), stretch))
+    both = jax.jit(jax.value_and_grad(measure))
+    slope = float(jnp.vdot(both(mold.vertices, scene)[1], stretch))
 
     def rebuilt(by: float) -> float:
         wall = jaxform.make_mold(np.asarray(mold.vertices + by * stretch), np.asarray(mold.triangles))
-        scene = _with_mold(wall)
-        return float(jax.jit(measure)(wall.vertices, scene))
+        return float(both(wall.vertices, _with_mold(wall))[0])
 
     deviations = [abs((rebuilt(h) - rebuilt(-h)) / (2 * h) / slope - 1) for h in (1e-5, 1e-6, 1e-7)]
     assert slope < 0  # deeper is thinner
@@ -323,19 +323,13 @@ def test_a_half_parison_lies_in_its_mold() -> None:
 
 def test_a_shot_that_flies_out_of_its_list_is_taken_anew_and_hits() -> None:
     """A sudden pressure that moves the sheet far in its first steps; the window that missed something is repeated."""
-    disc = shapes.disc(radius=1.0, elements=60, symmetry="quarter")
-    wall = molds.revolved(profile=[[0.0, 0.3], [0.6, 0.3], [1.0, 0.0]], segments=48)
-    scene = jaxform.build_scene(
-        parison=jaxform.make_parison(disc.positions, disc.triangles, 0.01, disc.clamped, disc.fixed),
-        material=scenes.mooney(0.1),
-        pressure=jaxform.make_pressure([0.0], [3.0]),
-        solver=jaxform.make_solver(end_time=3.0, damping=1.0),
-        mold=jaxform.make_mold(wall.vertices, wall.triangles),
-    )
+    sudden = {"pressure.value": [3.0, 3.0], "solver.end_time": 3.0, "solver.damping": 1.0}
+    scene = jaxform.replace(scenes.cup(), sudden)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
+    assert int(result.shortened) > 0
     assert penetrated(result, scene).nodes < 1e-12
-    assert float(np.asarray(result.positions)[:, 2].max()) <= 0.3 + 1e-12
+    assert float(np.asarray(result.positions)[:, 2].max()) <= 0.5 + 1e-12
     assert np.asarray(result.stuck).mean() > 0.8
     whole = jaxform.simulate(scene)
     np.testing.assert_allclose(result.positions, whole.positions, atol=1e-9)

@@ -102,7 +102,7 @@ def test_without_blocks_the_force_is_the_same(monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_measured_step_is_close_below_the_true_limit() -> None:
     """In every window of a run, against many more iterations; and the result is that of the elements' bound."""
-    scene = scenes.free_disc(150, 2.0, scenes.mooney(0.5))
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.5))
     ratios = []
 
     @jax.jit
@@ -147,7 +147,8 @@ def test_the_first_step_is_not_cold() -> None:
 
 
 def test_what_is_stored_does_not_change_the_gradient() -> None:
-    scene = jaxform.replace(scenes.free_disc(60, 2.0, scenes.mooney(0.1)), {"solver.end_time": 10.0})
+    # Without the power iteration there is half as much to compile, and nothing less to store.
+    scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
     def wall(thickness: jax.Array, every: int) -> jax.Array:
         result = jaxform.simulate(

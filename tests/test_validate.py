@@ -64,7 +64,7 @@ def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
 
 
 def test_haste_is_the_same_in_both_loops() -> None:
-    scene = scenes.cup(end_time=50.0)
+    scene = scenes.cup()
     pure, run = jaxform.simulate(scene), jaxform.run(scene)
     assert float(run.energy.kinetic_peak) > float(run.energy.kinetic) >= 0
     np.testing.assert_allclose(pure.energy.kinetic_peak, run.energy.kinetic_peak, rtol=1e-9)
