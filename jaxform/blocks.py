@@ -106,7 +106,7 @@ def listed(keep: jax.Array, room: int) -> tuple[jax.Array, jax.Array]:
     def put(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         # What is not kept is written over by the next one.
         places, count = carry
-        return jax.lax.dynamic_update_slice(places, i[None], (count,)), count + keep[i]
+        return jax.lax.dynamic_update_slice(places, i.astype(jnp.int32)[None], (count,)), count + keep[i]
 
     # One more, for what finds no room.
     places, count = _one_by_one(keep, put, room + 1)
@@ -131,4 +131,4 @@ def _one_by_one(
 ) -> tuple[jax.Array, jax.Array]:
     """A loop over the entries: one short function, where sums in parallel are a dozen that take long to compile."""
     start = jnp.zeros(room, jnp.int32), jnp.int32(0)
-    return jax.lax.fori_loop(jnp.int32(0), jnp.int32(keep.size), put, start)
+    return jax.lax.fori_loop(0, keep.size, put, start)

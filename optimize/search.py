@@ -27,7 +27,9 @@ from optimize.walls import wall
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _IDLE_STEPS = 5
 _FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
-_CHECK_SIZES = (1e-3, 1e-4, 1e-5)  # of steps in the unbounded numbers, for the gradient's check
+# Of steps in the unbounded numbers, for the gradient's check: until one agrees. Large ones meet other decisions of the
+# windows, small ones rounding.
+_CHECK_SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
 _ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
 
 
@@ -225,6 +227,8 @@ class Search:
         for size in _CHECK_SIZES:
             up, down = (self._probed(point.free + sign * size * direction) for sign in (1.0, -1.0))
             differences.append(abs((up - down) / (2.0 * size) - slope) / max(abs(slope), 1e-300))
+            if differences[-1] < _AGREES:
+                break
         self.gradient_error = float(np.nanmin(differences))
         return self.gradient_error
 

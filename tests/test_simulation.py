@@ -217,17 +217,19 @@ def test_the_run_ends_when_nothing_can_move() -> None:
     assert float(result.time) < 25.0
 
 
-def test_no_mold_no_contact_code() -> None:
-    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
-    free = str(
-        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, body.body(scene)))(scene)
-    )
-    with_mold = str(
-        jax.make_jaxpr(lambda scene: stepping.window(state.initial_state(scene), scene, body.body(scene)))(scenes.cup())
-    )
-    # Lists are packed with running counts; without a mold there is nothing to list.
-    assert "cumsum" not in free
-    assert "cumsum" in with_mold
+@pytest.mark.parametrize("part", ["list_near", "watch", "left", "pack", "_touch"])
+def test_no_mold_no_contact_code(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def used(*_: object, **__: object) -> None:
+        raise AssertionError(part)
+
+    monkeypatch.setattr(stepping, part, used)
+    jax.make_jaxpr(_window)(scenes.free_disc(60, 2.0, scenes.mooney(0.1)))
+    with pytest.raises(AssertionError, match=part):
+        jax.make_jaxpr(_window)(scenes.cup())
+
+
+def _window(scene: jaxform.Scene) -> state.State:
+    return stepping.window(state.initial_state(scene), scene, body.body(scene))
 
 
 def test_one_compilation_serves_all_numbers() -> None:
