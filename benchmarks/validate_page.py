@@ -137,6 +137,13 @@ def _precision(name: str, words: str) -> Any:
     return section
 
 
+# Why what is as good and faster is no default.
+_WHY_NOT = {
+    "mass scaling": "mass that is added is felt where a process is fast",
+    "float32": "gradients in float32 are coarse",
+}
+
+
 def _front(rows: list[Found]) -> list[str]:
     """Which runs are both faster and better than the default one, and which are faster and as good."""
     good = [row for row in rows if row["status"] == "ok"]
@@ -160,9 +167,11 @@ def _front(rows: list[Found]) -> list[str]:
     if better:
         lines = [f"Faster and more accurate than the default, by more than two per cent in both: {named(better)}.\n"]
     if alike:
+        reasons = [_WHY_NOT[group] for group in dict.fromkeys(r["group"] for r in alike) if group in _WHY_NOT]
         lines.append(
-            f"As accurate to two per cent, and more than a tenth faster: {named(alike)}. Mass that is added is felt "
-            "where a process is fast, and gradients in float32 are coarse: neither is a default.\n"
+            f"As accurate to two per cent, and more than a tenth faster: {named(alike)}."
+            + (f" No defaults, since {' and '.join(reasons)}." if reasons else "")
+            + "\n"
         )
     return lines
 

@@ -411,7 +411,7 @@ def _close(
     )
     rounding = energy_rounding(scene, total(packed.elements.area * now.thickness))
     largest = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions)))
-    status, imbalance = _health(new, kinetic + largest, kinetic, rounding, scene, sheet_body)
+    status, imbalance = _health(new, largest, kinetic, rounding, scene, sheet_body)
     new = dataclasses.replace(new, imbalance=imbalance)
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + rounding
@@ -461,11 +461,11 @@ def _kinetic(moving: _Moving, scene: Scene, now: _Window) -> tuple[jax.Array, ja
 
 
 def _health(
-    state: State, finite: jax.Array, kinetic: jax.Array, rounding: jax.Array, scene: Scene, sheet_body: Body
+    state: State, largest: jax.Array, kinetic: jax.Array, rounding: jax.Array, scene: Scene, sheet_body: Body
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J].
 
-    `finite` is a number that is so if all others are.
+    `largest` is the largest coordinate [m]: not finite where any position is not.
     """
     state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
     strain, volume = account(state.positions, scene, sheet_body)
@@ -474,7 +474,7 @@ def _health(
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + rounding
-    status = jnp.where(jnp.isfinite(finite), jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    status = jnp.where(jnp.isfinite(largest + kinetic), jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
     return status, excess
 
 
