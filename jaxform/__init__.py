@@ -1,57 +1,8 @@
-"""jaxform: a differentiable simulator of blow moulding and thermoforming."""
+"""jaxform: a differentiable simulator of blow moulding and thermoforming.
 
-from jaxform import molds, scenes, shapes
-from jaxform.building import build_scene
-from jaxform.errors import InputError
-from jaxform.files import load
-from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
-from jaxform.mold import Mold, make_mold
-from jaxform.refinement import fitted
-from jaxform.result import Result, explain, summarize
-from jaxform.scene import (
-    Parison,
-    Pressure,
-    Refinement,
-    Scene,
-    Solver,
-    make_parison,
-    make_pressure,
-    make_refinement,
-    make_solver,
-    replace,
-)
-from jaxform.simulation import Moment, run, simulate, simulate_batch
-from jaxform.state import Schedule
+The names are listed in `__init__.pyi`; each is imported when it is first used.
+"""
 
-__all__ = [
-    "InputError",
-    "ModifiedMooneyRivlin",
-    "Mold",
-    "Moment",
-    "MooneyRivlin",
-    "NeoHookean",
-    "Parison",
-    "Pressure",
-    "Refinement",
-    "Result",
-    "Scene",
-    "Schedule",
-    "Solver",
-    "build_scene",
-    "explain",
-    "fitted",
-    "load",
-    "make_mold",
-    "make_parison",
-    "make_pressure",
-    "make_refinement",
-    "make_solver",
-    "molds",
-    "replace",
-    "run",
-    "scenes",
-    "shapes",
-    "simulate",
-    "simulate_batch",
-    "summarize",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

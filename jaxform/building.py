@@ -16,7 +16,7 @@ from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.packing import make_assembly
 from jaxform.penetration import first_crossing
-from jaxform.pytree import as_real
+from jaxform.pytree import as_index, as_real
 from jaxform.scene import (
     DESIGNABLE,
     STEPS_PER_WINDOW,
@@ -151,8 +151,7 @@ def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid:
 
 
 def _reference_sheet(parison: Parison) -> Sheet:
-    positions, triangles = parison.positions.T, parison.triangles.T
-    inverse, area = membrane.reference_metric(positions, triangles)
+    triangles, inverse, area = _reference(parison)
     # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)
@@ -168,6 +167,13 @@ def _reference_sheet(parison: Parison) -> Sheet:
             )
         origin.append(there.mean())
     return Sheet(triangles, inverse, area, as_real(origin))
+
+
+@jax.jit
+def _reference(parison: Parison) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Triangles (3, n_element), inverse reference metric (3, n_element) and area (n_element,)."""
+    triangles = parison.triangles.T
+    return triangles, *membrane.reference_metric(parison.positions.T, triangles)
 
 
 def _check_room(refinement: Refinement, count: int) -> None:
@@ -204,7 +210,7 @@ def _grown(
     grid: SearchGrid | None,
 ) -> Forest:
     """The forest as the program needs it."""
-    triangles = jnp.asarray(forest.triangles.T)
+    triangles = as_index(forest.triangles.T)
     inverse, area = membrane.reference_metric(as_real(forest.positions.T), triangles)
     owner = np.zeros(len(forest.positions), np.int32)
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
@@ -222,17 +228,17 @@ def _grown(
         sheet=Sheet(triangles, inverse, area, sheet.origin),
         bound=bound / heavier,
         heavier=heavier,
-        partner=jnp.asarray(forest.partner),
-        middle=jnp.asarray(forest.middle),
-        half_edges=jnp.asarray(forest.half_edges.T),
+        partner=as_index(forest.partner),
+        middle=as_index(forest.middle),
+        half_edges=as_index(forest.half_edges.T),
         # Bisections come between the first triangles round a node, whose slots are every other one.
-        root_row=jnp.asarray(forest.corner_slots[: forest.root_count].T // 2),
-        ends=jnp.asarray(forest.ends.T),
-        owner=jnp.asarray(owner),
+        root_row=as_index(forest.corner_slots[: forest.root_count].T // 2),
+        ends=as_index(forest.ends.T),
+        owner=as_index(owner),
         mobility=mobility,
         bend=None if mold is None or grid is None or not refinement.base_level else bends(mold, grid),
-        turn=None if turn is None else jnp.asarray(turn, jnp.int32),
-        part=None if part is None else jnp.asarray(part, jnp.int32),
+        turn=None if turn is None else as_index(turn),
+        part=None if part is None else as_index(part),
         root_count=forest.root_count,
         depth=forest.depth,
         first_nodes=first_nodes,
@@ -272,16 +278,16 @@ def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: Se
 
     Among these are some that contact cuts short when nodes fly through the mold, and some that are taken anew.
     """
-    step = solver.safety * _stiffest_step(bound, material)
-    steps = 1.3 * float(solver.end_time / step)
+    step = float(solver.safety) * float(_stiffest_step(bound, material))
+    steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
     if not steps < _MOST_STEPS:
         raise InputError(
-            f"the run would take {steps:.2g} steps of {float(step):.2g} s",
+            f"the run would take {steps:.2g} steps of {step:.2g} s",
             "shorten it, coarsen the smallest elements or soften the material",
             "solver.end_time",
             float(solver.end_time),
         )
-    spare = 32 if grid is None else 32 + round(2 * float(grid.size / grid.reach))
+    spare = 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
     return int(np.ceil(steps / STEPS_PER_WINDOW)) + spare
 
 

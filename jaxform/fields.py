@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from jaxform import meshes
 from jaxform.errors import InputError
@@ -59,7 +59,7 @@ def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
         InputError: The mesh is not at those places.
     """
     size = meshes.size(mesh.positions)
-    apart, node = KDTree(mesh.positions).query(positions)
+    apart, node = _tree(mesh.positions).query(positions)
     result = values[node]
     elsewhere = np.flatnonzero(apart > SAME_PLACE * size)
     if len(elsewhere):
@@ -73,11 +73,17 @@ def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
     return result
 
 
+def _tree(points: Array) -> Any:
+    from scipy.spatial import KDTree  # takes a tenth of a second to import
+
+    return KDTree(points)
+
+
 def _nearest(mesh: Mesh, points: Array) -> tuple[NDArray[np.int64], Array, Array]:
     """The nearest triangle of each point, the weights of its corners at the nearest place, and the distance."""
     corners = mesh.positions[mesh.triangles]
     count = min(_CANDIDATES, len(corners))
-    candidates = np.asarray(KDTree(corners.mean(1)).query(points, k=count)[1]).reshape(len(points), count)
+    candidates = np.asarray(_tree(corners.mean(1)).query(points, k=count)[1]).reshape(len(points), count)
     weight = _weights(points[:, None], corners[candidates])
     place = np.einsum("nck,ncki->nci", weight, corners[candidates])
     distance = np.linalg.norm(place - points[:, None], axis=2)

@@ -15,10 +15,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
+from jaxform import topology
 from jaxform.errors import InputError
 
 FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".vtu": "vtu", ".msh": "gmsh"}
@@ -84,12 +82,13 @@ def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
     """
     if tolerance is None:
         tolerance = WELD_TOLERANCE * size(mesh.positions)
+    from scipy.spatial import KDTree  # takes a tenth of a second to import
+
     # Exact copies first: an STL file has six of each node, and the search below lists pairs.
     unique, first, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
     pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray") if len(unique) else np.zeros((0, 2), int)
-    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(unique), len(unique)))
-    cluster_count, cluster = connected_components(graph, directed=False) if len(unique) else (0, inverse)
-    leader = np.full(cluster_count, len(mesh.positions), dtype=np.int64)
+    cluster = topology.connected(pairs[:, 0], pairs[:, 1], len(unique)) if len(unique) else inverse
+    leader = np.full(len(unique), len(mesh.positions), dtype=np.int64)
     np.minimum.at(leader, cluster, first)
     merged = leader[cluster[inverse.reshape(-1)]]
     return _used(mesh, merged[mesh.triangles])

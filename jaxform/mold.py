@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxform import meshes
 from jaxform.errors import InputError
-from jaxform.pytree import as_real, pytree, static
+from jaxform.pytree import as_index, as_real, pytree, static
 
 
 @pytree
@@ -43,4 +42,4 @@ def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0) -> 
     bad = meshes.degenerate(vertices, triangles) if len(triangles) else np.zeros(0, bool)
     if np.all(bad):
         raise InputError("the mold has no triangles", "give a surface mesh of triangles", key="mold")
-    return Mold(as_real(vertices), jnp.asarray(triangles[~bad], jnp.int32), dropped + int(bad.sum()))
+    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()))

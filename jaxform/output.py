@@ -34,6 +34,7 @@ def write_json(path: Path, facts: dict[str, Any]) -> None:
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:
     """Writes the part as a mesh with data: initial position, thicknesses, time of contact, stretches, level."""
     scene, result = only_used(scene, result)
+    stretches = np.asarray(result.stretches, float)
     meshes.write_vtu(
         path,
         np.asarray(result.positions),
@@ -46,8 +47,8 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         },
         cell_data={
             "thickness": np.asarray(result.element_thickness, float),
-            "stretch_1": np.asarray(result.stretches[:, 0], float),
-            "stretch_2": np.asarray(result.stretches[:, 1], float),
+            "stretch_1": stretches[:, 0],
+            "stretch_2": stretches[:, 1],
             "level": np.asarray(result.level, np.int32),
         },
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxform.blocks import BLOCK, listed, over_blocks, padded, running_count
 from jaxform.force import Elements
-from jaxform.pytree import pytree
+from jaxform.pytree import as_index, pytree
 from jaxform.scene import Assembly, Sheet
 
 
@@ -66,9 +66,9 @@ def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
     table[rank[inside], corner_node[order[inside]]] = code[inside]
     spill = order[~inside]
     return Assembly(
-        table=jnp.asarray(table),
-        spill_node=jnp.asarray(corner_node[spill], jnp.int32),
-        spill=jnp.asarray(code[~inside], jnp.int32),
+        table=as_index(table),
+        spill_node=as_index(corner_node[spill]),
+        spill=as_index(code[~inside]),
     )
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from jaxform import topology
 from jaxform.mold import Mold
@@ -42,13 +41,13 @@ def penetration(positions: Array, triangles: NDArray[np.integer], wall: NDArray[
         wall: What each node sticks to (n_node,), see `Result.wall`.
         mold: The mold.
     """
-    walls = _Walls(mold, wall)
     corners = positions[triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
-    suspect = walls.behind_some(corners, longest)
+    walls = _Walls(mold, wall, longest)
+    suspect = walls.behind_some(corners)
     nodes = np.unique(triangles[suspect])
     points = np.einsum("pc,tck->tpk", _lattice(_DIVISIONS), corners[suspect]).reshape(-1, 3)
-    depth = np.maximum(-walls.heights(np.concatenate([positions[nodes], points]), longest), 0.0)
+    depth = np.maximum(-walls.heights(np.concatenate([positions[nodes], points])), 0.0)
     of_nodes, of_points = np.split(depth, [len(nodes)])
     place = points[np.argmax(of_points)] if len(points) else np.zeros(3)
     return Penetration(float(of_nodes.max(initial=0.0)), float(of_points.max(initial=0.0)), place)
@@ -62,9 +61,9 @@ def _lattice(divisions: int) -> Array:
 
 
 class _Walls:
-    """The mold's triangles with their near sides."""
+    """The mold's triangles with their near sides, for places within a distance [m] of them."""
 
-    def __init__(self, mold: Mold, wall: NDArray[np.integer]) -> None:
+    def __init__(self, mold: Mold, wall: NDArray[np.integer], farthest: float) -> None:
         triangles = np.asarray(mold.triangles)
         self.corners = np.asarray(mold.vertices, float)[triangles]
         self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
@@ -76,8 +75,16 @@ class _Walls:
         side = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
         self.open_side = np.isin(side @ [len(mold.vertices), 1], key)
         self.open_corner = np.isin(triangles, open_edge)
+        from scipy.spatial import KDTree  # takes a tenth of a second to import
 
-    def behind_some(self, corners: Array, farthest: float) -> NDArray[np.bool_]:
+        self.farthest = farthest
+        longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
+        pieces, self.owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / 200))
+        middle = pieces.mean(1)
+        self.radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
+        self.tree = KDTree(middle)
+
+    def behind_some(self, corners: Array) -> NDArray[np.bool_]:
         """Which elements with these corners (n, 3, 3) [m] are partly behind the plane of some triangle near them.
 
         No other can be through the mold: an element that is before the planes of all that may be nearest to its
@@ -85,20 +92,20 @@ class _Walls:
         """
         middle = corners.mean(1)
         extent = np.linalg.norm(corners - middle[:, None], axis=2).max(1)
-        element, triangle = self._pairs(middle, extent, farthest)
+        element, triangle = self._pairs(middle, extent)
         away = corners[element] - self.corners[triangle, :1]
         height = np.einsum("pck,pk->pc", away, self.normal[triangle]).min(1)
         found = np.zeros(len(corners), bool)
         found[element[height < -_TIE * self.size]] = True
         return found
 
-    def heights(self, points: Array, farthest: float) -> Array:
+    def heights(self, points: Array) -> Array:
         """Distance (n,) [m] of points (n, 3) from the mold, negative on its far side.
 
-        Zero where it is more than `farthest`, where nothing is known of the sides, or where the nearest place is on
+        Zero where it is too far, where nothing is known of the sides, or where the nearest place is on
         the rim of an open mold, beyond which there is no wall.
         """
-        point, triangle = self._pairs(points, np.zeros(len(points)), farthest)
+        point, triangle = self._pairs(points, np.zeros(len(points)))
         if not len(point):
             return np.zeros(len(points))
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
@@ -113,28 +120,25 @@ class _Walls:
         result[point[order]] = np.sign(height[order]) * distance[order]
         rim = np.zeros(len(points), bool)
         rim[point[tied & at_rim]] = True
-        return np.where(rim | (nearest > farthest), 0.0, result)
+        return np.where(rim | (nearest > self.farthest), 0.0, result)
 
-    def _pairs(self, points: Array, extent: Array, farthest: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _pairs(self, points: Array, extent: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Points and the triangles that may be nearest to them, or to what is within an extent (n,) [m] of them."""
-        longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
-        pieces, owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / 200))
-        middle = pieces.mean(1)
-        radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
-        tree = KDTree(middle)
-        nearest = tree.query(points)[0]
-        near = np.flatnonzero(nearest <= farthest + extent + radius)
-        reach = nearest + 2 * extent + radius * (1 + _TIE)
-        keys, wanted = [near[:0]], _AT_FIRST
-        while len(near):
+        asked, wanted, count = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), len(self.corners)
+        keys = [asked[:0]]
+        while len(asked):
             # So many of the nearest at once; the few points with more of them in reach are asked again.
-            away, piece = tree.query(points[near], k=wanted, distance_upper_bound=reach[near].max())
-            within = away <= reach[near, None]
-            key = near[:, None] * len(self.corners) + owner[np.where(within, piece, 0)]
+            away, piece = self.tree.query(points[asked], k=wanted, workers=-1)
+            away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
+            reach = away[:, :1] + 2 * extent[asked, None] + self.radius * (1 + _TIE)
+            near = away[:, :1] <= self.farthest + extent[asked, None] + self.radius
+            within = near & (away <= reach)
+            key = asked[:, None] * count + self.owner[piece]
             keys.append(np.unique(key[within]))
-            near, wanted = near[within[:, -1] & (wanted < len(pieces))], 4 * wanted
+            asked = asked[within[:, -1] & (wanted < len(self.owner))]
+            wanted = min(4 * wanted, len(self.owner))
         key = np.unique(np.concatenate(keys))
-        return key // len(self.corners), key % len(self.corners)
+        return key // count, key % count
 
     def _examine(self, points: Array, triangle: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Distance, height over the plane, and whether the nearest place is on an open rim, pair by pair."""

@@ -8,6 +8,7 @@ from typing import Any, dataclass_transform
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import export
 from numpy.typing import ArrayLike
 
@@ -33,4 +34,14 @@ def pytree[T](cls: type[T]) -> type[T]:
 
 def as_real(value: ArrayLike) -> jax.Array:
     """The value as an array of JAX's default floating type (float64 where x64 is enabled, else float32)."""
-    return jnp.asarray(value, dtype=float)
+    return _as(value, jnp.result_type(float))
+
+
+def as_index(value: ArrayLike) -> jax.Array:
+    """The value as an array of int32."""
+    return _as(value, jnp.int32)
+
+
+def _as(value: ArrayLike, kind: Any) -> jax.Array:
+    # Converted by NumPy where it can be: JAX would compile a program for it, for every shape.
+    return jnp.asarray(value if isinstance(value, jax.Array) else np.asarray(value, kind), dtype=kind)

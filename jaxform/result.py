@@ -46,6 +46,7 @@ class Energy:
     kinetic_peak: jax.Array
 
     @property
+    @jax.jit
     def balance_error(self) -> jax.Array:
         """What the account misses, relative to the external work (0 where nothing was done)."""
         kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss + self.refinement_loss
@@ -53,6 +54,7 @@ class Energy:
         return jnp.where(work > 0, jnp.abs(kept - self.external_work) / jnp.where(work > 0, work, 1.0), 0.0)
 
     @property
+    @jax.jit
     def haste(self) -> jax.Array:
         """About how far, relative, the wall is from that of the same process done slowly (0 where nothing was done).
 
@@ -282,8 +284,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "scene": scene.name,
         "status": explain(result),
         "elements_initial": len(scene.parison.triangles),
-        "elements_final": int(np.sum(result.used)),
-        "nodes_final": int(np.sum(result.active)),
+        "elements_final": int(np.asarray(result.used).sum()),
+        "nodes_final": int(np.asarray(result.active).sum()),
         "time": float(result.time),
         "steps": int(result.steps),
         "windows": int(result.windows),

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
-from jaxform.pytree import as_real, pytree, static
+from jaxform.pytree import as_index, as_real, pytree, static
 from jaxform.search import SearchGrid
 
 STEPS_PER_WINDOW = 64
@@ -308,7 +308,7 @@ def make_parison(
         raise InputError("the thickness must be positive and finite", "give metres > 0", "parison.thickness", value)
     return Parison(
         positions=as_real(positions),
-        triangles=jnp.asarray(triangles, jnp.int32),
+        triangles=as_index(triangles),
         thickness=as_real(np.broadcast_to(given, (count,))),
         clamped=jnp.asarray(clamped, bool),
         fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),

@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.pytree import as_real, pytree, static
+from jaxform.pytree import as_index, as_real, pytree, static
 from jaxform.store import Store
 
 Array = NDArray[np.float64]
@@ -95,10 +94,10 @@ def build_grid(
         reach=as_real(frame.reach),
         size=as_real(np.ptp(corners, axis=(0, 1)).max()),
         bound=as_real(lists["bound"]),
-        start=jnp.asarray(lists["start"]),
-        middle=jnp.asarray(lists["middle"]),
-        listed=jnp.asarray(lists["listed"]),
-        number=jnp.asarray(number, jnp.int32),
+        start=as_index(lists["start"]),
+        middle=as_index(lists["middle"]),
+        listed=as_index(lists["listed"]),
+        number=as_index(number),
         outlines=as_real(np.hstack([_spheres(corners), _planes(corners)])),
         frames=as_real(_frames(corners)),
         shape=(int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])),

@@ -107,6 +107,7 @@ def _whole(scene: Scene) -> Result:
     return make_result(_closed(state, scene, first), scene, first, taken)
 
 
+@jax.jit
 def _closed(state: State, scene: Scene, first: Body) -> State:
     """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
     short = jnp.where(finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
@@ -155,7 +156,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     compiling = ready - began
     left = scene.tables.window_count
     while left > 0:
-        state, taken, done = advance(state, scene, first, taken, jnp.int32(take))
+        state, taken, done = advance(state, scene, first, taken, np.int32(take))
         left -= take
         if int(state.status) == Status.REFINEMENT_OVERFLOW and can_have_more_room(scene):
             # One program for each size; the run goes on where it was.
@@ -178,7 +179,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
                 break
         if done:
             break
-    final = result(_closed(state, scene, first), scene, first, taken)
+    state = store.program(_closed, state, scene, first)(state, scene, first)
+    final = result(state, scene, first, taken)
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
@@ -235,7 +237,7 @@ def _unless_full(state: State, scene: Scene, take: Callable[[State], State]) -> 
 def _compiled(
     state: State, scene: Scene, first: Body, taken: Taken, store: Store | None = None
 ) -> Callable[..., tuple[State, Taken, jax.Array]]:
-    return (store or _IN_MEMORY).program(_advance, state, scene, first, taken, jnp.int32(1))
+    return (store or _IN_MEMORY).program(_advance, state, scene, first, taken, np.int32(1))
 
 
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:

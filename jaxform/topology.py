@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 
 def edges(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -70,10 +68,7 @@ def orientations(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDA
     # A part of the doubled graph is one triangle's side together with the sides of others that go with it.
     link = np.where(agree, b, b + count), np.where(agree, b + count, b)
     rows, columns = np.concatenate([a, a + count]), np.concatenate(link)
-    doubled = coo_array((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count, 2 * count))
-    sheet = connected_components(doubled, directed=False)[1]
-    single = coo_array((np.ones(len(a), bool), (a, b)), shape=(count, count))
-    part = connected_components(single, directed=False)[1]
+    sheet, part = connected(rows, columns, 2 * count), connected(a, b, count)
     # The side that is in the same sheet as the part's first triangle.
     leader = np.unique(part, return_index=True)[1]
     return part, np.where(sheet[:count] == sheet[leader][part], 1, -1)
@@ -99,7 +94,16 @@ def feature_edges(
 def components(triangles: NDArray[np.integer], node_count: int) -> NDArray[np.int32]:
     """Number of the connected part that each of `node_count` nodes belongs to, shape (n,)."""
     side = _sides(triangles)
-    graph = coo_array((np.ones(len(side), bool), (side[:, 0], side[:, 1])), shape=(node_count, node_count))
+    return connected(side[:, 0], side[:, 1], node_count)
+
+
+def connected(one: NDArray[np.integer], other: NDArray[np.integer], count: int) -> NDArray[np.int32]:
+    """Number of the part that each of `count` things belongs to, shape (n,), where pairs of them are connected."""
+    # Most runs need none of this part of SciPy, which takes a tenth of a second to import.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(one), bool), (one, other)), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -378,3 +380,11 @@ def test_an_output_folder_that_is_a_file_or_cannot_be_made(tmp_path: Path, capfd
     assert "file" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked))
     assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked / "below"))
     assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", "/proc/nowhere")
+
+
+def test_help_and_the_list_of_scenes_need_no_jax() -> None:
+    words = "import sys; from jaxform import cli; cli.main(['scenes']); sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", words], capture_output=True).returncode == 0
+    # All names are there all the same.
+    assert {"load", "simulate", "scenes"} < set(dir(jaxform))
+    assert all(getattr(jaxform, name) is not None for name in jaxform.__all__)

@@ -1,0 +1,55 @@
+from . import molds, scenes, shapes
+from .building import build_scene
+from .errors import InputError
+from .files import load
+from .materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
+from .mold import Mold, make_mold
+from .refinement import fitted
+from .result import Result, explain, summarize
+from .scene import (
+    Parison,
+    Pressure,
+    Refinement,
+    Scene,
+    Solver,
+    make_parison,
+    make_pressure,
+    make_refinement,
+    make_solver,
+    replace,
+)
+from .simulation import Moment, run, simulate, simulate_batch
+from .state import Schedule
+
+__all__ = [
+    "InputError",
+    "ModifiedMooneyRivlin",
+    "Mold",
+    "Moment",
+    "MooneyRivlin",
+    "NeoHookean",
+    "Parison",
+    "Pressure",
+    "Refinement",
+    "Result",
+    "Scene",
+    "Schedule",
+    "Solver",
+    "build_scene",
+    "explain",
+    "fitted",
+    "load",
+    "make_mold",
+    "make_parison",
+    "make_pressure",
+    "make_refinement",
+    "make_solver",
+    "molds",
+    "replace",
+    "run",
+    "scenes",
+    "shapes",
+    "simulate",
+    "simulate_batch",
+    "summarize",
+]
