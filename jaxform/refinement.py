@@ -15,12 +15,12 @@ import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import BLOCK, listed, over_blocks, padded
-from jaxform.body import NEVER, Body, Mesh, levels, node_room, refined_body
+from jaxform.body import NEVER, Body, levels, node_room, refined_body
 from jaxform.near import cells
 from jaxform.newborn import born
 from jaxform.remeshing import Queue, bisected, closed, queued
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Schedule, State, Status, account, any_mode, kinetic_energy
+from jaxform.state import Schedule, State, Status, account, kinetic_energy
 
 _SPARE_BLOCKS = 2
 
@@ -229,7 +229,6 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
     mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
     body = refined_body(scene, mesh, sheet_body.volumes)
     new = born(state, mesh, scene, sheet_body.volumes)
-    mode = None if state.mode is None else _with_noise(state.mode, old, mesh)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
         account(*jax.lax.stop_gradient((s.positions, scene, b))) for s, b in ((state, sheet_body), (new, body))
@@ -241,7 +240,6 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
     made = dataclasses.replace(
         new,
         mesh=mesh,
-        mode=mode,
         sharpness=jnp.zeros_like(state.sharpness),
         refinement_loss=state.refinement_loss + loss,
         volume=state.volume + new_volume - volume,
@@ -249,10 +247,3 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = jnp.isfinite(loss)
     return jax.lax.cond(sound, lambda new, _: new, lambda _, old: old, (made, body), (state, sheet_body))
-
-
-def _with_noise(mode: jax.Array, old: Mesh, mesh: Mesh) -> jax.Array:
-    """A mode (3, n) in which the new nodes move without a pattern: between their neighbours they would hide theirs."""
-    place = jnp.arange(mesh.node.size)
-    new = (place >= old.node_count) & (place < mesh.node_count)
-    return jnp.where(new, jnp.max(jnp.where(new, 0.0, jnp.abs(mode))) * any_mode(mode), mode)

@@ -89,7 +89,7 @@ class Solver:
         skip_stuck: Whether elements whose nodes all stick leave the list of those that are worked through.
         skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
         end_early: Whether the run ends when nothing can move any more.
-        sharp_step: Whether the stable step is measured by power iteration; else it is bounded element by element.
+        sharp_step: Whether the stable step is measured by Lanczos' method; else it is bounded element by element.
         quasi_static: Whether the process is meant to be slow; if inertia or damping show in the wall, it is warned of.
     """
 

@@ -1,9 +1,9 @@
 """The length of the steps of a window: piecewise constant in the design, so it carries no gradient.
 
 The limit of the central difference is 2 over the square root of the largest eigenvalue of the inverse mass times the
-tangent stiffness. Element by element it is bounded from below, by a half on the meshes of the built-in scenes; power
-iteration with the force's own tangent measures it to a percent. The vector is kept from window to window, so that few
-iterations do.
+tangent stiffness. Element by element it is bounded from below, by a half on the meshes of the built-in scenes; Lanczos'
+method with the force's own tangent measures it to a percent. The mode is kept from window to window, so that few
+products with the tangent do.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from jaxform import membrane
 from jaxform.blocks import over_blocks, total
 from jaxform.body import Body
 from jaxform.force import Load, force_change
-from jaxform.membrane import Vector
 from jaxform.packing import Packed
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import State, can_move
+from jaxform.state import State, any_mode, can_move
 
-RUNGS_PER_OCTAVE = 8
+RUNGS_PER_OCTAVE = 16
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
-_COLD_ITERATIONS, _AFTER_BIRTHS, _ITERATIONS = 16, 8, 1
-_MOST_SHARPENING = 2.0  # how far beyond the elements' bound the step may go
-_RISE = 1.02  # of that from one window to the next
+_FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
+_NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
+_MARGIN = 0.985  # for a mode that was missed all the same
+_MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
+_RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
 _REGAIN = 2.0  # how many times as long the step must be to rise again where nothing damps
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
@@ -40,7 +41,7 @@ class Limit(NamedTuple):
 
 
 def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
-    """The step [s] of the next window: from the ladder 2^(k/8), or what divides the rest of the time evenly.
+    """The step [s] of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
 
     With it what the next window needs to know of the limit.
     """
@@ -64,20 +65,29 @@ def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) ->
 def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
     """The longest stable step [s], and how it was found.
 
-    The iteration follows one mode, while another may have become the highest; it comes from below, so the step would
-    be too long. How much sharper it is than the elements' bound depends on shapes and changes slowly: where it seems
-    to rise quickly, the mode was lost. The bound itself is of this moment.
+    How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
+    begins with the last window's mode may miss another that has become the highest, and finds a step that is too long:
+    where it seems to rise, the search is done once more and thoroughly, as it is where no mode is known, or else the
+    rise is not believed.
     """
     bound = elements_bound(state, scene, sheet_body, packed)
     if state.mode is None:
         return bound, Limit(None, bound, state.sharpness)
-    mode, rate, residual = _measured(state, scene, sheet_body, packed)
-    # The residual makes up for what is missing.
-    sharpness = jnp.clip(2.0 / (bound * jnp.sqrt(rate + residual)), 1.0, _MOST_SHARPENING)
+
+    def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> Any:
+        thorough = found[2]
+        mode, square = _highest(state, scene, sheet_body, packed, thorough)
+        sharpness = jnp.clip(_MARGIN * 2.0 / (bound * jnp.sqrt(square)), 1.0, _MOST_SHARPENING)
+        lost = ~thorough & (sharpness > _RISE * state.sharpness)
+        sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.sharpness))
+        return mode, sharpness, lost, lost
+
     known = state.sharpness > 0.0
-    sharpness = jnp.where(known, jnp.minimum(sharpness, _RISE * state.sharpness), sharpness)
+    begun = state.mode, state.sharpness, ~known, jnp.asarray(True)
+    mode, sharpness, _, _ = jax.lax.while_loop(lambda found: found[3], search, begun)
     # Growth of the stiffness so far stands for growth within the window.
-    growth = jnp.where(known, jnp.clip(bound / state.bound, _MOST_GROWTH, 1.0), 1.0)
+    before = state.sharpness * state.bound
+    growth = jnp.where(known, jnp.clip(sharpness * bound / before, _MOST_GROWTH, 1.0), 1.0)
     return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness)
 
 
@@ -95,8 +105,13 @@ def elements_bound(state: State, scene: Scene, sheet_body: Body, packed: Packed)
     return membrane.stable_step(jnp.max(stiffness), scene.material)
 
 
-def _measured(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The mode (3, n_node), and its squared frequency with the residual [1/s^2], by power iteration."""
+def _highest(
+    state: State, scene: Scene, sheet_body: Body, packed: Packed, thorough: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The mode (3, n_node), and its squared frequency with the residual [1/s^2], by Lanczos' method.
+
+    The residual makes up for what is missing: the frequency is approached from below.
+    """
     assert state.mode is not None
     positions = packed.taken(state.positions)
     stuck = packed.taken(state.stuck) | ~packed.exists
@@ -104,22 +119,31 @@ def _measured(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> t
     mass = packed.taken(sheet_body.mass)
     load = Load(positions, sheet_body.thickness[packed.element], scene.pressure.at(state.time), scene.material)
 
-    def product(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
+    def product(a: jax.Array, b: jax.Array) -> jax.Array:
         return total(mass * membrane.dot(a, b))
 
-    def iterate(_: int, found: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        mode = found[0]
-        new = -compliance * force_change(load, packed.elements, mode)
-        rate = product(mode, new)
-        gap = new - rate * mode
-        norm = jnp.sqrt(product(new, new))
-        return new / jnp.where(norm > 0.0, norm, 1.0), rate, jnp.sqrt(product(gap, gap))
+    def unit(vector: jax.Array) -> jax.Array:
+        return vector / jnp.sqrt(jnp.maximum(product(vector, vector), jnp.finfo(mass.dtype).tiny))
 
-    start = jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0)
-    start = start / jnp.sqrt(jnp.maximum(product(start, start), jnp.finfo(mass.dtype).tiny))
-    count = jnp.where(
-        state.sharpness == 0.0, jnp.where(state.windows == 0, _COLD_ITERATIONS, _AFTER_BIRTHS), _ITERATIONS
-    )
-    zero = jnp.zeros((), mass.dtype)
-    mode, rate, residual = jax.lax.fori_loop(0, count, iterate, (start, zero, zero))
-    return packed.put_back(mode), rate, residual
+    def multiply(k: jax.Array, found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        basis, diagonal, beside, vector, last = found
+        new = -compliance * force_change(load, packed.elements, vector)
+        rate = product(vector, new)
+        new = new - rate * vector - jnp.where(k > 0, beside[k - 1], 0.0) * last
+        norm = jnp.sqrt(product(new, new))
+        basis, diagonal, beside = basis.at[k].set(vector), diagonal.at[k].set(rate), beside.at[k].set(norm)
+        return basis, diagonal, beside, new / jnp.where(norm > 0.0, norm, 1.0), vector
+
+    mode = unit(jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0))
+    noise = unit(jnp.sqrt(compliance) * any_mode(positions))
+    start = unit(mode + jnp.where(thorough, _NOISE, 0.0) * noise)
+    count = jnp.where(thorough, _MANY, _FEW)
+    none = jnp.zeros(_MANY, mass.dtype)
+    begun = jnp.zeros((_MANY, *start.shape), mass.dtype), none, none, start, jnp.zeros_like(start)
+    basis, diagonal, beside, _, _ = jax.lax.fori_loop(0, count, multiply, begun)
+    off = jnp.where(jnp.arange(1, _MANY) < count, beside[:-1], 0.0)
+    small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
+    squares, shares = jnp.linalg.eigh(jnp.where(jnp.isfinite(small), small, 0.0))
+    share = shares[:, -1]
+    residual = jnp.abs(beside[count - 1] * share[count - 1])
+    return packed.put_back(jnp.tensordot(share, basis, 1)), squares[-1] + residual

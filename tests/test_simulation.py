@@ -203,11 +203,11 @@ def test_the_caller_can_stop_a_run() -> None:
 
 def test_the_run_ends_when_nothing_can_move() -> None:
     disc = shapes.disc(radius=1.0, elements=24, symmetry="quarter")
-    wall = molds.revolved(profile=[[0.0, 0.05], [1.2, 0.05]], segments=24)
+    wall = molds.revolved(profile=[[0.0, 0.1], [1.2, 0.1]], segments=24)
     scene = jaxform.build_scene(
         parison=jaxform.make_parison(disc.positions, disc.triangles, 0.01, disc.clamped, disc.fixed),
         material=scenes.mooney(0.0),
-        pressure=jaxform.make_pressure([0.0, 1.0], [0.0, 0.2]),
+        pressure=jaxform.make_pressure([0.0, 40.0], [0.0, 0.05]),
         solver=jaxform.make_solver(end_time=50.0, damping=1.0),
         mold=jaxform.make_mold(wall.vertices, wall.triangles),
     )

@@ -20,7 +20,7 @@ from tests import scenes
 
 @pytest.mark.parametrize("switch", ["skip_stuck", "skip_far", "end_early"])
 def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
-    """The steps are held to the elements' bound: the power iteration's vector depends on what is packed away."""
+    """The steps are held to the elements' bound: the search for the highest mode depends on what is packed away."""
     scene = without(scenes.cup(), sharp_step=False)
     on, off = jaxform.run(scene), jaxform.run(without(scene, **{switch: False}))
     assert jaxform.explain(on) == jaxform.explain(off) == "ok"
@@ -147,7 +147,7 @@ def test_the_first_step_is_not_cold() -> None:
 
 
 def test_what_is_stored_does_not_change_the_gradient() -> None:
-    # Without the power iteration there is half as much to compile, and nothing less to store.
+    # Without the search for the highest mode there is half as much to compile, and nothing less to store.
     scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
     def wall(thickness: jax.Array, every: int) -> jax.Array:
