@@ -2,8 +2,8 @@
 
 The force is a JAX primitive of its own. Plain automatic differentiation would store every intermediate of every
 element at every step; here the derivative needs the positions alone and works the rest out again. A `custom_vjp`
-would shut out forward mode, which least-squares columns and the search for the stable step need; the primitive has a tangent
-(linear in its perturbations), the transpose of that tangent, and batching.
+would shut out forward mode, which least-squares columns and the search for the stable step need; the primitive has a
+tangent (linear in its perturbations), the transpose of that tangent, and batching.
 
 All three work through the elements in blocks and write what each corner gets; the nodes then gather it. The barriers
 keep XLA from working the element out anew for each of the nine components. `benchmarks/` times this against the
