@@ -38,6 +38,16 @@ class _Nearest(NamedTuple):
     height: jax.Array
 
 
+class _Nodes(NamedTuple):
+    """What new nodes have, of all nodes; as in `State`. The loop over blocks carries no more than this."""
+
+    positions: jax.Array
+    velocities: jax.Array
+    stuck: jax.Array
+    contact_time: jax.Array
+    wall: jax.Array
+
+
 class _Births(NamedTuple):
     """A block of places from `begin` on: which (n,) have a new node, which node, and the places of its edge's ends."""
 
@@ -98,22 +108,23 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
         return _Births(begin, new, node, (first, second))
 
-    def worked(state: State, work: Callable[[State, _Births], State]) -> State:
-        def one(state: State, block: jax.Array) -> tuple[State, None]:
+    def worked(nodes: _Nodes, work: Callable[[_Nodes, _Births], _Nodes]) -> _Nodes:
+        def one(nodes: _Nodes, block: jax.Array) -> tuple[_Nodes, None]:
             any_left = old.node_count + block * size < mesh.node_count
-            return jax.lax.cond(any_left, lambda state: work(state, births(block)), lambda state: state, state), None
+            return jax.lax.cond(any_left, lambda nodes: work(nodes, births(block)), lambda nodes: nodes, nodes), None
 
-        return jax.lax.scan(one, state, jnp.arange(-(-mesh.node.size // size)))[0]
+        return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
 
-    state = worked(state, lambda state, births: _between(state, births, scene, volumes))
-    if scene.mold is None or scene.tables.grid is None:
-        return state
-    votes = _votes(state.wall, forest)
-    return worked(state, lambda state, births: _settled(state, births, scene, votes))
+    nodes = _Nodes(state.positions, state.velocities, state.stuck, state.contact_time, state.wall)
+    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, volumes))
+    if scene.mold is not None and scene.tables.grid is not None:
+        votes, time = _votes(state.wall, forest), state.time
+        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, scene, votes, time))
+    return dataclasses.replace(state, **nodes._asdict())
 
 
-def _between(state: State, births: _Births, scene: Scene, volumes: jax.Array) -> State:
-    """The state with the block's new nodes in the middle of their edges, at rest or moving as these did.
+def _between(nodes: _Nodes, births: _Births, scene: Scene, volumes: jax.Array) -> _Nodes:
+    """The nodes with the block's new ones in the middle of their edges, at rest or moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
     weighted by these the momentum is kept exactly.
@@ -123,23 +134,22 @@ def _between(state: State, births: _Births, scene: Scene, volumes: jax.Array) ->
     # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
     start = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
-    moved = [state.positions[:, end] - begin for end, begin in zip(births.ends, start, strict=True)]
+    moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, start, strict=True)]
     middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
     velocities = jnp.zeros_like(middle)
     if not refinement.at_rest:
         weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
         velocities = births.chained(
-            [state.velocities[:, end] for end in births.ends],
+            [nodes.velocities[:, end] for end in births.ends],
             lambda first, second: weight * first + (1.0 - weight) * second,
             forest.depth,
         )
     held = jnp.all(forest.mobility[:, births.node] == 0.0, axis=0)
-    return dataclasses.replace(
-        state,
-        positions=births.put(state.positions, reference[births.node].T + jnp.where(held, 0.0, middle)),
-        velocities=births.put(state.velocities, jnp.where(held, 0.0, velocities)),
-        stuck=births.put(state.stuck, held),
-        contact_time=births.put(state.contact_time, jnp.where(held, 0.0, -1.0)),
+    return nodes._replace(
+        positions=births.put(nodes.positions, reference[births.node].T + jnp.where(held, 0.0, middle)),
+        velocities=births.put(nodes.velocities, jnp.where(held, 0.0, velocities)),
+        stuck=births.put(nodes.stuck, held),
+        contact_time=births.put(nodes.contact_time, jnp.where(held, 0.0, -1.0)),
     )
 
 
@@ -155,30 +165,29 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest
     return lost[0] / (lost[0] + lost[1])
 
 
-def _settled(state: State, births: _Births, scene: Scene, votes: jax.Array) -> State:
-    """The state with those of the block's new nodes put on the mold that are on it, or beyond it."""
+def _settled(nodes: _Nodes, births: _Births, scene: Scene, votes: jax.Array, time: jax.Array) -> _Nodes:
+    """The nodes with those of the block's new ones put on the mold that are on it, or beyond it."""
     mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
     assert mold is not None and grid is not None and forest is not None
-    points, stuck = births.own(state.positions), births.own(state.stuck)
+    points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
     where = jax.lax.stop_gradient(points)
     found = _nearest(where, births.new & ~stuck, grid)
     side = _near_side(votes, found.triangle, forest)
-    begin, end = (jax.lax.stop_gradient(state.positions)[:, at] for at in births.ends)
+    begin, end = (jax.lax.stop_gradient(nodes.positions)[:, at] for at in births.ends)
     reachable = found.distance <= _FARTHEST * jnp.sqrt(dot(begin - end, begin - end))
     touches = births.new & (side != 0) & (found.distance <= near.touch_distance(grid))
     beyond = births.new & (side * found.height < 0) & reachable & ~touches
-    ends = [state.stuck[at] for at in births.ends]
+    ends = [nodes.stuck[at] for at in births.ends]
     sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
     triangle = jnp.maximum(found.triangle, 0)
     point = _closest(points, mold, triangle, lands)
-    return dataclasses.replace(
-        state,
-        positions=births.put(state.positions, jnp.where(lands, point, points)),
-        velocities=births.put(state.velocities, jnp.where(lands, 0.0, births.own(state.velocities))),
-        stuck=births.put(state.stuck, stuck | lands),
-        contact_time=births.put(state.contact_time, jnp.where(lands, state.time, births.own(state.contact_time))),
-        wall=births.put(state.wall, jnp.where(lands, side * (triangle + 1), births.own(state.wall))),
+    return _Nodes(
+        positions=births.put(nodes.positions, jnp.where(lands, point, points)),
+        velocities=births.put(nodes.velocities, jnp.where(lands, 0.0, births.own(nodes.velocities))),
+        stuck=births.put(nodes.stuck, stuck | lands),
+        contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.own(nodes.contact_time))),
+        wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.own(nodes.wall))),
     )
 
 
