@@ -29,7 +29,7 @@ DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit status."""
-    # What is imported stays: to look for garbage in it takes a tenth of a short run.
+    # What is imported stays: to look for garbage in it takes a tenth of a short run. `_prepare` turns it on again.
     gc.disable()
     try:
         arguments = _parser().parse_args(argv)
@@ -40,6 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("jaxform: interrupted", file=sys.stderr)
         return INTERRUPTED
+    finally:
+        # For a caller that goes on, wherever the command ended.
+        gc.unfreeze()
+        gc.enable()
 
 
 class _Parser(argparse.ArgumentParser):

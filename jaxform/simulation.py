@@ -150,8 +150,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     began = time.perf_counter()
     state, first, taken = store.program(_begin, scene)(scene)
     take = 1 if on_window is not None else scene.tables.window_count
-    advance = _compiled(state, scene, first, taken, store)
-    result = store.program(_make_result, state, scene, first, taken)
+    advance, closed, result = _programs(state, scene, first, taken, store)
     ready, telling = time.perf_counter(), 0.0
     compiling = ready - began
     left = scene.tables.window_count
@@ -163,8 +162,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             paused = time.perf_counter()
             scene, state = with_more_room(scene, state)
             first, left = store.program(_begin, scene)(scene)[1], scene.tables.window_count - int(state.windows)
-            advance = _compiled(state, scene, first, taken, store)
-            result = store.program(_make_result, state, scene, first, taken)
+            advance, closed, result = _programs(state, scene, first, taken, store)
             compiling += time.perf_counter() - paused
             telling += time.perf_counter() - paused
             continue
@@ -179,8 +177,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
                 break
         if done:
             break
-    state = store.program(_closed, state, scene, first)(state, scene, first)
-    final = result(state, scene, first, taken)
+    final = result(closed(state, scene, first), scene, first, taken)
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
@@ -232,6 +229,15 @@ def _unless_full(state: State, scene: Scene, take: Callable[[State], State]) -> 
     if scene.refinement is None:
         return take(state)
     return jax.lax.cond(state.status == 0, take, lambda state: state, state)
+
+
+def _programs(
+    state: State, scene: Scene, first: Body, taken: Taken, store: Store
+) -> tuple[Callable[..., tuple[State, Taken, jax.Array]], Callable[..., State], Callable[..., Result]]:
+    """Compiled for a scene's sizes: what takes windows, what ends a run, and what makes its result."""
+    advance = _compiled(state, scene, first, taken, store)
+    closed = store.program(_closed, state, scene, first)
+    return advance, closed, store.program(_make_result, state, scene, first, taken)
 
 
 def _compiled(
