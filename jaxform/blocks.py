@@ -79,6 +79,17 @@ def _read(flat: jax.Array, count: int, first: jax.Array) -> list[jax.Array]:
     return [jax.lax.dynamic_slice(flat, (k * room + first,), (BLOCK,)) for k in range(count)]
 
 
+def only_if[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differentiable: bool = False) -> T:
+    """What `work` makes of the value where it is asked for, else the value as it is.
+
+    A loop that is entered at most once: other than a branch it copies nothing, but has no reverse derivative.
+    """
+    if differentiable:
+        return jax.lax.cond(asked, work, lambda value: value, value)
+    again = lambda carry: (jnp.asarray(False), work(carry[1]))  # noqa: E731
+    return jax.lax.while_loop(lambda carry: carry[0], again, (asked, value))[1]
+
+
 def total(values: jax.Array) -> jax.Array:
     """Sum of values (room,), whole blocks of them: many short sums side by side, where XLA makes one long one."""
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.blocks import only_if
 from jaxform.membrane import cross, dot, gather
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
@@ -91,9 +92,7 @@ def land(
     met = _any_meets(paths, landing.stuck, reached, near, touch)
     if differentiable:
         return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, length, mass, mold)
-    # A loop that is entered once, when something lands: other than a branch it copies nothing.
-    again = lambda carry: (jnp.asarray(False), pull(carry[1], length, mass, mold))  # noqa: E731
-    return jax.lax.while_loop(lambda carry: carry[0], again, (met, landing))[1]
+    return only_if(met, lambda landing: pull(landing, length, mass, mold), landing)
 
 
 class _Paths(NamedTuple):

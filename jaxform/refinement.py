@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
-from jaxform.blocks import BLOCK, listed, over_blocks, padded
+from jaxform.blocks import BLOCK, listed, only_if, over_blocks, padded
 from jaxform.body import NEVER, Body, levels, node_room, refined_body
 from jaxform.near import cells
 from jaxform.newborn import born
@@ -25,7 +25,9 @@ from jaxform.state import Schedule, State, Status, account, kinetic_energy
 _SPARE_BLOCKS = 2
 
 
-def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
+def refined(
+    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
+) -> tuple[State, Body]:
     """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
 
     With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
@@ -40,14 +42,12 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
     else:
         due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
         wanted = _wanted
-    return jax.lax.cond(
-        due,
-        lambda state, scene, body: _grown(state, scene, body, *wanted(state, scene, body)),
-        lambda state, _, body: (state, body),
-        state,
-        scene,
-        sheet_body,
-    )
+
+    def look(now: tuple[State, Body]) -> tuple[State, Body]:
+        state, body = now
+        return _grown(state, scene, body, *wanted(state, scene, body), differentiable=differentiable)
+
+    return only_if(due, look, (state, sheet_body), differentiable=differentiable)
 
 
 def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:
@@ -200,29 +200,28 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
     return uneven
 
 
-def _grown(state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue) -> tuple[State, Body]:
+def _grown(
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, *, differentiable: bool = True
+) -> tuple[State, Body]:
     """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
     mesh = state.mesh
     assert mesh is not None
     fits = (mesh.element_count + queue.count <= mesh.element.size) & (
         mesh.node_count + queue.node_count <= mesh.node.size
     )
-    choice = jnp.where(queue.count == 0, 0, jnp.where(fits, 1, 2))
-    full = state.status | Status.REFINEMENT_OVERFLOW
-    return jax.lax.switch(
-        choice,
-        (
-            lambda state, _, body: (state, body),
-            lambda state, scene, body: _with_parts(state, scene, body, split_at, queue),
-            lambda state, _, body: (dataclasses.replace(state, status=full), body),
-        ),
-        state,
-        scene,
-        sheet_body,
-    )
+    full = jnp.where(fits, 0, Status.REFINEMENT_OVERFLOW).astype(state.status.dtype)
+    state = dataclasses.replace(state, status=state.status | full)
+
+    def grow(now: tuple[State, Body]) -> tuple[State, Body]:
+        state, body = now
+        return _with_parts(state, scene, body, split_at, queue, differentiable=differentiable)
+
+    return only_if(fits & (queue.count > 0), grow, (state, sheet_body), differentiable=differentiable)
 
 
-def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue) -> tuple[State, Body]:
+def _with_parts(
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, *, differentiable: bool
+) -> tuple[State, Body]:
     """The state with the queue's triangles bisected."""
     forest, old = scene.tables.forest, state.mesh
     assert forest is not None and old is not None and sheet_body.volumes is not None
@@ -246,4 +245,4 @@ def _with_parts(state: State, scene: Scene, sheet_body: Body, split_at: jax.Arra
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = jnp.isfinite(loss)
-    return jax.lax.cond(sound, lambda new, _: new, lambda _, old: old, (made, body), (state, sheet_body))
+    return only_if(~sound, lambda _: (state, sheet_body), (made, body), differentiable=differentiable)

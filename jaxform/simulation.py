@@ -9,19 +9,22 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.errors import InputError
+from jaxform.packing import Packed
 from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, finished, initial_state
-from jaxform.stepping import energy_rounding, window
+from jaxform.stepping import energy_rounding, still_worked_through, window, worked_through
 from jaxform.store import Store
 
 _IN_MEMORY = Store()
@@ -204,19 +207,35 @@ def _begin(scene: Scene) -> tuple[State, Body, Taken]:
 def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Array) -> tuple[State, Taken, jax.Array]:
     """At most so many windows."""
 
-    def going(carry: tuple[State, Body, Taken, jax.Array]) -> jax.Array:
-        return (carry[3] < most) & ~finished(carry[0], scene)
+    def going(carry: _Going) -> jax.Array:
+        return (carry.count < most) & ~finished(carry.state, scene)
 
-    def take(carry: tuple[State, Body, Taken, jax.Array]) -> tuple[State, Body, Taken, jax.Array]:
-        at = carry[0].windows
-        state, now = refined(carry[0], scene, carry[1])
-        state = _unless_full(state, scene, lambda state: window(state, scene, now, differentiable=False))
-        taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry[2], _latest(state))
-        return state, now, taken, carry[3] + 1
+    def take(carry: _Going) -> _Going:
+        state, now = refined(carry.state, scene, carry.now, differentiable=False)
+        stale = carry.count == 0
+        if state.mesh is not None and carry.state.mesh is not None:
+            stale |= state.mesh.element_count != carry.state.mesh.element_count
+        packed = still_worked_through(state, scene, now, carry.packed, stale)
+        whole = functools.partial(window, scene=scene, sheet_body=now, packed=packed, differentiable=False)
+        after = _unless_full(state, scene, whole, differentiable=False)
+        at = carry.state.windows
+        taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, _latest(after))
+        return _Going(after, now, packed, taken, carry.count + 1)
 
-    begun = state, present_body(scene, state.mesh, first), taken, jnp.int32(0)
-    state, _, taken, _ = jax.lax.while_loop(going, take, begun)
-    return state, taken, finished(state, scene)
+    now = present_body(scene, state.mesh, first)
+    none = jax.tree.map(jnp.zeros_like, jax.eval_shape(lambda: worked_through(state, scene, now)))
+    gone = jax.lax.while_loop(going, take, _Going(state, now, none, taken, jnp.int32(0)))
+    return gone.state, gone.taken, finished(gone.state, scene)
+
+
+class _Going(NamedTuple):
+    """What goes from window to window: with the state the body and what of it is worked through, as they are now."""
+
+    state: State
+    now: Body
+    packed: Packed
+    taken: Taken
+    count: jax.Array
 
 
 def _latest(state: State) -> Taken:
@@ -224,11 +243,11 @@ def _latest(state: State) -> Taken:
     return state.last_length, state.last_count, state.bound
 
 
-def _unless_full(state: State, scene: Scene, take: Callable[[State], State]) -> State:
+def _unless_full(state: State, scene: Scene, take: Callable[[State], State], *, differentiable: bool = True) -> State:
     """A window, unless refinement found no room at its border: then the state is left for a run with more."""
     if scene.refinement is None:
         return take(state)
-    return jax.lax.cond(state.status == 0, take, lambda state: state, state)
+    return only_if(state.status == 0, take, state, differentiable=differentiable)
 
 
 def _programs(

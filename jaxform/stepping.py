@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.blocks import over_blocks, total
+from jaxform.blocks import BLOCK, only_if, over_blocks, total
 from jaxform.body import Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
 from jaxform.near import Near, left, list_near, seen, watch
@@ -231,15 +231,22 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
 
 
 def window(
-    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
+    state: State,
+    scene: Scene,
+    sheet_body: Body,
+    schedule: Schedule | None = None,
+    *,
+    packed: Packed | None = None,
+    differentiable: bool = True,
 ) -> State:
     """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
 
     A design may move faster than the one whose schedule it follows: contact then cuts its window short, and the next
     one goes on with the steps that are left; or it is taken anew with shorter ones, as any other. Where no derivative
-    is asked for, a halted window ends at once; else its remaining steps change nothing.
+    is asked for, a halted window ends at once; else its remaining steps change nothing. What is worked through may be
+    given, `packed`, where it is known.
     """
-    packed = worked_through(state, scene, sheet_body)
+    packed = worked_through(state, scene, sheet_body) if packed is None else packed
     decided = _decided(state, scene, sheet_body, packed, schedule)
     length = decided.length
     index = jnp.arange(STEPS_PER_WINDOW)
@@ -331,6 +338,23 @@ def worked_through(state: State, scene: Scene, sheet_body: Body) -> Packed:
         return sheet_body.whole
     counts = None if state.mesh is None else (state.mesh.element_count, state.mesh.node_count)
     return pack(can_move(state, sheet_body.sheet), sheet_body.sheet, sheet_body.assembly, counts)
+
+
+def still_worked_through(
+    state: State, scene: Scene, sheet_body: Body, packed: Packed, stale: jax.Array | bool
+) -> Packed:
+    """The same from what the last window worked through: made anew only where that is stale, or is a block too long."""
+    if not scene.packs_moving:
+        return sheet_body.whole
+    elements, stuck = packed.elements, packed.taken(state.stuck)
+
+    def work(triangles: jax.Array, area: jax.Array) -> Any:
+        first, second, third = (stuck.at[corner].get(mode="promise_in_bounds") for corner in triangles)
+        return [], [(~(first & second & third) & (area > 0.0)).astype(area.dtype)]
+
+    _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
+    shorter = moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
+    return only_if(stale | shorter, lambda _: worked_through(state, scene, sheet_body), packed)
 
 
 def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
@@ -432,7 +456,7 @@ def _close(
         row_time = jnp.where(whole, 0.0, state.row_time + spent)
         new = dataclasses.replace(new, row=now.row.number + whole, row_time=row_time)
     # Chosen as a whole: leaf by leaf it would be a kernel for each.
-    kept = jax.lax.cond(bad, lambda old, _: old, lambda _, new: new, state, new)
+    kept = only_if(bad, lambda _: state, new, differentiable=moving.room is None)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
         kept,

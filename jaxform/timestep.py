@@ -138,7 +138,7 @@ def _highest(
         return basis, diagonal, beside, new / jnp.where(norm > 0.0, norm, 1.0), vector
 
     mode = unit(jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0))
-    noise = unit(jnp.sqrt(compliance) * any_mode(positions))
+    noise = unit(jnp.sqrt(compliance) * packed.taken(any_mode(state.positions)))
     start = unit(mode + jnp.where(thorough, _NOISE, 0.0) * noise)
     count = jnp.where(thorough, _MANY, _FEW)
     none = jnp.zeros(_MANY, mass.dtype)
