@@ -136,7 +136,7 @@ def spilled(corners: Corners, elements: Elements) -> jax.Array | None:
 
 def _gathered(flat: jax.Array, slots: jax.Array, row_count: jax.Array) -> jax.Array:
     def taken(slot: jax.Array) -> jax.Array:
-        return flat.at[slot].get(mode="promise_in_bounds")
+        return flat.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
     total = taken(slots[0])
     for slot in slots[1:_USUAL_ROWS]:

@@ -29,7 +29,7 @@ class Invariants(NamedTuple):
 
 def gather(values: jax.Array, index: jax.Array) -> jax.Array:
     """Columns of (k, n_node) `values` at `index`, which the mesh guarantees to exist."""
-    return values.at[:, index].get(mode="promise_in_bounds")
+    return values.at[:, index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector]:
@@ -37,7 +37,7 @@ def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, 
     x, y, z = positions
 
     def corner(nodes: jax.Array) -> Vector:
-        a, b, c = (row.at[nodes].get(mode="promise_in_bounds") for row in (x, y, z))
+        a, b, c = (row.at[nodes].get(mode="promise_in_bounds", wrap_negative_indices=False) for row in (x, y, z))
         return a, b, c
 
     first = corner(triangles[0])

@@ -43,11 +43,11 @@ class Packed:
 
     def taken(self, nodal: jax.Array) -> jax.Array:
         """Values (..., place) of (..., n_node), in packed order."""
-        return nodal.at[..., self.node].get(mode="promise_in_bounds")
+        return nodal.at[..., self.node].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
     def put_back(self, packed: jax.Array) -> jax.Array:
         """Values (..., n_node) of (..., place), in the mesh's order."""
-        return packed.at[..., self.place].get(mode="promise_in_bounds")
+        return packed.at[..., self.place].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
@@ -138,7 +138,9 @@ def _columns(
     """Triangles (3, room) of places, inverse metric and area of the elements in the list; 0 beyond it."""
 
     def work(element: jax.Array) -> Any:
-        corners = [place.at[row[element]].get(mode="promise_in_bounds") for row in sheet.triangles]
+        corners = [
+            place.at[row[element]].get(mode="promise_in_bounds", wrap_negative_indices=False) for row in sheet.triangles
+        ]
         return [corners, [row[element] for row in sheet.inverse_metric], [sheet.area[element]]], []
 
     room, real = element.size, sheet.area.dtype

@@ -349,7 +349,9 @@ def still_worked_through(
     elements, stuck = packed.elements, packed.taken(state.stuck)
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
-        first, second, third = (stuck.at[corner].get(mode="promise_in_bounds") for corner in triangles)
+        first, second, third = (
+            stuck.at[corner].get(mode="promise_in_bounds", wrap_negative_indices=False) for corner in triangles
+        )
         return [], [(~(first & second & third) & (area > 0.0)).astype(area.dtype)]
 
     _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
