@@ -90,6 +90,7 @@ def build_scene(
         assembly=make_assembly(triangles, len(positions)),
         bound=bound,
         mobility=mobility,
+        size=as_real(np.abs(positions).max()),
         grid=grid,
         forest=grown,
         window_count=_window_count(bound, material, solver, grid),

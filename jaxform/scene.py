@@ -225,6 +225,7 @@ class Tables:
         assembly: How nodes gather their force.
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
+        size: Largest initial coordinate [m].
         grid: Search structure of the mold, or None.
         forest: What the mesh can be refined to, or None.
         window_count: Number of windows that a run may take.
@@ -234,6 +235,7 @@ class Tables:
     assembly: Assembly
     bound: jax.Array
     mobility: jax.Array
+    size: jax.Array
     grid: SearchGrid | None
     forest: Forest | None
     window_count: int = static()

@@ -66,7 +66,6 @@ class _Window:
         most: How many steps it takes, unless it is cut short.
         row: Of a schedule that is followed; None where none is.
         idle_volume: Enclosed by what is not worked through [m^3].
-        size: Largest initial coordinate [m].
         near: The list of nodes near the mold; None where there is no mold.
     """
 
@@ -80,7 +79,6 @@ class _Window:
     most: jax.Array | int
     row: _Row | None
     idle_volume: jax.Array | float
-    size: jax.Array
     near: Near | None
 
 
@@ -114,13 +112,13 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
         room=taken.room,
     )
     if now.near is None:
-        return moved if moving.room is not None else dataclasses.replace(moved, halted=_flown(moved, now))
+        return moved if moving.room is not None else dataclasses.replace(moved, halted=_flown(moved, scene, now))
     return _touch(moved, taken, length, scene, now)
 
 
-def _flown(moved: _Moving, now: _Window) -> jax.Array:
+def _flown(moved: _Moving, scene: Scene, now: _Window) -> jax.Array:
     """Whether a window without contact halts: a sheet that flies off must not overflow where derivatives are taken."""
-    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.positions))) > _FAR * now.size
+    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.positions))) > _FAR * scene.tables.size
     return moved.halted | far | (moved.count >= now.most)
 
 
@@ -266,7 +264,6 @@ def window(
         most=decided.most,
         row=decided.row,
         idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
-        size=jnp.max(jnp.abs(jax.lax.stop_gradient(scene.parison.positions))),
         near=_list_near(moving, scene, length),
     )
 
@@ -450,7 +447,7 @@ def _close(
     status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
     if near is not None:
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-    status |= jnp.where((largest > _FAR * now.size) & ~bad, Status.RUNAWAY, 0)
+    status |= jnp.where((largest > _FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
