@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.blocks import only_if
-from jaxform.membrane import cross, dot, gather
+from jaxform.membrane import Vector, columns, cross, dot, minus, plus
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
 from jaxform.search import SearchGrid
@@ -22,22 +22,24 @@ from jaxform.search import SearchGrid
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 
 
-def _meet(before: jax.Array, after: jax.Array, planes: jax.Array, touch: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _meet(before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
 
     A node within `touch` of the plane touches it, whichever way it goes; the triangle's edges are inclusive, so that
     no path leaks between two triangles.
     """
-    d, normal, dual1, dual2 = planes[0:3], planes[3:6], planes[6:9], planes[9:12]
-    height = dot(before - d, normal)
-    fall = height - dot(after - d, normal)
+    d, normal, dual1, dual2 = ((planes[k], planes[k + 1], planes[k + 2]) for k in range(0, 12, 3))
+    away = minus(before, d)
+    height = dot(away, normal)
+    fall = height - dot(minus(after, d), normal)
     level = fall == 0.0
     beta = jnp.clip(height / jnp.where(level, 1.0, fall), 0.0, 1.0)
     touches = jnp.abs(height) <= touch
     crosses = ~level & (height * (height - fall) <= 0.0)
-    point = before + beta * (after - before) - d
+    x, y, z = (beta * way for way in minus(after, before))
+    point = plus(away, (x, y, z))
     gamma, delta = dot(point, dual1), dot(point, dual2)
-    tolerance = 1e3 * jnp.finfo(planes.dtype).eps
+    tolerance = 1e3 * jnp.finfo(beta.dtype).eps
     inside = (gamma >= -tolerance) & (delta >= -tolerance) & (gamma + delta <= 1.0 + tolerance)
     return beta, (touches | crosses) & inside
 
@@ -84,15 +86,16 @@ def land(
     """
     touch = touch_distance(grid)
 
+    if not differentiable:
+        return only_if(reached, lambda now: _landed_in_place(now, length, mass, time, near, mold, touch), landing)
+
     def pull(landing: Landing, length: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
         paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, length))
-        return _landed(landing, length, mass, time, mold, _first_met(paths, landing.stuck, near, touch))
+        return _landed(landing, length, mass, time, mold, _first_met(paths, landing.stuck, near, touch).triangle)
 
     paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, length))
     met = _any_meets(paths, landing.stuck, reached, near, touch)
-    if differentiable:
-        return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, length, mass, mold)
-    return only_if(met, lambda landing: pull(landing, length, mass, mold), landing)
+    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, length, mass, mold)
 
 
 class _Paths(NamedTuple):
@@ -102,10 +105,15 @@ class _Paths(NamedTuple):
     velocities: jax.Array
     length: jax.Array
 
-    def ends(self, node: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Begin and end (3, n) [m] of nodes' (n,) paths."""
-        after = gather(self.after, node)
-        return after - self.length * gather(self.velocities, node), after
+    def ends(self, node: jax.Array) -> tuple[Vector, Vector]:
+        """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
+        after, velocities = (_together(columns(values, node)) for values in (self.after, self.velocities))
+        x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
+        return _together((x, y, z)), after
+
+
+# What is looked up, or worked out from it, is kept for all its uses.
+_together = jax.lax.optimization_barrier
 
 
 def _block(
@@ -116,10 +124,13 @@ def _block(
     def cut(values: jax.Array) -> jax.Array:
         return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
 
-    node = cut(near.node)
-    beta, meets = _meet(*paths.ends(node), cut(near.planes).T, touch)
+    node, room = cut(near.node), near.planes.shape[1]
+    flat = near.planes.reshape(-1)
+    planes = [jax.lax.dynamic_slice_in_dim(flat, first + k * room, TEST_BLOCK) for k in range(len(near.planes))]
+    beta, meets = _meet(*paths.ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < near.count
-    return node, cut(near.triangle), beta, meets & used & ~stuck[node]
+    free = ~stuck.at[node].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    return node, cut(near.triangle), beta, meets & used & free
 
 
 def _any_meets(paths: _Paths, stuck: jax.Array, reached: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
@@ -138,30 +149,40 @@ def _any_meets(paths: _Paths, stuck: jax.Array, reached: jax.Array, near: Near, 
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
 
-def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
-    """The triangle (n_node,) that each node meets first in this step, -1 where none.
+class _Met(NamedTuple):
+    """What nodes meet in a step.
+
+    The least beta and its triangle (n_node,), -1 where none; the nodes that meet any, in a list, and how many they are.
+    """
+
+    beta: jax.Array
+    triangle: jax.Array
+    listed: jax.Array
+    count: jax.Array
+
+
+def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) -> _Met:
+    """The triangle that each node meets first in this step.
 
     Of two that are met at once the one with the higher number counts, every time.
     """
-    none = jnp.full(stuck.size, jnp.inf, paths.after.dtype), jnp.full(stuck.size, -1, jnp.int32)
+    number = jnp.full(stuck.size, -1, jnp.int32)
+    listed = jnp.zeros(stuck.size + 1, jnp.int32)
+    none = _Met(jnp.full(stuck.size, jnp.inf, paths.after.dtype), number, listed, jnp.int32(0))
 
-    def more(carry: tuple[jax.Array, tuple[jax.Array, jax.Array]]) -> jax.Array:
+    def more(carry: tuple[jax.Array, _Met]) -> jax.Array:
         return carry[0] < near.count
 
-    def choose(
-        carry: tuple[jax.Array, tuple[jax.Array, jax.Array]],
-    ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+    def choose(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
         first, found = carry
         block = _block(first, paths, stuck, near, touch)
-        return first + TEST_BLOCK, _taken_up(found, jax.lax.optimization_barrier(block))
+        return first + TEST_BLOCK, _taken_up(found, _together(block))
 
-    return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1][1]
+    return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
 
 
-def _taken_up(
-    found: tuple[jax.Array, jax.Array], block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-) -> tuple[jax.Array, jax.Array]:
-    """The least beta so far and its triangle (n_node,), with a block's pairs that meet: one by one, since they are few.
+def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> _Met:
+    """What was met so far, with a block's pairs that meet: one by one, since they are few.
 
     A scatter would keep XLA from compiling the window's steps into one function.
     """
@@ -171,20 +192,45 @@ def _taken_up(
     def next_one(after: jax.Array) -> jax.Array:
         return jnp.min(jnp.where(meets & (index > after), index, TEST_BLOCK))
 
-    def more(carry: tuple[jax.Array, tuple[jax.Array, jax.Array]]) -> jax.Array:
+    def more(carry: tuple[jax.Array, _Met]) -> jax.Array:
         return carry[0] < TEST_BLOCK
 
-    def take(
-        carry: tuple[jax.Array, tuple[jax.Array, jax.Array]],
-    ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        k, (best, chosen) = carry
+    def take(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
+        k, (best, chosen, nodes, count) = carry
         here = node[k]
         better = (beta[k] < best[here]) | (beta[k] == best[here]) & (triangle[k] > chosen[here])
+        # What is listed already is written over by the next one.
+        new = chosen[here] < 0
+        nodes = nodes.at[count].set(here)
         best = best.at[here].set(jnp.where(better, beta[k], best[here]))
         chosen = chosen.at[here].set(jnp.where(better, triangle[k], chosen[here]))
-        return next_one(k), (best, chosen)
+        return next_one(k), _Met(best, chosen, nodes, count + new)
 
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
+
+
+def _landed_in_place(
+    landing: Landing, length: jax.Array, mass: jax.Array, time: jax.Array, near: Near, mold: Mold, touch: jax.Array
+) -> Landing:
+    """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
+    met = _first_met(_Paths(landing.positions, landing.velocities, length), landing.stuck, near, touch)
+
+    def one(k: jax.Array, landing: Landing) -> Landing:
+        node = met.listed[k]
+
+        def cut(values: jax.Array) -> jax.Array:
+            return jax.lax.dynamic_slice_in_dim(values, node, 1, axis=values.ndim - 1)
+
+        # All is read before anything is written, or XLA would copy the arrays.
+        old = _together(Landing(*(cut(values) for values in landing[:5]), landing.loss))
+        new = _landed(old, length, cut(mass), time, mold, cut(met.triangle))
+        written = (
+            jax.lax.dynamic_update_slice_in_dim(values, value, node, axis=values.ndim - 1)
+            for values, value in zip(landing[:5], new[:5], strict=True)
+        )
+        return Landing(*written, new.loss)
+
+    return jax.lax.fori_loop(0, met.count, one, landing)
 
 
 def _landed(

@@ -32,6 +32,13 @@ def gather(values: jax.Array, index: jax.Array) -> jax.Array:
     return values.at[:, index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
+def columns(values: jax.Array, index: jax.Array) -> Vector:
+    """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
+    flat, size = values.reshape(-1), values.shape[1]
+    x, y, z = (flat.at[index + k * size].get(mode="promise_in_bounds", wrap_negative_indices=False) for k in range(3))
+    return x, y, z
+
+
 def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector]:
     """First node and the two edges from it, each three times (n_element,) [m], of (3, n_node) and (3, n_element)."""
     x, y, z = positions

@@ -34,7 +34,7 @@ class Near:
 
     Attributes:
         node, triangle: The pairs (room,) that can meet.
-        planes: Geometry of the pairs' triangles (room, 12).
+        planes: Geometry of the pairs' triangles (12, room).
         count: How many pairs there are.
         start: Positions (3, n_node) [m] at the border.
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
@@ -254,7 +254,7 @@ def _distance_bound(points: jax.Array, triangle: jax.Array, grid: SearchGrid) ->
 def _examined(
     candidates: _Pairs, start: jax.Array, balls: _Balls, room: int, grid: SearchGrid
 ) -> tuple[_Pairs, jax.Array, jax.Array]:
-    """Those of the candidates that truly cut the balls, their planes (room, 12), and the nodes' clear distance."""
+    """Those of the candidates that truly cut the balls, their planes (12, room), and the nodes' clear distance."""
     last, touch = jnp.minimum(candidates.count, room), touch_distance(grid)
 
     def more(carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]) -> jax.Array:
@@ -276,11 +276,11 @@ def _examined(
         keep, free_way = jax.lax.optimization_barrier((keep, free_way))
         place, more = listed(keep, keep.size)
         pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
-        planes = _written(frame[place, :12], planes, kept.count)
+        planes = jax.lax.dynamic_update_slice_in_dim(planes, frame[place, :12].T, kept.count, axis=1)
         clear = clear.at[node].min(jnp.where(keep, jnp.maximum(free_way, 0.0), jnp.inf))
         return first + TEST_BLOCK, (_Pairs(pairs, kept.count + more), planes, clear)
 
-    planes = jnp.zeros((room + TEST_BLOCK, 12), start.dtype)
+    planes = jnp.zeros((12, room + TEST_BLOCK), start.dtype)
     nothing = _no_pairs(room, TEST_BLOCK), planes, jnp.full(balls.near.shape, jnp.inf, start.dtype)
     return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]
 
