@@ -218,17 +218,15 @@ def _landed_in_place(
     def one(k: jax.Array, landing: Landing) -> Landing:
         node = met.listed[k]
 
-        def cut(values: jax.Array) -> jax.Array:
-            return jax.lax.dynamic_slice_in_dim(values, node, 1, axis=values.ndim - 1)
+        def own(values: jax.Array) -> jax.Array:
+            return values if values.ndim == 0 else jax.lax.dynamic_slice_in_dim(values, node, 1, axis=values.ndim - 1)
+
+        def put(values: jax.Array, new: jax.Array) -> jax.Array:
+            return new if values.ndim == 0 else jax.lax.dynamic_update_slice_in_dim(values, new, node, values.ndim - 1)
 
         # All is read before anything is written, or XLA would copy the arrays.
-        old = _together(Landing(*(cut(values) for values in landing[:5]), landing.loss))
-        new = _landed(old, length, cut(mass), time, mold, cut(met.triangle))
-        written = (
-            jax.lax.dynamic_update_slice_in_dim(values, value, node, axis=values.ndim - 1)
-            for values, value in zip(landing[:5], new[:5], strict=True)
-        )
-        return Landing(*written, new.loss)
+        old = _together(jax.tree.map(own, landing))
+        return jax.tree.map(put, landing, _landed(old, length, own(mass), time, mold, own(met.triangle)))
 
     return jax.lax.fori_loop(0, met.count, one, landing)
 

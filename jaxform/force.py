@@ -90,12 +90,14 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
     return nodal, volume
 
 
-def force_change(load: Load, elements: Elements, moved: jax.Array) -> jax.Array:
-    """Change of the nodal force (3, place) [N] as the positions change by `moved` (3, place) [m]."""
-    leaves, structure = jax.tree.flatten((load, elements))
-    smooth = len(jax.tree.leaves(load))
-    present = (True,) + (False,) * (smooth - 1)
-    return _tangent_p.bind(*leaves, moved, structure=structure, smooth=smooth, present=present)[0]
+def force_change(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> tuple[jax.Array, Corners]:
+    """Change of the nodal force (3, place) [N] as the positions change by `moved` (3, place) [m]; not differentiable.
+
+    What corners get is written `into` room from `no_corners`, and comes back to be written into again.
+    """
+    none = jax.tree.map(lambda _: None, load)
+    corners, _ = _corner_changes(load, elements, none._replace(positions=moved), into)
+    return _nodal(corners, elements), corners
 
 
 def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
@@ -226,6 +228,12 @@ def _metric_change(edge1: Vector, edge2: Vector, w1: Vector, w2: Vector) -> Metr
 
 def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, jax.Array]:
     """Derivative of `_force` along `change`, linear in it; a missing part of `change` is None."""
+    corners, volume = _corner_changes(load, elements, change, no_corners(load.positions, elements))
+    return _nodal(corners, elements), volume
+
+
+def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners) -> tuple[Corners, jax.Array]:
+    """As `corner_forces`, of the derivative along `change`."""
     rows = rows_of(load.positions)
     moved = None if change.positions is None else rows_of(change.positions)
     thickened = () if change.thickness is None else (change.thickness,)
@@ -266,8 +274,8 @@ def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, j
         pull2, pull3, push = _once((pull2, pull3, push))
         return _shares(push, pull2, pull3), [volume]
 
-    corners, (volume,) = _over(work, elements, (load.thickness, *thickened), no_corners(load.positions, elements))
-    return _nodal(corners, elements), volume / 6.0
+    corners, (volume,) = _over(work, elements, (load.thickness, *thickened), into)
+    return corners, volume / 6.0
 
 
 def _along_parameter(

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxform import membrane
 from jaxform.blocks import over_blocks, total
 from jaxform.body import Body
-from jaxform.force import Load, force_change
+from jaxform.force import Load, force_change, no_corners
 from jaxform.packing import Packed
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import State, any_mode, can_move
@@ -129,21 +129,23 @@ def _highest(
         return vector / jnp.sqrt(jnp.maximum(product(vector, vector), jnp.finfo(mass.dtype).tiny))
 
     def multiply(k: jax.Array, found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        basis, diagonal, beside, vector, last = found
-        new = -compliance * force_change(load, packed.elements, vector)
+        basis, diagonal, beside, vector, last, *room = found
+        change, room = force_change(load, packed.elements, vector, room)
+        new = -compliance * change
         rate = product(vector, new)
         new = new - rate * vector - jnp.where(k > 0, beside[k - 1], 0.0) * last
         norm = jnp.sqrt(product(new, new))
         basis, diagonal, beside = basis.at[k].set(vector), diagonal.at[k].set(rate), beside.at[k].set(norm)
-        return basis, diagonal, beside, new / jnp.where(norm > 0.0, norm, 1.0), vector
+        return basis, diagonal, beside, new / jnp.where(norm > 0.0, norm, 1.0), vector, *room
 
     mode = unit(jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0))
     noise = unit(jnp.sqrt(compliance) * packed.taken(any_mode(state.positions)))
     start = unit(mode + jnp.where(thorough, _NOISE, 0.0) * noise)
     count = jnp.where(thorough, _MANY, _FEW)
     none = jnp.zeros(_MANY, mass.dtype)
-    begun = jnp.zeros((_MANY, *start.shape), mass.dtype), none, none, start, jnp.zeros_like(start)
-    basis, diagonal, beside, _, _ = jax.lax.fori_loop(0, count, multiply, begun)
+    basis = jnp.zeros((_MANY, *start.shape), mass.dtype)
+    begun = basis, none, none, start, jnp.zeros_like(start), *no_corners(positions, packed.elements)
+    basis, diagonal, beside, *_ = jax.lax.fori_loop(0, count, multiply, begun)
     off = jnp.where(jnp.arange(1, _MANY) < count, beside[:-1], 0.0)
     small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
     squares, shares = jnp.linalg.eigh(jnp.where(jnp.isfinite(small), small, 0.0))
