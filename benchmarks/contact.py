@@ -6,6 +6,7 @@ from here.
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections.abc import Callable
@@ -82,17 +83,20 @@ def random_paths(wall: Mold, grid: SearchGrid, count: int, seed: int) -> tuple[n
     return begin, begin + path
 
 
-@jax.jit
-def walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """One step of all nodes from begin to end (3, n), as a simulation takes it: where they are, stuck, all well."""
+@functools.partial(jax.jit, static_argnames="differentiable")
+def walk(
+    begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid, *, differentiable: bool = False
+) -> tuple[contact.Landing, jax.Array]:
+    """One step of all nodes from begin to end (3, n), as a simulation takes it: the landing; is all well?"""
     free = jnp.zeros(begin.shape[1], bool)
     window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), grid)
     reached = jnp.any(near.watch(end, free, near.seen(window))[0])
     flying = contact.Landing(
         end, end - begin, free, jnp.full(free.size, -1.0), jnp.zeros(free.size, jnp.int32), jnp.asarray(0.0)
     )
-    landed = contact.land(flying, jnp.asarray(1.0), reached, jnp.ones(free.size), jnp.asarray(1.0), window, wall, grid)
-    return landed.positions, landed.stuck, ~(window.overflow | near.left(end, window))
+    one, mass = jnp.asarray(1.0), jnp.ones(free.size)
+    landed = contact.land(flying, one, reached, mass, one, window, wall, grid, differentiable=differentiable)
+    return landed, ~(window.overflow | near.left(end, window))
 
 
 @jax.jit
@@ -124,9 +128,9 @@ def compare(wall: Mold, count: int, seed: int = 0) -> Paths:
     landed, stuck = np.empty_like(begin), np.empty(len(begin), bool)
     for first in range(0, len(begin), BATCH):
         part = slice(first, first + BATCH)
-        place, hit, well = walk(jnp.asarray(begin[part].T), jnp.asarray(end[part].T), wall, grid)
+        landing, well = walk(jnp.asarray(begin[part].T), jnp.asarray(end[part].T), wall, grid)
         assert well, "the pairs did not find room"
-        landed[part], stuck[part] = np.asarray(place).T, hit
+        landed[part], stuck[part] = np.asarray(landing.positions).T, landing.stuck
     corners = wall.vertices[wall.triangles]
     least = np.concatenate(
         [

@@ -78,9 +78,21 @@ def test_random_paths_land_where_brute_force_says(name: str) -> None:
 
 
 def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
-    place, stuck, well = figures.walk(begin, end, wall, grid)
+    landing, well = figures.walk(begin, end, wall, grid)
     assert well
-    return place, stuck
+    return landing.positions, landing.stuck
+
+
+@pytest.mark.parametrize("name", ["box-insert", "mixed", "tangled"])
+def test_nodes_that_land_one_by_one_land_as_all_at_once(name: str) -> None:
+    """As a run without derivatives puts them there, and as one with derivatives does."""
+    wall = _MOLDS[name]()
+    grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
+    begin, end = (jnp.asarray(place.T) for place in figures.random_paths(wall, grid, figures.BATCH, seed=8))
+    (one, well), (all_at_once, _) = (figures.walk(begin, end, wall, grid, differentiable=way) for way in (False, True))
+    assert well and 20 < int(one.stuck.sum()) < 110
+    for value, expected in zip(one, all_at_once, strict=True):
+        np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["cup", "ribs", "box"])
