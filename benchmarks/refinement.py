@@ -162,14 +162,15 @@ def show_overhead() -> list[Row]:
     ):
         scene, part, seconds = timed(scene)
         state, first, _ = simulation._begin(scene)
-        look = jax.jit(lambda state, now, scene=scene: refinement.refined(state, scene, now))
+        refined = functools.partial(refinement.refined, differentiable=False)
+        look = jax.jit(lambda state, now, scene=scene, refined=refined: refined(state, scene, now))
         # Calling a program with that many arrays takes time too, which a run does not spend.
         call = jax.jit(lambda state, now: (state, now))
         advance = jax.jit(lambda state, now, scene=scene: stepping.window(state, scene, now, differentiable=False))
         now, spent, growths = body.present_body(scene, state.mesh, first), 0.0, 0
         while not finished(state, scene):
             parts = {"look": functools.partial(look, state, now), "call": functools.partial(call, state, now)}
-            taken = best_in_turns(parts, 3)
+            taken = best_in_turns(parts, 7)
             spent += taken["look"] - taken["call"]
             before = _count(state)
             state, now = look(state, now)
