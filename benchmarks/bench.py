@@ -202,7 +202,8 @@ def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
     state, body, taken = simulation._begin(scene)
     advance = simulation._compiled(state, scene, body, taken)
-    count = jax.jit(lambda state: can_move(state, scene.tables.sheet).sum())
+    sheet = scene.tables.sheet
+    count = jax.jit(lambda state: can_move(state.stuck, sheet.triangles, sheet.area).sum())
     moved, done = 0, False
     while not done:
         moving, before = int(count(state)), int(state.steps)

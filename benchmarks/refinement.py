@@ -162,8 +162,7 @@ def show_overhead() -> list[Row]:
     ):
         scene, part, seconds = timed(scene)
         state, first, _ = simulation._begin(scene)
-        refined = functools.partial(refinement.refined, differentiable=False)
-        look = jax.jit(lambda state, now, scene=scene, refined=refined: refined(state, scene, now))
+        look = jax.jit(lambda state, now, scene=scene: refinement.refined(state, scene, now, differentiable=False))
         # Calling a program with that many arrays takes time too, which a run does not spend.
         call = jax.jit(lambda state, now: (state, now))
         advance = jax.jit(lambda state, now, scene=scene: stepping.window(state, scene, now, differentiable=False))

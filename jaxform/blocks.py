@@ -55,7 +55,7 @@ def over_blocks(
         if not update:
             return function(*_block(inputs, i * BLOCK))
         # All is read before anything is written, or XLA would copy the arrays for every block.
-        old = [_read(array, shape.shape[0], i * BLOCK) for array, shape in zip(flat, into, strict=True)]
+        old = [rows_read(array, shape.shape[0], i * BLOCK) for array, shape in zip(flat, into, strict=True)]
         return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
@@ -74,9 +74,10 @@ def over_blocks(
     return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(each) for each in totals]
 
 
-def _read(flat: jax.Array, count: int, first: jax.Array) -> list[jax.Array]:
+def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int = BLOCK) -> list[jax.Array]:
+    """Entries (size,) from `first` on of each of the `count` rows that lie one after the other in `flat`."""
     room = flat.size // count
-    return [jax.lax.dynamic_slice(flat, (k * room + first,), (BLOCK,)) for k in range(count)]
+    return [jax.lax.dynamic_slice(flat, (k * room + first,), (size,)) for k in range(count)]
 
 
 def only_if[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differentiable: bool = False) -> T:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import only_if
-from jaxform.membrane import Vector, columns, cross, dot, minus, plus
+from jaxform.blocks import only_if, rows_read
+from jaxform.membrane import Vector, columns, cross, dot, gather, minus, plus
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
 from jaxform.search import SearchGrid
@@ -107,13 +107,11 @@ class _Paths(NamedTuple):
 
     def ends(self, node: jax.Array) -> tuple[Vector, Vector]:
         """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
-        after, velocities = (_together(columns(values, node)) for values in (self.after, self.velocities))
+        # The barriers keep what is looked up, and worked out from it, for all its uses.
+        looked_up = columns(self.after, node), columns(self.velocities, node)
+        after, velocities = jax.lax.optimization_barrier(looked_up)
         x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
-        return _together((x, y, z)), after
-
-
-# What is looked up, or worked out from it, is kept for all its uses.
-_together = jax.lax.optimization_barrier
+        return jax.lax.optimization_barrier((x, y, z)), after
 
 
 def _block(
@@ -124,13 +122,10 @@ def _block(
     def cut(values: jax.Array) -> jax.Array:
         return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
 
-    node, room = cut(near.node), near.planes.shape[1]
-    flat = near.planes.reshape(-1)
-    planes = [jax.lax.dynamic_slice_in_dim(flat, first + k * room, TEST_BLOCK) for k in range(len(near.planes))]
+    node, planes = cut(near.node), rows_read(near.planes.reshape(-1), len(near.planes), first, TEST_BLOCK)
     beta, meets = _meet(*paths.ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < near.count
-    free = ~stuck.at[node].get(mode="promise_in_bounds", wrap_negative_indices=False)
-    return node, cut(near.triangle), beta, meets & used & free
+    return node, cut(near.triangle), beta, meets & used & ~gather(stuck, node)
 
 
 def _any_meets(paths: _Paths, stuck: jax.Array, reached: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
@@ -176,7 +171,7 @@ def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) ->
     def choose(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
         first, found = carry
         block = _block(first, paths, stuck, near, touch)
-        return first + TEST_BLOCK, _taken_up(found, _together(block))
+        return first + TEST_BLOCK, _taken_up(found, jax.lax.optimization_barrier(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
 
@@ -225,7 +220,7 @@ def _landed_in_place(
             return new if values.ndim == 0 else jax.lax.dynamic_update_slice_in_dim(values, new, node, values.ndim - 1)
 
         # All is read before anything is written, or XLA would copy the arrays.
-        old = _together(jax.tree.map(own, landing))
+        old = jax.lax.optimization_barrier(jax.tree.map(own, landing))
         return jax.tree.map(put, landing, _landed(old, length, own(mass), time, mold, own(met.triangle)))
 
     return jax.lax.fori_loop(0, met.count, one, landing)

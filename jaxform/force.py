@@ -24,7 +24,20 @@ from jax.interpreters import ad, batching, mlir
 
 from jaxform.blocks import over_blocks
 from jaxform.materials import Material
-from jaxform.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, rows_of, stress, stress_factors
+from jaxform.membrane import (
+    Metric,
+    Vector,
+    cross,
+    dot,
+    edges,
+    gather,
+    metric,
+    minus,
+    plus,
+    rows_of,
+    stress,
+    stress_factors,
+)
 from jaxform.pytree import pytree
 
 
@@ -138,7 +151,7 @@ def spilled(corners: Corners, elements: Elements) -> jax.Array | None:
 
 def _gathered(flat: jax.Array, slots: jax.Array, row_count: jax.Array) -> jax.Array:
     def taken(slot: jax.Array) -> jax.Array:
-        return flat.at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return gather(flat, slot)
 
     total = taken(slots[0])
     for slot in slots[1:_USUAL_ROWS]:

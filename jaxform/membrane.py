@@ -28,14 +28,14 @@ class Invariants(NamedTuple):
 
 
 def gather(values: jax.Array, index: jax.Array) -> jax.Array:
-    """Columns of (k, n_node) `values` at `index`, which the mesh guarantees to exist."""
-    return values.at[:, index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    """Columns of (..., n_node) `values` at `index`, which the mesh guarantees to exist; it is not tested."""
+    return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def columns(values: jax.Array, index: jax.Array) -> Vector:
     """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
     flat, size = values.reshape(-1), values.shape[1]
-    x, y, z = (flat.at[index + k * size].get(mode="promise_in_bounds", wrap_negative_indices=False) for k in range(3))
+    x, y, z = (gather(flat, index + k * size) for k in range(3))
     return x, y, z
 
 
@@ -44,7 +44,7 @@ def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, 
     x, y, z = positions
 
     def corner(nodes: jax.Array) -> Vector:
-        a, b, c = (row.at[nodes].get(mode="promise_in_bounds", wrap_negative_indices=False) for row in (x, y, z))
+        a, b, c = (gather(row, nodes) for row in (x, y, z))
         return a, b, c
 
     first = corner(triangles[0])

@@ -223,9 +223,7 @@ def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
             level, found = carry
             slot = level + jnp.arange(_DEPTH, dtype=jnp.int32)
             used = slot < length[:, None]
-            triangle = grid.listed.at[jnp.where(used, begin[:, None] + slot, 0)].get(
-                mode="promise_in_bounds", wrap_negative_indices=False
-            )
+            triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot, 0))
             keep = used & (_distance_bound(center, triangle, grid) <= radius[:, None])
             # The barrier keeps the distances from being worked out again for each use of what they decide.
             keep, new = jax.lax.optimization_barrier((keep.ravel(), jnp.stack([nodes, triangle.ravel()], axis=1)))
@@ -238,12 +236,15 @@ def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
     return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))[1]
 
 
+def _rows(table: jax.Array, triangle: jax.Array) -> jax.Array:
+    """As `gather`, of rows (..., k) of a table (n, k)."""
+    return table.at[triangle].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
 def _distance_bound(points: jax.Array, triangle: jax.Array, grid: SearchGrid) -> jax.Array:
     """Lower bound (n, k) [m] on the distance of points (3, n) from triangles (n, k): their spheres and planes."""
     # Whole rows at once, and once: they are far apart in memory.
-    rows = jax.lax.optimization_barrier(
-        grid.outlines.at[triangle].get(mode="promise_in_bounds", wrap_negative_indices=False)
-    )
+    rows = jax.lax.optimization_barrier(_rows(grid.outlines, triangle))
     x, y, z = points[:, :, None]
     a, b, c = x - rows[..., 0], y - rows[..., 1], z - rows[..., 2]
     outside = jnp.sqrt(a * a + b * b + c * c) - rows[..., 3]
@@ -266,9 +267,7 @@ def _examined(
         first, (kept, planes, clear) = carry
         node, triangle = jax.lax.dynamic_slice_in_dim(candidates.pairs, first, TEST_BLOCK).T
         # The barriers keep things from being worked out, and fetched from afar, again for each use.
-        frame = jax.lax.optimization_barrier(
-            grid.frames.at[triangle].get(mode="promise_in_bounds", wrap_negative_indices=False)
-        )
+        frame = jax.lax.optimization_barrier(_rows(grid.frames, triangle))
         used = first + jnp.arange(TEST_BLOCK) < last
         keep = used & (distance(gather(balls.center, node), frame) <= balls.radius[node] + touch)
         # A node touches a plane from as far as the contact's tolerance.

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import near
-from jaxform.blocks import BLOCK, listed
+from jaxform.blocks import BLOCK, listed, only_if
 from jaxform.body import Mesh
 from jaxform.membrane import cross, dot
 from jaxform.mold import Mold
@@ -111,7 +111,7 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
     def worked(nodes: _Nodes, work: Callable[[_Nodes, _Births], _Nodes]) -> _Nodes:
         def one(nodes: _Nodes, block: jax.Array) -> tuple[_Nodes, None]:
             any_left = old.node_count + block * size < mesh.node_count
-            return jax.lax.cond(any_left, lambda nodes: work(nodes, births(block)), lambda nodes: nodes, nodes), None
+            return only_if(any_left, lambda nodes: work(nodes, births(block)), nodes, differentiable=True), None
 
         return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
 

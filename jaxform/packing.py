@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxform.blocks import BLOCK, listed, over_blocks, padded, running_count
 from jaxform.force import Elements
+from jaxform.membrane import gather
 from jaxform.pytree import as_index, pytree
 from jaxform.scene import Assembly, Sheet
 
@@ -43,11 +44,11 @@ class Packed:
 
     def taken(self, nodal: jax.Array) -> jax.Array:
         """Values (..., place) of (..., n_node), in packed order."""
-        return nodal.at[..., self.node].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return gather(nodal, self.node)
 
     def put_back(self, packed: jax.Array) -> jax.Array:
         """Values (..., n_node) of (..., place), in the mesh's order."""
-        return packed.at[..., self.place].get(mode="promise_in_bounds", wrap_negative_indices=False)
+        return gather(packed, self.place)
 
 
 def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
@@ -97,9 +98,8 @@ def pack(
     counts = counts or (jnp.int32(element_count), jnp.int32(node_count))
     if moving is None:
         count, node_total = counts
-        kept = jnp.arange(element_count) < count
-        element, rank = jnp.minimum(jnp.arange(room), element_count - 1), jnp.arange(element_count)
-        place = jnp.arange(node_count)
+        rank, place = jnp.arange(element_count, dtype=jnp.int32), jnp.arange(node_count, dtype=jnp.int32)
+        kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
     else:
         kept, (element, count) = moving, listed(moving, room)
         rank = running_count(moving) - 1
@@ -138,9 +138,7 @@ def _columns(
     """Triangles (3, room) of places, inverse metric and area of the elements in the list; 0 beyond it."""
 
     def work(element: jax.Array) -> Any:
-        corners = [
-            place.at[row[element]].get(mode="promise_in_bounds", wrap_negative_indices=False) for row in sheet.triangles
-        ]
+        corners = [gather(place, row[element]) for row in sheet.triangles]
         return [corners, [row[element] for row in sheet.inverse_metric], [sheet.area[element]]], []
 
     room, real = element.size, sheet.area.dtype

@@ -201,7 +201,7 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
 
 
 def _grown(
-    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, *, differentiable: bool = True
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, *, differentiable: bool
 ) -> tuple[State, Body]:
     """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
     mesh = state.mesh

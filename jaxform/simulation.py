@@ -24,7 +24,7 @@ from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, finished, initial_state
-from jaxform.stepping import energy_rounding, still_worked_through, window, worked_through
+from jaxform.stepping import energy_rounding, still_worked_through, window
 from jaxform.store import Store
 
 _IN_MEMORY = Store()
@@ -223,8 +223,7 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         return _Going(after, now, packed, taken, carry.count + 1)
 
     now = present_body(scene, state.mesh, first)
-    none = jax.tree.map(jnp.zeros_like, jax.eval_shape(lambda: worked_through(state, scene, now)))
-    gone = jax.lax.while_loop(going, take, _Going(state, now, none, taken, jnp.int32(0)))
+    gone = jax.lax.while_loop(going, take, _Going(state, now, now.whole, taken, jnp.int32(0)))
     return gone.state, gone.taken, finished(gone.state, scene)
 
 

@@ -172,10 +172,10 @@ def finished(state: State, scene: Scene) -> jax.Array:
     return done | jnp.all(state.stuck) if scene.solver.end_early else done
 
 
-def can_move(state: State, sheet: Sheet) -> jax.Array:
-    """Elements (n_element,) of which a node can still move."""
-    first, second, third = (state.stuck[corner] for corner in sheet.triangles)
-    return ~(first & second & third) & (sheet.area > 0.0)
+def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Array:
+    """Elements (n_element,) in use of which a node can still move; stuck (n_node,), triangles (3, n_element)."""
+    first, second, third = (membrane.gather(stuck, corner) for corner in triangles)
+    return ~(first & second & third) & (area > 0.0)
 
 
 def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:

@@ -333,8 +333,9 @@ def worked_through(state: State, scene: Scene, sheet_body: Body) -> Packed:
     """The elements and nodes of a window that begins now."""
     if not scene.packs_moving:
         return sheet_body.whole
+    sheet = sheet_body.sheet
     counts = None if state.mesh is None else (state.mesh.element_count, state.mesh.node_count)
-    return pack(can_move(state, sheet_body.sheet), sheet_body.sheet, sheet_body.assembly, counts)
+    return pack(can_move(state.stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
 
 
 def still_worked_through(
@@ -346,10 +347,7 @@ def still_worked_through(
     elements, stuck = packed.elements, packed.taken(state.stuck)
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
-        first, second, third = (
-            stuck.at[corner].get(mode="promise_in_bounds", wrap_negative_indices=False) for corner in triangles
-        )
-        return [], [(~(first & second & third) & (area > 0.0)).astype(area.dtype)]
+        return [], [can_move(stuck, triangles, area).astype(area.dtype)]
 
     _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
     shorter = moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count

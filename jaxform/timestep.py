@@ -97,13 +97,14 @@ def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tupl
 def elements_bound(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension."""
     rows, bounds = membrane.rows_of(packed.taken(state.positions)), sheet_body.bound[packed.element]
-    moving = can_move(state, sheet_body.sheet)[packed.element]
+    stuck = packed.taken(state.stuck)
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array, moving: jax.Array) -> Any:
-        return [(membrane.stiffness(rows, triangles, inverse, bound, moving & (area > 0.0), scene.material),)], []
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
+        moving = can_move(stuck, triangles, area)
+        return [(membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material),)], []
 
     elements = packed.elements
-    inputs = elements.triangles, elements.inverse_metric, elements.area, bounds, moving
+    inputs = elements.triangles, elements.inverse_metric, elements.area, bounds
     (stiffness,), _ = over_blocks(work, elements.block_count, inputs, [jnp.zeros((1, bounds.size), bounds.dtype)])
     return membrane.stable_step(jnp.max(stiffness), scene.material)
 

@@ -112,4 +112,4 @@ def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tupl
     assert mesh is not None and forest is not None
     numbers = jnp.where(wanted, mesh.element, NEVER)
     found = remeshing.closed(mesh.split_at, numbers, mesh.element_count, forest, state.windows)
-    return refinement._grown(state, scene, sheet, *found)
+    return refinement._grown(state, scene, sheet, *found, differentiable=True)
