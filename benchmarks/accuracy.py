@@ -120,8 +120,10 @@ def nodal_ratio(scene: Scene, result: Result) -> np.ndarray:
 
 def nodal_area(scene: Scene) -> np.ndarray:
     """A third of the initial area of each node's elements (n_node,)."""
-    area, triangles = np.asarray(scene.tables.sheet.area), np.asarray(scene.parison.triangles)
-    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), len(scene.parison.positions))
+    positions, triangles = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
+    first, second, third = positions[triangles].swapaxes(0, 1)
+    area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
+    return np.bincount(triangles.ravel(), np.repeat(area / 3, 3), len(positions))
 
 
 def rms(off: np.ndarray, weight: np.ndarray) -> float:

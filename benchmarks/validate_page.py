@@ -79,10 +79,10 @@ def _orders(found: Found) -> str:
     rims = ", ".join(f"{name} {order:.1f}" for name, order in rim.items())
     return (
         f"Inside the free disc nodal thickness comes down with order {max(inside):.1f}, though each triangle's own "
-        "thickness is constant: what neighbours miss cancels in the mean over a node. On a clamped rim or a symmetry "
-        "plane nothing cancels, and the mean is of first order only; there the values inside are carried on by their "
-        f"gradient, which gives, between the two finest meshes on the rim alone: {rims}. The wall of a cup has a kink "
-        "where its corner is: across it no uniform mesh is of second order.\n"
+        "thickness is constant: what neighbours miss cancels in the linear function that fits a node's elements best. "
+        "On a clamped rim nothing cancels; there the functions of the nodes inside are carried on, which gives, "
+        f"between the two finest meshes on the rim alone: {rims}. The wall of a cup has a kink where its corner is: "
+        "across it no uniform mesh is of second order.\n"
     )
 
 

@@ -81,8 +81,8 @@ class Result:
 
     Attributes:
         positions: Final node positions (n_node, 3) [m].
-        thickness: Final thickness at the nodes (n_node,) [m]: the adjacent elements' h/h0, weighted by reference
-            area, at rims and symmetry planes carried on from inside, times the node's initial thickness; 0 where the
+        thickness: Final thickness at the nodes (n_node,) [m]: the linear function that fits h/h0 of the adjacent
+            elements best, at rims carried on from inside, times the node's initial thickness; 0 where the
             node does not exist. See `jaxform.recovery`.
         active: Nodes that exist at the end (n_node,).
         stuck: Nodes that do not move any more (n_node,).
@@ -156,7 +156,7 @@ def make_result(
         active, node = (place < forest.first_nodes) | (mesh.place > 0), mesh.place
         triangles, level = forest.sheet.triangles[:, mesh.element], levels(mesh.element, forest)
         reference, mobility = reference[:, mesh.node], forest.mobility[:, mesh.node]
-    ratios = nodal_ratio(ratio, sheet, reference, jnp.all(mobility > 0.0, axis=0))
+    ratios = nodal_ratio(ratio, sheet, reference, mobility > 0.0)
 
     def nodal(values: jax.Array, otherwise: jax.Array | float) -> jax.Array:
         """In the order of the scene's nodes; what does not exist has another value."""
