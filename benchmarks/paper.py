@@ -176,7 +176,7 @@ def stages(name: str, parts: Sequence[Part]) -> None:
         view: Any = figure.add_axes((0.94 * k / _STAGES, 0.0, 0.94 / _STAGES, 0.9), projection="3d")
         surface(view, *faces(scene, part), colors, edges=True)
         frame(view, low, high, **view_of(name))
-        words = f"{1e3 * float(part.time):.3g} ms, {len(part.triangles)} elements"
+        words = f"{1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
         figure.text(0.94 * (k + 0.5) / _STAGES, 0.92, words, ha="center", fontsize=11)
     figure.colorbar(colors, cax=figure.add_axes((0.945, 0.2, 0.008, 0.6)), label="h / h$_0$")
     saved(figure, f"{name.split('-')[0] if name != 'soap-bottle' else 'bottle'}-stages.png")

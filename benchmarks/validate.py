@@ -29,7 +29,6 @@ from jaxform.scene import Scene
 _FILE = DOCS / "accuracy.json"
 _RUNS = 3  # of which the fastest is taken
 _FINE = 16000  # elements of the box that the others are compared with
-_DISH = {"angle": 4.0, "max_level": 6, "base_level": 6}
 _BOX = {"angle": 12.0, "max_level": 6, "base_level": 6, "scaled_levels": 2}  # as the built-in box
 
 
@@ -120,18 +119,26 @@ def _longer(scene: Scene, factor: float = 4.0) -> Scene:
 
 def show_dish(sizes: tuple[int, ...] = (150, 350, 600, 1350, 2400)) -> list[Found]:
     """The dish against its exact cup: its elements' thickness, rms by material, the last of the corner left out."""
-    document = files.read_scene("dish")
-    default = int(document.data["parison"]["elements"])
+    read = files.read_scene("dish-refined").data
+    default: Found = {"elements": read["parison"]["elements"]} | read["refinement"]
     error = refinement.exact_dish
-    rows = [measured(refinement.dish(n), error, "uniform", f"{n}", n == default) for n in sizes]
+    rows = [measured(refinement.dish(n), error, "uniform", f"{n}", False) for n in sizes]
+    rows.append(measured(refinement.dish(**default), error, "refined", "as built in", True))
     rows += [
-        measured(refinement.dish(27, **_DISH | change), error, "refined", words, False)
-        for change, words in (({"max_level": 4, "base_level": 4}, "to level 4"), ({}, "to level 6"))
+        measured(refinement.dish(**default | change), error, "refined", words, False)
+        for change, words in (
+            ({"max_level": 4, "base_level": 4, "scaled_levels": 0}, "to level 4"),
+            ({"base_level": 6, "scaled_levels": 0}, "to level 6"),
+            ({"base_level": 8, "scaled_levels": 2}, "at the corner to level 8"),
+            ({"angle": 4.0, "base_level": 6, "scaled_levels": 0}, "to level 6, 4 degrees"),
+        )
     ]
-    rows.append(
-        in_float32(lambda: measured(refinement.dish(default), error, "float32", f"{default} in float32", False))
-    )
-    return rows + _varied_rows(_longer(refinement.dish(default)), error)
+    rows += [
+        measured(refinement.dish(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
+        for k in (0, 2, 6)
+    ]
+    rows.append(in_float32(lambda: measured(refinement.dish(**default), error, "float32", "as built in", False)))
+    return rows + _varied_rows(_longer(refinement.dish(**default)), error)
 
 
 def show_box(sizes: tuple[int, ...] = (128, 500, 2000, 6000)) -> list[Found]:

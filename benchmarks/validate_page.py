@@ -65,24 +65,25 @@ def _order(value: float) -> str:
 
 
 def _orders(found: Found) -> str:
-    """Where nodal thickness is of second order, and where not: the orders between the two finest meshes."""
-    last = {
-        (name, quantity): values[-1]
-        for name, case in found.items()
-        for quantity, values in case["order"].items()
-        if "nodal thickness" in quantity
+    """Where nodal thickness is of second order, and where not: what the two finest meshes say."""
+    inside = [
+        orders[-1] for case in found.values() for name, orders in case["order"].items() if name.endswith("inside")
+    ]
+    rim = {
+        case_name: errors[-1]
+        for case_name, case in found.items()
+        for name, errors in case["errors"].items()
+        if name.endswith("rim")
     }
-    inside = [order for (_, quantity), order in last.items() if quantity.endswith("inside")]
-    rim = {name: order for (name, quantity), order in last.items() if quantity.endswith("rim")}
     if not (inside and rim):
         return ""
-    rims = ", ".join(f"{name} {order:.1f}" for name, order in rim.items())
+    rims = ", ".join(f"{name} {100 * error:.2g} %" for name, error in rim.items())
     return (
         f"Inside the free disc nodal thickness comes down with order {max(inside):.1f}, though each triangle's own "
         "thickness is constant: what neighbours miss cancels in the linear function that fits a node's elements best. "
-        "On a clamped rim nothing cancels; there the functions of the nodes inside are carried on, which gives, "
-        f"between the two finest meshes on the rim alone: {rims}. The wall of a cup has a kink where its corner is: "
-        "across it no uniform mesh is of second order.\n"
+        "On a clamped rim nothing cancels; there the functions of the nodes inside are carried on. Errors on the rim "
+        f"alone, with the finest meshes: {rims}. The wall of a cup has a kink where its corner is: across it no "
+        "uniform mesh is of second order.\n"
     )
 
 
@@ -344,7 +345,8 @@ _SECTIONS = {
     "cases": _cases,
     "dish": _precision(
         "dish",
-        "Against the exact cup, rms over the material of the elements' thickness, the last of the corner left out.",
+        "Against the exact cup, rms over the material of the elements' thickness, the last of the corner left out; the "
+        "pressure is that of `dish-refined`, which fills the corner so far.",
     ),
     "box": _precision(
         "box",
