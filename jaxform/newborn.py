@@ -55,6 +55,7 @@ class _Births(NamedTuple):
     new: jax.Array
     node: jax.Array
     ends: tuple[jax.Array, jax.Array]
+    differentiable: bool
 
     def own(self, values: jax.Array) -> jax.Array:
         """The block of values (..., n_place)."""
@@ -74,26 +75,32 @@ class _Births(NamedTuple):
             triples = zip(newer, inside, outside, strict=True)
             return join(*(jnp.where(new, own[..., at], other) for new, at, other in triples))
 
+        def still(waiting: jax.Array) -> jax.Array:
+            waits = [new & waiting[at] for new, at in zip(newer, inside, strict=True)]
+            return waits[0] | waits[1]
+
         def generation(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
             own, waiting = carry
-            own = jax.lax.cond(jnp.any(waiting), again, lambda own: own, own)
-            waits = [new & waiting[at] for new, at in zip(newer, inside, strict=True)]
-            return (own, waits[0] | waits[1]), None
+            return (only_if(jnp.any(waiting), again, own, differentiable=True), still(waiting)), None
 
-        # At most as often as there can be generations at one border; mostly there are one or two.
-        return jax.lax.scan(generation, (join(*outside), newer[0] | newer[1]), length=depth)[0][0]
+        start = join(*outside), newer[0] | newer[1]
+        if self.differentiable:
+            # At most as often as there can be generations at one border; mostly there are one or two.
+            return jax.lax.scan(generation, start, length=depth)[0][0]
+        return jax.lax.while_loop(
+            lambda carry: jnp.any(carry[1]), lambda carry: (again(carry[0]), still(carry[1])), start
+        )[0]
 
 
-def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
+def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differentiable: bool = True) -> State:
     """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
-
-    Differentiable.
 
     Args:
         state: The state, with its own mesh.
         mesh: The finer mesh.
         scene: The scene.
         volumes: Of all triangles of the forest (n_triangle,) [m^3].
+        differentiable: Whether loops have as many passes as there is room for; else they end with the new nodes.
     """
     forest, old = scene.tables.forest, state.mesh
     assert forest is not None and old is not None
@@ -106,9 +113,13 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array) -> State:
         new = (place >= nominal) & (place < mesh.node_count)
         node = jax.lax.dynamic_slice_in_dim(mesh.node, begin, size)
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
-        return _Births(begin, new, node, (first, second))
+        return _Births(begin, new, node, (first, second), differentiable)
 
     def worked(nodes: _Nodes, work: Callable[[_Nodes, _Births], _Nodes]) -> _Nodes:
+        if not differentiable:
+            blocks = -(-(mesh.node_count - old.node_count) // size)
+            return jax.lax.fori_loop(0, blocks, lambda block, nodes: work(nodes, births(block)), nodes)
+
         def one(nodes: _Nodes, block: jax.Array) -> tuple[_Nodes, None]:
             any_left = old.node_count + block * size < mesh.node_count
             return only_if(any_left, lambda nodes: work(nodes, births(block)), nodes, differentiable=True), None
