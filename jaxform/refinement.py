@@ -79,22 +79,21 @@ def _parts_near_bends(
     """
     forest, refinement = scene.tables.forest, scene.refinement
     assert forest is not None and refinement is not None
-    largest = forest.root_count * ((1 << refinement.base_level) - 1)  # first of the base level
+    first_fine = forest.root_count * ((1 << refinement.base_level) - 1)  # of the base level
 
     def wants(triangle: jax.Array, corner: list[jax.Array]) -> jax.Array:
-        rows = tuple(tuple(value[None] for value in corner[k : k + 3]) for k in (0, 3, 6))
+        peak, begin, end = (jnp.stack(corner[k : k + 3])[:, None] for k in (0, 3, 6))
         fine = 0.5 * forest.sheet.area[jnp.minimum(triangle, forest.sheet.area.size - 1)] < refinement.min_area
-        return (triangle < largest) & ~fine & (_within_reach(rows, scene)[0] > 0.0)
+        return (triangle < first_fine) & ~fine & (_within_reach(peak, begin, end, scene)[0] > 0.0)
 
     corner = gather(state.positions, sheet_body.sheet.triangles[:, place])
     return with_parts(wanted, count, corner.swapaxes(0, 1).reshape(9, -1), wants, forest)
 
 
-def _within_reach(corners: tuple[Vector, Vector, Vector], scene: Scene) -> jax.Array:
-    """By how much a bent part of the mold is within the base reach [m] of triangles, each corner three times (n,)."""
+def _within_reach(a: jax.Array | Vector, b: jax.Array | Vector, c: jax.Array | Vector, scene: Scene) -> jax.Array:
+    """By how much a bent part of the mold is within the base reach [m] of triangles (n,) with these corners [m]."""
     grid, forest, refinement = scene.tables.grid, scene.tables.forest, scene.refinement
     assert grid is not None and forest is not None and forest.bend is not None and refinement is not None
-    a, b, c = corners
     square = functools.reduce(jnp.maximum, (dot(side, side) for side in (minus(b, a), minus(c, b), minus(a, c))))
     middle = jnp.stack([(p + q + r) / 3.0 for p, q, r in zip(a, b, c, strict=True)])
     cell = cells(middle, grid, forest.bend.shape[0] // grid.shape[0])
@@ -196,7 +195,7 @@ def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
         x, y, z = (component / size for component in normal)
         near = jnp.zeros_like(size)
         if forest.bend is not None and grid is not None:
-            near = _within_reach((first, membrane.plus(first, edge1), membrane.plus(first, edge2)), scene)
+            near = _within_reach(first, membrane.plus(first, edge1), membrane.plus(first, edge2), scene)
         return [[x, y, z, 2.0 * area * thickness / size, near]], []
 
     inputs = elements.triangles, elements.area, thickness
