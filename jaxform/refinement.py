@@ -19,7 +19,7 @@ from jaxform.body import NEVER, Body, levels, node_room, refined_body
 from jaxform.membrane import Vector, dot, gather, minus
 from jaxform.near import cells
 from jaxform.newborn import born
-from jaxform.remeshing import Queue, bisected, closed, queued, with_parts
+from jaxform.remeshing import Queue, bisected, closed, queued
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Schedule, State, Status, account, kinetic_energy
 
@@ -64,30 +64,7 @@ def _wanted(state: State, scene: Scene, sheet_body: Body) -> tuple[jax.Array, Qu
     mesh, forest = state.mesh, scene.tables.forest
     assert mesh is not None and forest is not None
     place, count = listed(_marked(state, scene, sheet_body), mesh.element.size)
-    wanted = mesh.element[place]
-    if forest.bend is not None:
-        wanted, count = _parts_near_bends(wanted, count, place, jax.lax.stop_gradient(state), scene, sheet_body)
-    return closed(mesh.split_at, wanted, count, forest, state.windows)
-
-
-def _parts_near_bends(
-    wanted: jax.Array, count: jax.Array, place: jax.Array, state: State, scene: Scene, sheet_body: Body
-) -> tuple[jax.Array, jax.Array]:
-    """The triangles (room,) wanted, of which `count` are meant, and with them those of their parts near bends.
-
-    Else it would take a look for each level, and the sheet may be there before.
-    """
-    forest, refinement = scene.tables.forest, scene.refinement
-    assert forest is not None and refinement is not None
-    first_fine = forest.root_count * ((1 << refinement.base_level) - 1)  # of the base level
-
-    def wants(triangle: jax.Array, corner: list[jax.Array]) -> jax.Array:
-        peak, begin, end = (jnp.stack(corner[k : k + 3])[:, None] for k in (0, 3, 6))
-        fine = 0.5 * forest.sheet.area[jnp.minimum(triangle, forest.sheet.area.size - 1)] < refinement.min_area
-        return (triangle < first_fine) & ~fine & (_within_reach(peak, begin, end, scene)[0] > 0.0)
-
-    corner = gather(state.positions, sheet_body.sheet.triangles[:, place])
-    return with_parts(wanted, count, corner.swapaxes(0, 1).reshape(9, -1), wants, forest)
+    return closed(mesh.split_at, mesh.element[place], count, forest, state.windows)
 
 
 def _within_reach(a: jax.Array | Vector, b: jax.Array | Vector, c: jax.Array | Vector, scene: Scene) -> jax.Array:

@@ -8,7 +8,6 @@ lists change in place, and nothing is as long as the forest. There is nothing to
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -46,48 +45,6 @@ def queued(found: jax.Array, count: jax.Array, forest: Forest | bisection.Forest
     own = jnp.where(there, found, 0)
     # Two triangles share the new node in the middle of the edge between them.
     return Queue(triangle, count, jnp.sum(there & (own <= jnp.asarray(forest.partner)[own]), dtype=jnp.int32))
-
-
-def with_parts(
-    found: jax.Array,
-    count: jax.Array,
-    corner: jax.Array,
-    wants: Callable[[jax.Array, list[jax.Array]], jax.Array],
-    forest: Forest,
-) -> tuple[jax.Array, jax.Array]:
-    """Triangles (room,) that are to be bisected and those of their parts that are, and so on; and how many.
-
-    Args:
-        found: Triangles (room,) of which `count` are meant.
-        count: How many.
-        corner: Positions of their corners (9, room) [m], one corner after the other.
-        wants: Whether a part is to be bisected, told its number and the positions of its corners, nine numbers.
-        forest: The forest.
-    """
-    room = found.size
-
-    def look(carry: _Parts) -> _Parts:
-        i, triangle, corner, count = carry
-        parent, places = _at(triangle, i), [_at(corner, k, i) for k in range(9)]
-        peak, a, b = places[:3], places[3:6], places[6:]
-        middle = [0.5 * (p + q) for p, q in zip(a, b, strict=True)]
-        first = 2 * parent + forest.root_count
-        for part, ends in ((first, (*middle, *peak, *a)), (first + 1, (*middle, *b, *peak))):
-            wanted = wants(part, list(ends)) & (count < room)
-            # The last entry is for whatever is not wanted.
-            place = jnp.where(wanted, count, room)
-            triangle = _with(triangle, part, place)
-            for k, value in enumerate(ends):
-                corner = _with(corner, value, k, place)
-            count = count + wanted.astype(jnp.int32)
-        return i + 1, triangle, corner, count
-
-    start = jnp.int32(0), jnp.append(found, 0), jnp.pad(corner, ((0, 0), (0, 1))), count
-    _, triangle, _, count = jax.lax.while_loop(lambda carry: carry[0] < carry[3], look, start)
-    return triangle[:room], count
-
-
-_Parts = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # the next, triangles and corners with a spare, their count
 
 
 def closed(

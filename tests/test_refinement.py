@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,9 @@ from jaxform.result import Result
 from jaxform.scene import Forest, Scene
 from jaxform.state import Schedule, State, initial_state
 from tests import scenes
+
+
+LOOK = jax.jit(functools.partial(refinement.refined, differentiable=False))
 
 
 def cup(elements: int = 128, **options: float) -> Scene:
@@ -140,9 +144,10 @@ def over_a_block(reach: float, **options: Any) -> Scene:
 
 
 def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarray]:
-    """After one look: the body, its elements' levels, their distance to a bend and their longest side [m]."""
-    state = initial_state(scene)
-    state, now = refinement.refined(state, scene, body.body(scene), differentiable=False)
+    """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
+    state, now = initial_state(scene), body.body(scene)
+    for _ in range(6):
+        state, now = LOOK(state, scene, now)
     forest, mold, mesh = scene.tables.forest, scene.mold, state.mesh
     assert forest is not None and mold is not None and mesh is not None
     lists_of(mesh, forest)
@@ -159,7 +164,7 @@ def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarr
 
 
 @pytest.mark.parametrize("reach", [1.0, 2.0])
-def test_one_look_makes_what_is_near_a_bend_as_fine_as_it_should_be(reach: float) -> None:
+def test_what_is_near_a_bend_becomes_as_fine_as_it_should_be(reach: float) -> None:
     scene = over_a_block(reach)
     assert scene.tables.forest is not None and scene.tables.forest.bend is not None and scene.tables.grid is not None
     parts = scene.tables.forest.bend.shape[0] // scene.tables.grid.shape[0]
