@@ -22,7 +22,6 @@ from jaxform.scene import Forest, Scene
 from jaxform.state import Schedule, State, initial_state
 from tests import scenes
 
-
 LOOK = jax.jit(functools.partial(refinement.refined, differentiable=False))
 
 
