@@ -36,6 +36,7 @@ from jaxform.store import Store
 
 _MOST_STEPS = 20_000_000
 _BEND = 10.0  # degrees, from which two triangles of the mold make a bend
+_MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 
 
 def build_scene(
@@ -83,7 +84,7 @@ def build_scene(
     mobility, grown = as_real(~held.T), None
     if refinement is not None and forest is not None:
         _check_room(refinement, len(triangles))
-        grown = _grown(forest, refinement, sheet, mobility, mold, grid)
+        grown = _grown(forest, refinement, sheet, mobility, mold, grid, store)
         bound = grown.bound
     tables = Tables(
         sheet=sheet,
@@ -209,6 +210,7 @@ def _grown(
     mobility: jax.Array,
     mold: Mold | None,
     grid: SearchGrid | None,
+    store: Store | None,
 ) -> Forest:
     """The forest as the program needs it."""
     triangles = as_index(forest.triangles.T)
@@ -237,7 +239,7 @@ def _grown(
         ends=as_index(forest.ends.T),
         owner=as_index(owner),
         mobility=mobility,
-        bend=None if mold is None or grid is None or not refinement.base_level else bends(mold, grid),
+        bend=None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store),
         turn=None if turn is None else as_index(turn),
         part=None if part is None else as_index(part),
         root_count=forest.root_count,
@@ -250,21 +252,36 @@ def _grown(
     )
 
 
-def bends(mold: Mold, grid: SearchGrid) -> jax.Array:
-    """Distance [m] of each cell's middle (n_cell,) to an edge at which the mold is bent, to half a cell or so."""
-    from scipy import ndimage
+def bends(mold: Mold, grid: SearchGrid, store: Store | None = None) -> jax.Array:
+    """Distance [m] from the middles of a grid's cells to an edge at which the mold is bent, to half a cell or so.
 
+    The search grid's cells are as large as the mold's triangles, so they are cut into as many along each axis as there
+    is room for: (parts * shape[0], parts * shape[1], parts * shape[2]).
+    """
     edges = topology.feature_edges(np.asarray(mold.vertices, float), np.asarray(mold.triangles), _BEND, rims=False)
-    shape, width = np.array(grid.shape), float(grid.width)
-    far = np.ones(grid.shape, bool)
+    parts = max(1, int(np.cbrt(_MOST_BEND_CELLS / np.prod(grid.shape))))
+    shape, width = tuple(parts * count for count in grid.shape), float(grid.width) / parts
+    corner = np.asarray(grid.corner, float)
     if not len(edges):
-        return jnp.full(far.size, jnp.inf)
-    count = int(np.ceil(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).max() / (0.5 * width))) + 1
-    share = np.linspace(0.0, 1.0, count)[:, None, None]
-    points = ((1 - share) * edges[:, 0] + share * edges[:, 1]).reshape(-1, 3)
-    cell = np.clip(np.floor((points - np.asarray(grid.corner, float)) / width).astype(int), 0, shape - 1)
+        return jnp.full(shape, jnp.inf)
+    key = edges, corner, np.array([width, *shape])
+    kept = (store or Store()).arrays("bends", key, lambda: {"distance": _to_edges(edges, corner, width, shape)})
+    return as_real(kept["distance"])
+
+
+def _to_edges(edges: np.ndarray, corner: np.ndarray, width: float, shape: tuple[int, ...]) -> np.ndarray:
+    """Distance [m] from the middles of cells to the edges (n, 2, 3) [m], to half a cell or so."""
+    from scipy import ndimage  # not needed where the distances are kept
+
+    # Points along the edges, two in a cell's width.
+    count = np.ceil(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / (0.5 * width)).astype(int) + 1
+    owner = np.repeat(np.arange(len(edges)), count)
+    share = ((np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / (count[owner] - 1))[:, None]
+    points = (1 - share) * edges[owner, 0] + share * edges[owner, 1]
+    cell = np.clip(np.floor((points - corner) / width).astype(int), 0, np.array(shape) - 1)
+    far = np.ones(shape, bool)
     far[tuple(cell.T)] = False
-    return as_real(width * np.asarray(ndimage.distance_transform_edt(far)).ravel())
+    return width * np.asarray(ndimage.distance_transform_edt(far))
 
 
 def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:

@@ -185,11 +185,15 @@ def _balls(
     return _Balls(center, radius, cell, bound, free & (bound < radius))
 
 
-def cells(positions: jax.Array, grid: SearchGrid) -> jax.Array:
-    """Cell numbers (n,) of positions (3, n) [m]; outside the grid the nearest cell's, whose bound and list hold too."""
-    place = jnp.floor((positions - grid.corner[:, None]) / grid.width).astype(jnp.int32)
-    i, j, k = jnp.clip(place, 0, jnp.asarray(grid.shape)[:, None] - 1)
-    return (i * grid.shape[1] + j) * grid.shape[2] + k
+def cells(positions: jax.Array, grid: SearchGrid, parts: int = 1) -> jax.Array:
+    """Cell numbers (n,) of positions (3, n) [m]; outside the grid the nearest cell's, whose bound and list hold too.
+
+    The cells may be cut into so many parts along each axis.
+    """
+    shape = tuple(parts * count for count in grid.shape)
+    place = jnp.floor((positions - grid.corner[:, None]) * (parts / grid.width)).astype(jnp.int32)
+    i, j, k = jnp.clip(place, 0, jnp.asarray(shape)[:, None] - 1)
+    return (i * shape[1] + j) * shape[2] + k
 
 
 def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:

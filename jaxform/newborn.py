@@ -1,4 +1,4 @@
-"""New nodes: in the middle of their edges, at rest or moving as these did; at the mold put there.
+"""New nodes: in the middle of their edges and moving as these did, but near the mold at rest; at the mold put there.
 
 Where an element cut a corner of the mold, the middle of its side may be beyond. The mold's near side is the one from
 which the nodes came that stick to it. A new node is judged by the place of the mold that is nearest to it: beyond, it
@@ -28,6 +28,7 @@ from jaxform.state import State
 
 _LANES = 64  # nodes that are looked at together
 _FARTHEST = 0.5  # of its edge, that a new node is moved
+_CALM = 0.5  # of its edge: a new node that is nearer to the mold is at rest; from a whole one on it moves as it would
 
 
 class _Nearest(NamedTuple):
@@ -135,26 +136,24 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differen
 
 
 def _between(nodes: _Nodes, births: _Births, scene: Scene, volumes: jax.Array) -> _Nodes:
-    """The nodes with the block's new ones in the middle of their edges, at rest or moving as these did.
+    """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
     weighted by these the momentum is kept exactly.
     """
-    forest, refinement = scene.tables.forest, scene.refinement
-    assert forest is not None and refinement is not None
+    forest = scene.tables.forest
+    assert forest is not None
     # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
     start = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
     moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, start, strict=True)]
     middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
-    velocities = jnp.zeros_like(middle)
-    if not refinement.at_rest:
-        weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
-        velocities = births.chained(
-            [nodes.velocities[:, end] for end in births.ends],
-            lambda first, second: weight * first + (1.0 - weight) * second,
-            forest.depth,
-        )
+    weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
+    velocities = births.chained(
+        [nodes.velocities[:, end] for end in births.ends],
+        lambda first, second: weight * first + (1.0 - weight) * second,
+        forest.depth,
+    )
     held = jnp.all(forest.mobility[:, births.node] == 0.0, axis=0)
     return nodes._replace(
         positions=births.put(nodes.positions, reference[births.node].T + jnp.where(held, 0.0, middle)),
@@ -177,29 +176,44 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest
 
 
 def _settled(nodes: _Nodes, births: _Births, scene: Scene, votes: jax.Array, time: jax.Array) -> _Nodes:
-    """The nodes with those of the block's new ones put on the mold that are on it, or beyond it."""
-    mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
-    assert mold is not None and grid is not None and forest is not None
+    """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
+    mold, grid, forest, refinement = scene.mold, scene.tables.grid, scene.tables.forest, scene.refinement
+    assert mold is not None and grid is not None and forest is not None and refinement is not None
     points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
-    where = jax.lax.stop_gradient(points)
-    found = _nearest(where, births.new & ~stuck, grid)
+    found = _nearest(jax.lax.stop_gradient(points), births.new & ~stuck, grid)
     side = _near_side(votes, found.triangle, forest)
-    begin, end = (jax.lax.stop_gradient(nodes.positions)[:, at] for at in births.ends)
-    reachable = found.distance <= _FARTHEST * jnp.sqrt(dot(begin - end, begin - end))
+    edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
+    length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
+    reachable = found.distance <= _FARTHEST * length
     touches = births.new & (side != 0) & (found.distance <= near.touch_distance(grid))
     beyond = births.new & (side * found.height < 0) & reachable & ~touches
     ends = [nodes.stuck[at] for at in births.ends]
     sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
     triangle = jnp.maximum(found.triangle, 0)
-    point = _closest(points, mold, triangle, lands)
+    flies = births.new & ~stuck & ~lands & (found.triangle >= 0)
+    point = _closest(points, mold, triangle, lands | flies)
+    velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
+    if refinement.at_rest:
+        gap = jnp.where(flies, points - point, 1.0)
+        size = jnp.minimum(length, grid.reach)
+        velocities = jnp.where(flies, _kept(jnp.sqrt(dot(gap, gap)) / size) * velocities, velocities)
     return _Nodes(
         positions=births.put(nodes.positions, jnp.where(lands, point, points)),
-        velocities=births.put(nodes.velocities, jnp.where(lands, 0.0, births.own(nodes.velocities))),
+        velocities=births.put(nodes.velocities, velocities),
         stuck=births.put(nodes.stuck, stuck | lands),
         contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.own(nodes.contact_time))),
         wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.own(nodes.wall))),
     )
+
+
+def _kept(distance: jax.Array) -> jax.Array:
+    """Share (n,) of its velocity that a new node keeps at a distance from the mold, in lengths of its edge.
+
+    A replay would jump where a node that moves on lands just before a border or just after.
+    """
+    share = jnp.clip((distance - _CALM) / (1.0 - _CALM), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 def _votes(wall: jax.Array, forest: Forest) -> jax.Array:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxform import membrane
 from jaxform.blocks import BLOCK, listed, only_if, over_blocks, padded
 from jaxform.body import NEVER, Body, levels, node_room, refined_body
+from jaxform.membrane import Vector, dot, gather, minus
 from jaxform.near import cells
 from jaxform.newborn import born
 from jaxform.remeshing import Queue, bisected, closed, queued
@@ -62,9 +63,18 @@ def _wanted(state: State, scene: Scene, sheet_body: Body) -> tuple[jax.Array, Qu
     """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
     mesh, forest = state.mesh, scene.tables.forest
     assert mesh is not None and forest is not None
-    marked = _marked(state, scene, sheet_body)
-    wanted = jnp.where(marked, mesh.element, NEVER)
-    return closed(mesh.split_at, wanted, mesh.element_count, forest, state.windows)
+    place, count = listed(_marked(state, scene, sheet_body), mesh.element.size)
+    return closed(mesh.split_at, mesh.element[place], count, forest, state.windows)
+
+
+def _within_reach(a: jax.Array | Vector, b: jax.Array | Vector, c: jax.Array | Vector, scene: Scene) -> jax.Array:
+    """By how much a bent part of the mold is within the base reach [m] of triangles (n,) with these corners [m]."""
+    grid, forest, refinement = scene.tables.grid, scene.tables.forest, scene.refinement
+    assert grid is not None and forest is not None and forest.bend is not None and refinement is not None
+    square = functools.reduce(jnp.maximum, (dot(side, side) for side in (minus(b, a), minus(c, b), minus(a, c))))
+    middle = jnp.stack([(p + q + r) / 3.0 for p, q, r in zip(a, b, c, strict=True)])
+    cell = cells(middle, grid, forest.bend.shape[0] // grid.shape[0])
+    return refinement.base_reach * jnp.sqrt(square) - gather(forest.bend.ravel(), cell)
 
 
 def can_have_more_room(scene: Scene) -> bool:
@@ -137,7 +147,7 @@ def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
         if refinement.jump is not None:
             wanted |= _uneven(own, neighbor, shapes, refinement.jump) & (level < refinement.max_level)
         if forest.bend is not None:
-            # A bent part of the mold is nearer than the longest side.
+            # A bent part of the mold is nearer than so many longest sides.
             wanted |= (own[4] > 0.0) & (level < refinement.base_level)
         return [[wanted & ~fine & (area > 0.0)]], []
 
@@ -149,7 +159,7 @@ def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
 
 
 def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
-    """Unit normal, thickness [m], and by how much a bent part of the mold is nearer than the longest side (5, room)."""
+    """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
     elements, grid, forest = sheet_body.whole.elements, scene.tables.grid, scene.tables.forest
     assert forest is not None
     rows = membrane.rows_of(state.positions)
@@ -162,10 +172,7 @@ def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
         x, y, z = (component / size for component in normal)
         near = jnp.zeros_like(size)
         if forest.bend is not None and grid is not None:
-            third = membrane.minus(edge2, edge1)
-            square = functools.reduce(jnp.maximum, (membrane.dot(e, e) for e in (edge1, edge2, third)))
-            middle = [p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)]
-            near = jnp.sqrt(square) - forest.bend[cells(jnp.stack(middle), grid)]
+            near = _within_reach(first, membrane.plus(first, edge1), membrane.plus(first, edge2), scene)
         return [[x, y, z, 2.0 * area * thickness / size, near]], []
 
     inputs = elements.triangles, elements.area, thickness

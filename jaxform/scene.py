@@ -144,16 +144,20 @@ class Refinement:
         interval: Steps from one look at the mesh to the next, rounded up to whole windows.
         max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
+        base_reach: What is near: so many times the element's longest side.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
         scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
-        at_rest: Whether new nodes begin at rest. Else they move as their edges did, which keeps the momentum, but makes
-            a replay jump where a node lands just before or just after a border.
+        at_rest: Whether new nodes begin at rest that are nearer to the mold than half their edge, or its search grid's
+            reach; from a whole one on they move as their edge did, in between somewhat slower. Else all move as their
+            edges did, which keeps the momentum, but makes a replay jump where a node lands just before or just after a
+            border.
         elements: Room for so many.
     """
 
     angle: jax.Array
     min_area: jax.Array
     jump: jax.Array | None
+    base_reach: jax.Array
     interval: int = static()
     max_level: int = static()
     base_level: int = static()
@@ -182,7 +186,8 @@ class Forest:
         ends: Of the edge that each node is the middle of (2, n_node).
         owner: A triangle that each node is in the middle of the refinement edge of (n_node,); 0 for the first nodes.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
-        bend: Distance of each cell of the search grid to a bent part of the mold (n_cell,) [m]; None where unused.
+        bend: Distance [m] to a bent part of the mold from the parts of the search grid's cells (x, y, z); None where
+            unused.
         turn: 1 or -1 for each of the mold's triangles: in one part, those that turn the same way; None without mold.
         part: The connected part that each of the mold's triangles belongs to; None without mold.
         root_count: Triangles at level 0.
@@ -368,6 +373,7 @@ def make_refinement(
     elements: int,
     min_area: float = 0.0,
     base_level: int = 0,
+    base_reach: float = 1.0,
     scaled_levels: int = 0,
     at_rest: bool = True,
     jump: float | None = None,
@@ -383,12 +389,22 @@ def make_refinement(
     require(0 <= max_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.max_level", max_level)
     require(0 <= base_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.base_level", base_level)
     require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
+    require(np.isfinite(base_reach) and base_reach > 0, "must be positive", "refinement.base_reach", base_reach)
     require(scaled_levels >= 0, "must not be negative", "refinement.scaled_levels", scaled_levels)
     require(jump is None or jump > 0, "must be positive", "refinement.jump", jump)
     require(elements >= 1, "must be at least 1", "refinement.elements", elements)
     uneven = None if jump is None else as_real(jump)
     return Refinement(
-        as_real(angle), as_real(min_area), uneven, interval, max_level, base_level, scaled_levels, at_rest, elements
+        angle=as_real(angle),
+        min_area=as_real(min_area),
+        jump=uneven,
+        base_reach=as_real(base_reach),
+        interval=interval,
+        max_level=max_level,
+        base_level=base_level,
+        scaled_levels=scaled_levels,
+        at_rest=at_rest,
+        elements=elements,
     )
 
 

@@ -298,6 +298,7 @@ class Refinement(Table):
     max_level: Annotated[int, Field(ge=0, le=14)] = 6
     min_area: NotNegative = 0.0
     base_level: Annotated[int, Field(ge=0, le=14)] = 0
+    base_reach: Positive = 1.0
     scaled_levels: Annotated[int, Field(ge=0, le=14)] = 0
     at_rest: bool = True
     jump: Positive | None = None

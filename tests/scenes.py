@@ -94,14 +94,14 @@ def pole(scene: jaxform.Scene) -> int:
     return int(np.argmin(np.linalg.norm(np.asarray(scene.parison.positions)[:, :2], axis=1)))
 
 
-def refinable(sheet: Sheet, elements: int, *, at_rest: bool = True) -> Scene:
+def refinable(sheet: Sheet, elements: int) -> Scene:
     """A sheet without mold or pressure, with room for so many elements."""
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
         material=mooney(0.1),
         pressure=jaxform.make_pressure([0.0], [0.0]),
         solver=jaxform.make_solver(end_time=1.0),
-        refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, at_rest=at_rest, elements=elements),
+        refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, elements=elements),
     )
 
 
