@@ -29,7 +29,7 @@ from jaxform.scene import Scene
 _FILE = DOCS / "accuracy.json"
 _RUNS = 3  # of which the fastest is taken
 _FINE = 64000  # elements of the box that the others are compared with
-_BOX = {"angle": 12.0, "max_level": 6, "base_level": 6, "scaled_levels": 2}  # as the built-in box
+_BOX = {"angle": 12.0, "interval": 64, "max_level": 6, "base_level": 6, "scaled_levels": 2}  # as the built-in box
 
 
 # --- Cases ------------------------------------------------------------------------------------------------------------
