@@ -174,14 +174,14 @@ def _gradients(found: Found, folder: Path) -> str:
     _save(figure, right, folder / "stability-gradients.png", outside=True)
     lines += [
         "",
-        "Where a slope is rough: the slope of scenes at points of a line of sheets. *Spread* is the deviation of the "
-        "slopes from a parabola, over their mean size; *against differences* how far they are from the differences "
-        "of the values between these points (median). Cups are smooth, refined or not. A box that is refined in flight "
-        "is not: new nodes near the mold begin at rest or on it, what lies between is squeezed, and a membrane that "
-        "is squeezed buckles at a rate of thousands a second, which no derivative sees through; on a uniform mesh no "
-        "element of that box buckles. So search on a uniform mesh, as the study `box-insert-field` does, and refine what was "
-        "found. A sheet that a pressure pushes back or pulls loses its tension and buckles on any mesh: its gradient "
-        "grows by orders of magnitude along the run (left).\n",
+        "Where a slope is rough: the slope of scenes at points of a line of sheets. *Spread* is the deviation of "
+        "the slopes from a parabola, over their mean size; *against differences* how far they are from the "
+        "differences of the values between these points (median). Cups are smooth, refined or not. A box that is "
+        "refined in flight is not: new nodes near the mold begin at rest or on it, what lies between is squeezed, "
+        "and a membrane that is squeezed buckles at a rate of thousands a second, which no derivative sees through;"
+        " on a uniform mesh no element of that box buckles. So search on a uniform mesh, as the study "
+        "`box-insert-field` does, and refine what was found. A sheet that a pressure pushes back or pulls loses its"
+        " tension and buckles on any mesh: its gradient grows by orders of magnitude along the run (left).\n",
         "| scene | spread | against differences |",
         "|---|---|---|",
     ]
