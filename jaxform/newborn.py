@@ -195,9 +195,8 @@ def _settled(nodes: _Nodes, births: _Births, scene: Scene, votes: jax.Array, tim
     point = _closest(points, mold, triangle, lands | flies)
     velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
     if refinement.at_rest:
-        gap = jnp.where(flies, points - point, 1.0)
-        size = jnp.minimum(length, grid.reach)
-        velocities = jnp.where(flies, _kept(jnp.sqrt(dot(gap, gap)) / size) * velocities, velocities)
+        gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
+        velocities = jnp.where(flies, _kept(gap, size), 1.0) * velocities
     return _Nodes(
         positions=births.put(nodes.positions, jnp.where(lands, point, points)),
         velocities=births.put(nodes.velocities, velocities),
@@ -207,12 +206,14 @@ def _settled(nodes: _Nodes, births: _Births, scene: Scene, votes: jax.Array, tim
     )
 
 
-def _kept(distance: jax.Array) -> jax.Array:
-    """Share (n,) of its velocity that a new node keeps at a distance from the mold, in lengths of its edge.
+def _kept(gap: jax.Array, size: jax.Array) -> jax.Array:
+    """Share (n,) of its velocity that a new node keeps with a gap (3, n) to the mold, beside sizes (n,) [m].
 
     A replay would jump where a node that moves on lands just before a border or just after.
     """
-    share = jnp.clip((distance - _CALM) / (1.0 - _CALM), 0.0, 1.0)
+    # Bounded before the root is taken, which has no slope at 0.
+    distance = jnp.sqrt(jnp.maximum(dot(gap, gap), jnp.square(_CALM * size)))
+    share = jnp.clip((distance / size - _CALM) / (1.0 - _CALM), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 

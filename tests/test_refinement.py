@@ -124,17 +124,18 @@ def test_new_nodes_keep_mass_and_in_flight_momentum_whatever_the_thickness(seed:
     assert 0 < float(after.refinement_loss) == pytest.approx(float(kinetic[0] - kinetic[1]), rel=1e-9)
 
 
-def over_a_block(reach: float, **options: Any) -> Scene:
-    """A flat sheet half a millimetre over a block that is a tenth as wide."""
+def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
+    """A flat sheet half a millimetre over a block that is a tenth as wide, or so far over it [m]."""
     sheet = jaxform.shapes.rectangle(size=[0.6, 0.6], elements=128, symmetry="quarter")
     box = jaxform.molds.box_insert(size=[0.9, 0.9], depth=0.05, insert_size=[0.06, 0.06], insert_height=0.0495)
+    top = np.unique(box.vertices[:, 2])[1]  # of the block; the rim is at 0 and the bottom below
     limits: dict[str, Any] = {"angle": 90.0, "interval": 64, "max_level": 0, "elements": 4000}
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
         material=scenes.mooney(0.1, 1e5),
         pressure=jaxform.make_pressure([0.0, 0.1], [0.0, 1e3]),
         solver=jaxform.make_solver(end_time=0.1),
-        mold=jaxform.make_mold(box.vertices - [0.15, 0.15, 0.0], box.triangles),
+        mold=jaxform.make_mold(box.vertices - [0.15, 0.15, top - gap], box.triangles),
         refinement=jaxform.make_refinement(base_level=6, base_reach=reach, **limits | options),
     )
 
@@ -199,6 +200,20 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
     np.testing.assert_allclose(np.asarray(state.velocities)[:, new], velocities, atol=1e-12)
     if at_rest:
         assert np.any(kept == 0.0) and np.any(kept == 1.0)
+
+
+def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> None:
+    scene = over_a_block(2.0, gap=0.0)
+    before, now = initial_state(scene), body.body(scene)
+
+    @jax.jit
+    @jax.value_and_grad
+    def swiftness(positions: jax.Array) -> jax.Array:
+        moving = dataclasses.replace(before, positions=positions, velocities=jnp.ones_like(positions))
+        return jnp.sum(jnp.square(refinement.refined(moving, scene, now)[0].velocities))
+
+    value, slope = swiftness(before.positions)
+    assert float(value) > 0.0 and np.all(np.isfinite(slope)) and np.any(np.asarray(slope) != 0.0)
 
 
 def test_a_larger_reach_takes_more_elements() -> None:
