@@ -31,7 +31,6 @@ from jaxform.state import State, finished
 Row = dict[str, Any]
 _JUMP = 1e-6  # a second difference beyond it: a node grazes the mold, and lands now or some steps later
 _GRID = 240  # points along each side at which walls are compared
-_EVERY = 2  # windows from one look at the mesh to the next, of 100 steps in whole windows
 _BLOCK = 0.04  # side of the panel's block [m]
 
 
@@ -215,7 +214,7 @@ def show_overhead() -> list[Row]:
         advance = jax.jit(lambda state, now, scene=scene: stepping.window(state, scene, now, differentiable=False))
         now, spent, growths = body.present_body(scene, state.mesh, first), 0.0, 0
         while not finished(state, scene):
-            if int(state.windows) % _EVERY == 0:
+            if refinement.looks(state.windows, scene):
                 # Calling the program, and copies of all it gives, take time too, which a run does not spend: so beside
                 # it the same program at a border where it is not time to look.
                 idle = dataclasses.replace(state, windows=state.windows + 1)

@@ -29,7 +29,6 @@ from jaxform.scene import Scene
 _FILE = DOCS / "accuracy.json"
 _RUNS = 3  # of which the fastest is taken
 _FINE = 64000  # elements of the box that the others are compared with
-_BOX = {"angle": 12.0, "interval": 64, "max_level": 6, "base_level": 6, "scaled_levels": 2}  # as the built-in box
 
 
 # --- Cases ------------------------------------------------------------------------------------------------------------
@@ -143,8 +142,9 @@ def show_dish(sizes: tuple[int, ...] = (150, 350, 600, 1350, 2400)) -> list[Foun
 
 def show_box(sizes: tuple[int, ...] = (128, 500, 2000, 6000)) -> list[Found]:
     """The box with insert at 20 kPa against a uniform mesh of many elements, rms over the initial sheet."""
+    read = files.read_scene("box-insert").data
+    default: Found = {"elements": read["parison"]["elements"]} | read["refinement"]
     error = refinement.against(refinement.box, _FINE)
-    default: Found = {"elements": 128} | _BOX
     rows = [measured(refinement.box(n), error, "uniform", f"{n}", False) for n in sizes]
     rows.append(measured(refinement.box(**default), error, "refined", "as built in", True))
     rows += [

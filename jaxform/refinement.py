@@ -41,7 +41,7 @@ def refined(
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned, planned=planned)
     else:
-        due = state.windows % -(-refinement.interval // STEPS_PER_WINDOW) == 0
+        due = looks(state.windows, scene)
         wanted = _wanted
 
     def look(now: tuple[State, Body]) -> tuple[State, Body]:
@@ -49,6 +49,12 @@ def refined(
         return _grown(state, scene, body, *wanted(state, scene, body), differentiable=differentiable)
 
     return only_if(due, look, (state, sheet_body), differentiable=differentiable)
+
+
+def looks(window: jax.Array, scene: Scene) -> jax.Array:
+    """Whether it is time to look at the mesh at the border before a window, where no schedule says so."""
+    assert scene.refinement is not None
+    return window % -(-scene.refinement.interval // STEPS_PER_WINDOW) == 0
 
 
 def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:
@@ -67,12 +73,12 @@ def _wanted(state: State, scene: Scene, sheet_body: Body) -> tuple[jax.Array, Qu
     return closed(mesh.split_at, mesh.element[place], count, forest, state.windows)
 
 
-def _within_reach(a: jax.Array | Vector, b: jax.Array | Vector, c: jax.Array | Vector, scene: Scene) -> jax.Array:
-    """By how much a bent part of the mold is within the base reach [m] of triangles (n,) with these corners [m]."""
+def _within_reach(first: Vector, edge1: Vector, edge2: Vector, scene: Scene) -> jax.Array:
+    """By how much a bent part of the mold is within the base reach [m] of triangles (n,) with such edges [m]."""
     grid, forest, refinement = scene.tables.grid, scene.tables.forest, scene.refinement
     assert grid is not None and forest is not None and forest.bend is not None and refinement is not None
-    square = functools.reduce(jnp.maximum, (dot(side, side) for side in (minus(b, a), minus(c, b), minus(a, c))))
-    middle = jnp.stack([(p + q + r) / 3.0 for p, q, r in zip(a, b, c, strict=True)])
+    square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
+    middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
     cell = cells(middle, grid, forest.bend.shape[0] // grid.shape[0])
     return refinement.base_reach * jnp.sqrt(square) - gather(forest.bend.ravel(), cell)
 
@@ -172,7 +178,7 @@ def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
         x, y, z = (component / size for component in normal)
         near = jnp.zeros_like(size)
         if forest.bend is not None and grid is not None:
-            near = _within_reach(first, membrane.plus(first, edge1), membrane.plus(first, edge2), scene)
+            near = _within_reach(first, edge1, edge2, scene)
         return [[x, y, z, 2.0 * area * thickness / size, near]], []
 
     inputs = elements.triangles, elements.area, thickness
