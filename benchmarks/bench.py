@@ -248,7 +248,7 @@ def show_parts(window: int = 20) -> Table:
     grid = scene.tables.grid
     assert grid is not None
     border: dict[str, Callable[..., Any]] = {
-        "pack what can move": lambda state, _: stepping.worked_through(state, scene, body),
+        "pack what can move": lambda state, _: stepping.worked_through(state.stuck, state.mesh, scene, body),
         "choose the step": lambda state, packed: stepping.choose_step(state, scene, body, packed)[0],
         "list the nodes near the mold": lambda state, _: stepping.list_near(
             state.positions, state.velocities, ~state.stuck, 64 * state.step_length, grid

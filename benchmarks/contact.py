@@ -91,11 +91,11 @@ def walk(
     free = jnp.zeros(begin.shape[1], bool)
     window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), grid)
     reached = jnp.any(near.watch(end, free, near.seen(window))[0])
-    flying = contact.Landing(
-        end, end - begin, free, jnp.full(free.size, -1.0), jnp.zeros(free.size, jnp.int32), jnp.asarray(0.0)
-    )
+    none = jnp.zeros(free.size, jnp.int32)
+    flying = contact.Landing(end, end - begin, free, jnp.full(free.size, -1.0), none, none, jnp.asarray(0.0))
     one, mass = jnp.asarray(1.0), jnp.ones(free.size)
-    landed = contact.land(flying, one, reached, mass, one, window, wall, grid, differentiable=differentiable)
+    now = contact.Step(one, one, jnp.int32(0))
+    landed = contact.land(flying, now, reached, mass, window, wall, grid, differentiable=differentiable)
     return landed, ~(window.overflow | near.left(end, window))
 
 

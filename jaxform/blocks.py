@@ -8,7 +8,7 @@ is compiled anew. On other devices one kernel over the whole arrays is faster.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,14 +23,21 @@ def padded(count: int) -> int:
     return (count // BLOCK + 1) * BLOCK
 
 
+class Part(NamedTuple):
+    """Of an array (k, several rooms) the room that begins at an offset: read, or written, where it is."""
+
+    array: jax.Array
+    begin: jax.Array | int
+
+
 def over_blocks(
     function: Callable[..., tuple[Sequence[Rows], Sequence[jax.Array]]],
     block_count: jax.Array,
     inputs: Any,
-    into: Sequence[jax.Array],
+    into: Sequence[jax.Array | Part],
     *,
     sums: int = 0,
-    update: bool = False,
+    update: int = 0,
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Applies a function to the blocks in use, along the last axis.
 
@@ -39,31 +46,37 @@ def over_blocks(
             summed over all. It must treat every column by itself, and columns that are not in use harmlessly: where
             there are no blocks it is given them all.
         block_count: How many blocks are in use.
-        inputs: Arrays (..., room), the room a whole number of blocks.
-        into: Arrays (k, room) that take the rows; what is beyond the blocks in use stays as it is.
+        inputs: Arrays (..., room), the room a whole number of blocks; or a `Part` of one.
+        into: Arrays (k, room), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it is.
         sums: How many vectors are summed; of the inputs' floating type.
-        update: Whether the function also takes the rows of `into` as they were, as its first argument.
+        update: Of so many arrays of `into`, the first ones, the function takes the rows as they were: a list of
+            them is its first argument.
 
     Returns:
         The arrays with the rows, and the sums.
     """
     if jax.default_backend() != "cpu":
-        rows, terms = function(*([into] if update else []), *inputs)
-        return [jnp.stack(list(row)) for row in rows], [jnp.sum(term) for term in terms]
+        parts: list[Any] = jax.tree.leaves(inputs, is_leaf=_is_part)
+        size = max(part.shape[-1] for part in parts if not isinstance(part, Part))
+        rows, terms = function(*([list(into[:update])] if update else []), *_block(inputs, 0, size))
+        new = [jnp.stack(list(row)) for row in rows]
+        return [_put(old, row) for old, row in zip(into, new, strict=True)], [jnp.sum(term) for term in terms]
 
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
             return function(*_block(inputs, i * BLOCK))
         # All is read before anything is written, or XLA would copy the arrays for every block.
-        old = [rows_read(array, shape.shape[0], i * BLOCK) for array, shape in zip(flat, into, strict=True)]
+        old = [rows_read(array, shape.shape[0], i * BLOCK) for array, shape in zip(flat, into[:update], strict=False)]
         return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
         flat, totals = carry
         rows, terms = apply(flat, i)
-        flat = [_written(array, row, i * BLOCK) for array, row in zip(flat, rows, strict=True)]
+        flat = [_written(*each, begin + i * BLOCK) for *each, begin in zip(flat, rows, begins, strict=True)]
         return flat, [total + term.astype(real) for total, term in zip(totals, terms, strict=True)]
 
+    begins = [part.begin if isinstance(part, Part) else 0 for part in into]
+    into = [part.array if isinstance(part, Part) else part for part in into]
     flat = [array.reshape(-1) for array in into]
     kinds = [leaf.dtype for leaf in jax.tree.leaves((inputs, into)) if jnp.issubdtype(leaf.dtype, jnp.floating)]
     real = kinds[0] if kinds else jnp.float32
@@ -96,8 +109,22 @@ def total(values: jax.Array) -> jax.Array:
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))
 
 
-def _block(inputs: Any, first: jax.Array) -> Any:
-    return jax.tree.map(lambda array: jax.lax.dynamic_slice_in_dim(array, first, BLOCK, axis=array.ndim - 1), inputs)
+def _is_part(value: Any) -> bool:
+    return isinstance(value, Part)
+
+
+def _block(inputs: Any, first: jax.Array | int, size: int = BLOCK) -> Any:
+    def cut(value: Any) -> jax.Array:
+        array, begin = value if isinstance(value, Part) else (value, 0)
+        return jax.lax.dynamic_slice_in_dim(array, begin + first, size, axis=array.ndim - 1)
+
+    return jax.tree.map(cut, inputs, is_leaf=_is_part)
+
+
+def _put(into: jax.Array | Part, new: jax.Array) -> jax.Array:
+    if isinstance(into, Part):
+        return jax.lax.dynamic_update_slice_in_dim(into.array, new, into.begin, axis=1)
+    return new
 
 
 def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:

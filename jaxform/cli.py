@@ -294,7 +294,7 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
 
     def first_step(scene: Scene) -> jax.Array:
         state, sheet_body = initial_state(scene), body(scene)
-        return choose_step(state, scene, sheet_body, worked_through(state, scene, sheet_body))[0]
+        return choose_step(state, scene, sheet_body, worked_through(state.stuck, state.mesh, scene, sheet_body))[0]
 
     step = float(jax.jit(first_step)(scene))
     parison, law = scene.parison, document.model.material.model

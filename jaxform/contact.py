@@ -47,7 +47,8 @@ def _meet(before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Arr
 class Landing(NamedTuple):
     """Where the nodes are after contact.
 
-    Positions and velocities (3, n_node); stuck, contact_time and wall (n_node,); the kinetic energy lost so far [J].
+    Positions and velocities (3, n_node); stuck, contact_time, wall and the number of the step in which each landed
+    (n_node,); the kinetic energy lost so far [J].
     """
 
     positions: jax.Array
@@ -55,15 +56,23 @@ class Landing(NamedTuple):
     stuck: jax.Array
     contact_time: jax.Array
     wall: jax.Array
+    step: jax.Array
     loss: jax.Array
+
+
+class Step(NamedTuple):
+    """One step: its length [s], the time at its end [s], and its number in the window."""
+
+    length: jax.Array
+    end: jax.Array
+    number: jax.Array
 
 
 def land(
     landing: Landing,
-    length: jax.Array,
+    now: Step,
     reached: jax.Array,
     mass: jax.Array,
-    time: jax.Array,
     near: Near,
     mold: Mold,
     grid: SearchGrid,
@@ -74,11 +83,10 @@ def land(
 
     Args:
         landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
-        length: Of the step [s]: before it, a node was that long at its velocity away. Kept nowhere, the positions
-            before need not be copied.
+        now: The step. Before it, a node was its length at its velocity away. Kept nowhere, the positions before
+            need not be copied.
         reached: Whether any node is far enough from the border's position to touch.
         mass: (n_node,) [kg].
-        time: At the end of the step [s].
         near: The window's list.
         mold: The mold.
         grid: Its search structure.
@@ -87,15 +95,15 @@ def land(
     touch = touch_distance(grid)
 
     if not differentiable:
-        return only_if(reached, lambda now: _landed_in_place(now, length, mass, time, near, mold, touch), landing)
+        return only_if(reached, lambda landing: _landed_in_place(landing, now, mass, near, mold, touch), landing)
 
-    def pull(landing: Landing, length: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
-        paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, length))
-        return _landed(landing, length, mass, time, mold, _first_met(paths, landing.stuck, near, touch).triangle)
+    def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
+        paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
+        return landed(landing, now, mass, mold, _first_met(paths, landing.stuck, near, touch).triangle)
 
-    paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, length))
+    paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
     met = _any_meets(paths, landing.stuck, reached, near, touch)
-    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, length, mass, mold)
+    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold)
 
 
 class _Paths(NamedTuple):
@@ -204,11 +212,9 @@ def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arr
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 
 
-def _landed_in_place(
-    landing: Landing, length: jax.Array, mass: jax.Array, time: jax.Array, near: Near, mold: Mold, touch: jax.Array
-) -> Landing:
+def _landed_in_place(landing: Landing, now: Step, mass: jax.Array, near: Near, mold: Mold, touch: jax.Array) -> Landing:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    met = _first_met(_Paths(landing.positions, landing.velocities, length), landing.stuck, near, touch)
+    met = _first_met(_Paths(landing.positions, landing.velocities, now.length), landing.stuck, near, touch)
 
     def one(k: jax.Array, landing: Landing) -> Landing:
         node = met.listed[k]
@@ -221,16 +227,14 @@ def _landed_in_place(
 
         # All is read before anything is written, or XLA would copy the arrays.
         old = jax.lax.optimization_barrier(jax.tree.map(own, landing))
-        return jax.tree.map(put, landing, _landed(old, length, own(mass), time, mold, own(met.triangle)))
+        return jax.tree.map(put, landing, landed(old, now, own(mass), mold, own(met.triangle)))
 
     return jax.lax.fori_loop(0, met.count, one, landing)
 
 
-def _landed(
-    landing: Landing, length: jax.Array, mass: jax.Array, time: jax.Array, mold: Mold, chosen: jax.Array
-) -> Landing:
-    """The landing on the chosen triangles (n_node,); differentiable."""
-    lands, before = chosen >= 0, landing.positions - length * landing.velocities
+def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
+    """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
+    lands, before = chosen >= 0, landing.positions - now.length * landing.velocities
     point, fall, beta = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
@@ -239,8 +243,9 @@ def _landed(
         positions=jnp.where(lands, point, landing.positions),
         velocities=jnp.where(lands, 0.0, landing.velocities),
         stuck=landing.stuck | lands,
-        contact_time=jnp.where(lands, time - (1.0 - jnp.maximum(beta, _SOONEST)) * length, landing.contact_time),
+        contact_time=jnp.where(lands, now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length, landing.contact_time),
         wall=jnp.where(lands, wall, landing.wall),
+        step=jnp.where(lands, now.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
     )
 

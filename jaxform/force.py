@@ -230,6 +230,23 @@ def _weighted_stress(g: Metric, inverse: jax.Array, weight: jax.Array, material:
     return stress(g, inverse, (weight * a, weight * b))
 
 
+def _stress_and_change(
+    g: Metric, change: Metric, inverse: jax.Array, weight: jax.Array, material: Material
+) -> tuple[Metric, Metric]:
+    """A0 h0 S^ab, and its change along that of the metric (n,)."""
+
+    def factors(g: Metric) -> tuple[jax.Array, jax.Array]:
+        a, b = stress_factors(g, inverse, material)
+        return weight * a, weight * b
+
+    # Both divide; kept, they are worked out once instead of for each of the six components.
+    own, rate = _once(jax.jvp(factors, (g,), (change,)))
+    b = own[1]
+    s = stress(g, inverse, own)
+    ds = plus(stress(g, inverse, rate), (b * change[2], -b * change[1], b * change[0]))
+    return _once((s, ds))
+
+
 def _force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
     corners, volume = corner_forces(load, elements, no_corners(load.positions, elements))
     return _nodal(corners, elements), volume
@@ -262,12 +279,8 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         if moved is not None:
             w0, w1, w2 = edges(moved, triangles)
             w1, w2 = _once((w1, w2))
-            s, ds = jax.jvp(
-                lambda g: _weighted_stress(g, inverse, weight, load.material),
-                (g,),
-                (_metric_change(edge1, edge2, w1, w2),),
-            )
-            pull2, pull3 = _pulls(_once(s), w1, w2)
+            s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, load.material)
+            pull2, pull3 = _pulls(s, w1, w2)
             changes.append(ds)
             normal_change = plus(cross(w1, edge2), cross(edge1, w2))
             push = _scaled(share, normal_change)
@@ -303,17 +316,41 @@ def _along_parameter(
     return jax.jvp(along, (parameters[k],), (tangent,))[1]
 
 
-def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
-    """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
+def corner_cotangents(
+    load: Load,
+    elements: Elements,
+    wanted: list[bool],
+    nodal: jax.Array | None,
+    volume: jax.Array | None,
+    into: Corners,
+    summed: list[jax.Array],
+) -> tuple[Corners, list[jax.Array], list[jax.Array]]:
+    """Transpose of `corner_forces`' derivative, from cotangents of the nodal force (3, place) and of the volume.
+
+    Args:
+        load: What the force is worked out for.
+        elements: Its elements.
+        wanted: Which leaves of the load.
+        nodal: Cotangent of the nodal force; None where there is none.
+        volume: That of the volume; None where there is none.
+        into: Room for what corners get, from `no_corners`; empty where the positions' cotangent is not wanted.
+        summed: Sums over steps that are added to: (1, room) of the cotangents of the thickness' logarithm where the
+            thickness is wanted.
+
+    Returns:
+        What the corners get, the sums, and the cotangents of the pressure and of all the material's parameters, as
+        far as they are wanted.
+    """
     rows = rows_of(load.positions)
     pushed = None if nodal is None else rows_of(nodal)
     parameters, structure = jax.tree.flatten(load.material)
     moves, thickens, presses = wanted[:3]
-    varies = any(wanted[3:]) and pushed is not None
+    varies = any(wanted[3:])
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
+    def work(*blocks: Any) -> Any:
+        old, (triangles, inverse, area, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
         first, edge1, edge2, normal = _geometry(rows, triangles)
-        arrays: list[Any] = []
+        weight, pressure = area * thickness, _pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
         own = edge1_cotangent = edge2_cotangent = _scaled(jnp.zeros_like(area), normal)
         turn = own
@@ -322,56 +359,61 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
             w1, w2 = _once((w1, w2))
             total = plus(_scaled(3.0, w0), plus(w1, w2))
             g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
+            s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)
             if moves:
-                s, ds = jax.jvp(
-                    lambda g: _weighted_stress(g, inverse, area * thickness, load.material), (g,), (g_change,)
-                )
-                (s, ds) = _once((s, ds))
                 pull1, pull2 = _pulls(ds, edge1, edge2)
                 more1, more2 = _pulls(s, w1, w2)
                 edge1_cotangent = _scaled(-1.0, plus(pull1, more1))
                 edge2_cotangent = _scaled(-1.0, plus(pull2, more2))
-                turn = _scaled(_pressure_share(load.pressure, area), total)
+                turn = _scaled(pressure, total)
             # Minus half the change of the metric, against the derivative of the stress.
             halves = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
             if thickens:
-                per_thickness = _weighted_stress(g, inverse, area, load.material)
-                arrays.append((dot(halves, per_thickness),))
+                old[0] = [old[0][0] + dot(halves, s)]
             if presses:
                 sums.append(_used(area) * dot(normal, total) / 6.0)
             if varies:
                 spread = [jnp.broadcast_to(p, area.shape) for p in parameters]
                 pull = jax.vjp(
-                    lambda p: _weighted_stress(g, inverse, area * thickness, jax.tree.unflatten(structure, p)), spread
+                    lambda p: _weighted_stress(g, inverse, weight, jax.tree.unflatten(structure, p)), spread
                 )[1]
                 sums.extend(pull(halves)[0])
         if volume is not None and moves:
             share = _used(area) * (volume / 6.0)
             turn = plus(turn, _scaled(share, minus(first, elements.origin)))
             own = _scaled(share, normal)
-        if moves:
-            turn = _once(turn)
-            cotangent1 = _once(plus(edge1_cotangent, cross(edge2, turn)))
-            cotangent2 = _once(plus(edge2_cotangent, cross(turn, edge1)))
-            own = minus(minus(own, cotangent1), cotangent2)
-            arrays = [*([own[k], cotangent1[k], cotangent2[k]] for k in range(3)), *arrays]
-        return arrays, sums
+        if not moves:
+            return old, sums
+        turn = _once(turn)
+        cotangent1 = _once(plus(edge1_cotangent, cross(edge2, turn)))
+        cotangent2 = _once(plus(edge2_cotangent, cross(turn, edge1)))
+        own = minus(minus(own, cotangent1), cotangent2)
+        return [*old, *([own[k], cotangent1[k], cotangent2[k]] for k in range(3))], sums
 
-    into = no_corners(load.positions, elements) if moves else []
-    if thickens and pushed is not None:
-        into = [*into, jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)]
     count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0)
-    arrays, sums = _over(work, elements, (load.thickness,), into, count)
+    inputs = elements.triangles, elements.inverse_metric, elements.area, load.thickness
+    room = [*summed, *into]
+    arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
+    return arrays[len(summed) :], arrays[: len(summed)], sums
+
+
+def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
+    """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
+    into = no_corners(load.positions, elements) if wanted[0] else []
+    if nodal is None:
+        wanted = [wanted[0], *(False for _ in wanted[1:])]
+    thickens, presses = wanted[1:3]
+    none = [jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)] if thickens else []
+    corners, summed, sums = corner_cotangents(load, elements, wanted, nodal, volume, into, none)
     found: list[jax.Array | None] = [None] * len(wanted)
-    if moves:
-        found[0] = _nodal(arrays[:3], elements)
-    if pushed is not None:
-        if thickens:
-            found[1] = arrays[-1][0]
-        if presses:
-            found[2] = sums.pop(0)
-        if varies:
-            found[3:] = [value if want else None for value, want in zip(sums, wanted[3:], strict=True)]
+    if wanted[0]:
+        found[0] = _nodal(corners, elements)
+    if thickens:
+        found[1] = summed[0][0] / load.thickness
+    if presses:
+        found[2] = sums.pop(0)
+    if any(wanted[3:]):
+        found[3:] = [value if want else None for value, want in zip(sums, wanted[3:], strict=True)]
     return found
 
 

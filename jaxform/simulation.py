@@ -9,19 +9,22 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from numpy.typing import ArrayLike
 
 from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
+from jaxform.derivatives import Rule, recomputed
 from jaxform.errors import InputError
 from jaxform.packing import Packed
 from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
+from jaxform.reverse import carries, differentiable_window
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, finished, initial_state
 from jaxform.stepping import energy_rounding, still_worked_through, window
@@ -45,30 +48,55 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
             of a window are worked out again. More: the state at every so many borders; windows are worked out once
             more in between, for less memory. 0: every step, nothing is worked out again.
     """
-    first = body(scene)
+    first, state = body(scene), initial_state(scene)
     count = scene.tables.window_count
+    if windows_per_checkpoint > 1:
+        several = _recomputed_windows(windows_per_checkpoint)
+        groups = -(-count // windows_per_checkpoint)
+        state, taken = jax.lax.scan(lambda state, _: several(state, scene, first, schedule), state, length=groups)
+        taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
+    else:
+        state, taken = _windows(state, scene, first, schedule, count=count, kept=windows_per_checkpoint == 0)
+    return make_result(_closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
 
-    def unless_finished(state: State, _: None = None) -> tuple[State, Taken]:
-        def take(state: State) -> State:
-            state, now = refined(state, scene, present_body(scene, state.mesh, first), schedule)
-            return _unless_full(state, scene, lambda state: window(state, scene, now, schedule))
 
-        take = jax.checkpoint(take) if windows_per_checkpoint else take
-        done = finished(state, scene) | (state.windows >= count)
+def _windows(
+    state: State, scene: Scene, first: Body, schedule: Schedule | None, *, count: int, kept: bool = False
+) -> tuple[State, Taken]:
+    """So many windows, as far as there is anything to do; every step may be kept for the reverse derivative."""
+
+    def look(state: State) -> tuple[State, Body]:
+        return refined(state, scene, present_body(scene, state.mesh, first), schedule)
+
+    def take(state: State) -> State:
+        state, now = look(state) if kept else jax.checkpoint(look)(state)
+
+        def whole(state: State) -> State:
+            if kept:
+                return window(state, scene, now, schedule)
+            return differentiable_window(state, scene, now, first, schedule)
+
+        return _unless_full(state, scene, whole)
+
+    def unless_finished(state: State, _: None) -> tuple[State, Taken]:
+        done = finished(state, scene) | (state.windows >= scene.tables.window_count)
         state = jax.lax.cond(done, lambda state: state, take, state)
         return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), _latest(state))
 
-    def several(state: State, _: None) -> tuple[State, Taken]:
-        return jax.lax.scan(unless_finished, state, length=windows_per_checkpoint)
+    return jax.lax.scan(unless_finished, state, length=count)
 
-    state = initial_state(scene)
-    if windows_per_checkpoint > 1:
-        groups = -(-count // windows_per_checkpoint)
-        state, taken = jax.lax.scan(jax.checkpoint(several), state, length=groups)
-        taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
-    else:
-        state, taken = jax.lax.scan(unless_finished, state, length=count)
-    return make_result(_closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
+
+@functools.cache
+def _recomputed_windows(count: int) -> Rule:
+    """So many windows of which the reverse derivative keeps the state before the first."""
+
+    def like(state: State, *_: object) -> Any:
+        return state, tuple(ShapedArray((count,), leaf.dtype) for leaf in _latest(state))
+
+    def smooth(result: tuple[State, Taken]) -> Any:
+        return carries(result[0]), (False, False, False)
+
+    return recomputed(functools.partial(_windows, count=count), like, smooth)
 
 
 def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 
 from jaxform import contact, membrane
 from jaxform.blocks import BLOCK, only_if, over_blocks, total
-from jaxform.body import Body
+from jaxform.body import NEVER, Body, Mesh
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
 from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
-from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.scene import STEPS_PER_WINDOW, Pressure, Scene
 from jaxform.state import Schedule, State, Status, account, can_move, counted_volume, enclosed_volume, last_pressure
 from jaxform.timestep import RUNGS_PER_OCTAVE, Limit, choose_step, elements_bound
 
@@ -35,13 +35,18 @@ _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which 
 
 @pytree
 class _Moving:
-    """What changes from step to step inside a window, in packed order; the room is None where derivatives are taken."""
+    """What changes from step to step inside a window, in packed order.
+
+    `landed` is the step in which a node landed, NEVER where it has not in this window; the room is None where
+    derivatives are taken.
+    """
 
     positions: jax.Array
     velocities: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
     wall: jax.Array
+    landed: jax.Array
     volume: jax.Array
     external_work: jax.Array
     damping_loss: jax.Array
@@ -140,7 +145,7 @@ class _Taken(NamedTuple):
 def _taken(load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window) -> _Taken:
     nodal, volume = force(load, now.packed.elements)
     nodes = moving.stuck, now.mass, now.compliance
-    velocities, losses = _kicked(nodal, moving.velocities, nodes, kick, scene.solver.damping)
+    velocities, losses = kicked(nodal, moving.velocities, nodes, kick, scene.solver.damping)
     positions = moving.positions + length * jnp.stack(velocities)
     reached = leaving = False
     if now.near is not None:
@@ -166,7 +171,7 @@ def _taken_in_blocks(
         nodal = assembled(corners, slots, elements.row_count)
         if spill is not None:
             nodal = [own + more for own, more in zip(nodal, spill, strict=True)]
-        velocities, losses = _kicked(nodal, velocities, nodes, kick, scene.solver.damping)
+        velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
         new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
         sums = [] if losses is None else [losses]
         if near is not None:
@@ -175,13 +180,13 @@ def _taken_in_blocks(
 
     inputs, into = (elements.slots, spill, nodes, near), [moving.positions, moving.velocities]
     count = (scene.solver.damping is not None) + 2 * (near is not None)
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=True)
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=2)
     loss = sums.pop(0) if scene.solver.damping is not None else 0.0
     reached, leaving = (sums[0] > 0, sums[1] > 0) if sums else (False, False)
     return _Taken(new[0], new[1], volume, loss, reached, leaving, corners)
 
 
-def _kicked(
+def kicked(
     nodal: Any,
     velocities: Any,
     nodes: tuple[jax.Array, jax.Array, Any],
@@ -208,13 +213,19 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None and now.near is not None
     landing = contact.Landing(
-        moved.positions, moved.velocities, moved.stuck, moved.contact_time, moved.wall, moved.contact_loss
+        moved.positions,
+        moved.velocities,
+        moved.stuck,
+        moved.contact_time,
+        moved.wall,
+        moved.landed,
+        moved.contact_loss,
     )
     reached = jnp.asarray(taken.reached) if scene.solver.skip_far else jnp.asarray(True)
-    time = now.begin + moved.count * now.length
+    this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
     differentiable = moved.room is None
     landing = contact.land(
-        landing, length, reached, now.mass, time, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
+        landing, this, reached, now.mass, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
     )
     return dataclasses.replace(
         moved,
@@ -223,6 +234,7 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         stuck=landing.stuck,
         contact_time=landing.contact_time,
         wall=landing.wall,
+        landed=landing.step,
         contact_loss=landing.loss,
         halted=moved.halted | taken.leaving | (moved.count >= now.most),
     )
@@ -244,14 +256,16 @@ def window(
     is asked for, a halted window ends at once; else its remaining steps change nothing. What is worked through may be
     given, `packed`, where it is known.
     """
-    packed = worked_through(state, scene, sheet_body) if packed is None else packed
+    packed = worked_through(state.stuck, state.mesh, scene, sheet_body) if packed is None else packed
+    return window_and_landings(state, scene, sheet_body, packed, schedule, differentiable=differentiable)[0]
+
+
+def window_and_landings(
+    state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None, *, differentiable: bool
+) -> tuple[State, jax.Array]:
+    """As `window`, and in which of its steps each node (n_node,) landed: NEVER where it did not."""
     decided = _decided(state, scene, sheet_body, packed, schedule)
     length = decided.length
-    index = jnp.arange(STEPS_PER_WINDOW)
-    times = state.time + index * length
-    pressure = scene.pressure.at(times)
-    before = scene.pressure.at(jnp.where(index == 0, state.time - state.step_length, times - length))
-    kick = jnp.where(index == 0, 0.5 * (state.step_length + length), length)
     moving = _begun(state, packed, differentiable)
     now = _Window(
         packed=packed,
@@ -270,7 +284,8 @@ def window(
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
         return step(moving, pressures, scene, now), None
 
-    steps = pressure, 0.5 * (before + pressure), kick
+    timing = Timing(state.time, state.step_length, length)
+    steps = *pressures(scene.pressure, timing), kicks(timing)
     if differentiable:
         moving, _ = jax.lax.scan(advance, moving, steps)
     else:
@@ -278,7 +293,29 @@ def window(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
     found = dataclasses.replace(state, mode=decided.limit.mode, sharpness=decided.limit.sharpness)
-    return _close(found, moving, scene, sheet_body, now)
+    return _close(found, moving, scene, sheet_body, now), packed.put_back(moving.landed)
+
+
+class Timing(NamedTuple):
+    """A window's begin, the step before it and its own [s]."""
+
+    begin: jax.Array
+    before: jax.Array
+    length: jax.Array
+
+
+def pressures(pressure: Pressure, timing: Timing) -> tuple[jax.Array, jax.Array]:
+    """At the begin of each step of a window, and averaged since the begin of the step before [Pa]."""
+    index = jnp.arange(STEPS_PER_WINDOW)
+    times = timing.begin + index * timing.length
+    now = pressure.at(times)
+    before = pressure.at(jnp.where(index == 0, timing.begin - timing.before, times - timing.length))
+    return now, 0.5 * (before + now)
+
+
+def kicks(timing: Timing) -> jax.Array:
+    """The step that the velocity takes in each step of a window [s]."""
+    return jnp.full(STEPS_PER_WINDOW, timing.length).at[0].set(0.5 * (timing.before + timing.length))
 
 
 class _Row(NamedTuple):
@@ -329,13 +366,13 @@ def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, sched
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
 
 
-def worked_through(state: State, scene: Scene, sheet_body: Body) -> Packed:
-    """The elements and nodes of a window that begins now."""
+def worked_through(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body: Body) -> Packed:
+    """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
     if not scene.packs_moving:
         return sheet_body.whole
     sheet = sheet_body.sheet
-    counts = None if state.mesh is None else (state.mesh.element_count, state.mesh.node_count)
-    return pack(can_move(state.stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
+    counts = None if mesh is None else (mesh.element_count, mesh.node_count)
+    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
 
 
 def still_worked_through(
@@ -351,7 +388,7 @@ def still_worked_through(
 
     _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
     shorter = moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
-    return only_if(stale | shorter, lambda _: worked_through(state, scene, sheet_body), packed)
+    return only_if(stale | shorter, lambda _: worked_through(state.stuck, state.mesh, scene, sheet_body), packed)
 
 
 def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
@@ -362,6 +399,7 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
         stuck=packed.taken(state.stuck) | ~packed.exists,
         contact_time=packed.taken(state.contact_time),
         wall=packed.taken(state.wall),
+        landed=jnp.full(packed.node.size, NEVER, jnp.int32),
         volume=state.volume,
         external_work=state.external_work,
         damping_loss=state.damping_loss,

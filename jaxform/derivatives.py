@@ -1,0 +1,214 @@
+"""Functions that bring a reverse derivative of their own; the forward one is JAX's.
+
+A `custom_vjp` would shut out forward mode, which least-squares columns need. The rule of a primitive is asked for
+both: where JAX looks for what is linear in unknown tangents, a reverse derivative is on its way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jax.interpreters import partial_eval as pe
+
+
+class Cotangents:
+    """What a reverse derivative is to find, and has found: of some leaves of the arguments.
+
+    Attributes:
+        of: The arguments' tree with the number of each leaf in its place.
+        wanted: Of each leaf, whether it is wanted.
+        found: Of each leaf, what was found; None where nothing was, which stands for zero.
+    """
+
+    def __init__(self, structure: Any, wanted: tuple[bool, ...]) -> None:
+        """Nothing is found yet of arguments of such a structure."""
+        self.of = jax.tree.unflatten(structure, range(structure.num_leaves))
+        self.wanted = wanted
+        self.found: list[jax.Array | None] = [None] * len(wanted)
+
+    def want(self, part: Any) -> bool:
+        """Whether any leaf of a part of `of` is wanted."""
+        return any(self.wanted[k] for k in jax.tree.leaves(part))
+
+    def put(self, part: Any, values: Any) -> None:
+        """Cotangents for a part of `of`: a tree like it; those that are not wanted are left aside."""
+        for k, value in zip(jax.tree.leaves(part), jax.tree.leaves(values), strict=True):
+            if self.wanted[k]:
+                self.found[k] = value
+
+
+class Rule(NamedTuple):
+    """How a function is worked out and differentiated; called, it is that function.
+
+    Attributes:
+        value: From the arguments the result, and what the reverse derivative keeps.
+        plain: The result alone, by operations that JAX can differentiate.
+        pull: Takes what was kept, the `Cotangents` to be found, and the result's: its tree, with None for leaves that
+            carry no derivative.
+        like: From the arguments' shapes the result's.
+        smooth: Of the result's tree, whether each leaf carries a derivative.
+    """
+
+    value: Callable[..., tuple[Any, Any]]
+    plain: Callable[..., Any]
+    pull: Callable[[Any, Cotangents, Any], None]
+    like: Callable[..., Any]
+    smooth: Callable[[Any], Any]
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's result."""
+        leaves, structure = jax.tree.flatten(arguments)
+        results = _reversed_p.bind(*leaves, rule=self, structure=structure)
+        return jax.tree.unflatten(jax.tree.structure(self.like(*_shapes(arguments))), results)
+
+
+def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: Callable[[Any], Any]) -> Rule:
+    """A function of which nothing but the arguments is kept; as `jax.checkpoint`, which no `Rule` within sees."""
+
+    def value(*arguments: Any) -> tuple[Any, Any]:
+        return function(*arguments), arguments
+
+    def pull(arguments: Any, cotangents: Cotangents, end: Any) -> None:
+        leaves, structure = jax.tree.flatten(arguments)
+        wanted = [k for k, here in enumerate(cotangents.wanted) if here]
+
+        def moved(*new: Any) -> list[Any]:
+            given = dict(zip(wanted, new, strict=True))
+            result = function(*jax.tree.unflatten(structure, [given.get(k, old) for k, old in enumerate(leaves)]))
+            return _smooth_leaves(result, smooth)[0]
+
+        found = jax.vjp(moved, *(leaves[k] for k in wanted))[1](jax.tree.leaves(end))
+        for k, each in zip(wanted, found, strict=True):
+            cotangents.found[k] = each
+
+    return Rule(value, jax.checkpoint(function), pull, like, smooth)
+
+
+def _shapes(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: ShapedArray(leaf.shape, leaf.dtype), tree)
+
+
+def _smooth_leaves(result: Any, smooth: Callable[[Any], Any]) -> tuple[list[Any], tuple[bool, ...]]:
+    """The leaves that carry a derivative, and which of all they are."""
+    flags = tuple(jax.tree.leaves(smooth(result)))
+    return [leaf for leaf, here in zip(jax.tree.leaves(result), flags, strict=True) if here], flags
+
+
+def _value(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
+    return jax.tree.leaves(rule.value(*jax.tree.unflatten(structure, leaves))[0])
+
+
+def _like(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
+    return jax.tree.leaves(rule.like(*jax.tree.unflatten(structure, _shapes(list(leaves)))))
+
+
+def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
+    moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
+    given = [t for t, here in zip(tangents, moving, strict=True) if here]
+    if any(isinstance(t, pe.JaxprTracer) for t in given):
+        result, kept = rule.value(*jax.tree.unflatten(structure, primals))
+        carried, smooth = _smooth_leaves(result, rule.smooth)
+        leaves, kept_structure = jax.tree.flatten(kept)
+        changes = _change_p.bind(
+            *leaves,
+            *given,
+            rule=rule,
+            structure=structure,
+            moving=moving,
+            kept=kept_structure,
+            like=jax.tree.structure(result),
+            smooth=smooth,
+            shapes=tuple((leaf.shape, leaf.dtype) for leaf in carried),
+        )
+    else:
+
+        def plain(*moved: Any) -> tuple[list[Any], Any]:
+            new = iter(moved)
+            leaves = [next(new) if here else p for p, here in zip(primals, moving, strict=True)]
+            result = rule.plain(*jax.tree.unflatten(structure, leaves))
+            return _smooth_leaves(result, rule.smooth)[0], result
+
+        moved = [p for p, here in zip(primals, moving, strict=True) if here]
+        _, changes, result = jax.jvp(plain, moved, given, has_aux=True)
+        smooth = _smooth_leaves(result, rule.smooth)[1]
+    results, change = jax.tree.leaves(result), iter(changes)
+    none = [ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results]
+    return results, [next(change) if here else zero for zero, here in zip(none, smooth, strict=True)]
+
+
+def _transpose(
+    cotangents: Any,
+    *leaves: Any,
+    rule: Rule,
+    structure: Any,
+    moving: tuple[bool, ...],
+    kept: Any,
+    like: Any,
+    smooth: tuple[bool, ...],
+    shapes: Any,
+) -> list[Any]:
+    count = kept.num_leaves
+    given = iter(ad.instantiate_zeros(cotangent) for cotangent in cotangents)
+    end = jax.tree.unflatten(like, [next(given) if here else None for here in smooth])
+    change = iter(leaves[count:])
+    wanted = Cotangents(structure, tuple(here and ad.is_undefined_primal(next(change)) for here in moving))
+    rule.pull(jax.tree.unflatten(kept, leaves[:count]), wanted, end)
+    return [None] * count + [found for found, here in zip(wanted.found, moving, strict=True) if here]
+
+
+def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
+    """The same function of many arguments side by side, with its derivative."""
+    size = next(leaf.shape[axis] for leaf, axis in zip(leaves, axes, strict=True) if axis is not None)
+
+    def side_by_side(function: Callable[..., Any]) -> Callable[..., Any]:
+        together = jax.vmap(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)), axes)
+        return lambda *arguments: together(*jax.tree.leaves(arguments))
+
+    def pull(kept: Any, cotangents: Cotangents, end: Any) -> None:
+        def one(kept: Any, end: Any) -> list[Any]:
+            own = Cotangents(structure, cotangents.wanted)
+            rule.pull(kept, own, end)
+            return own.found
+
+        for k, each in enumerate(jax.vmap(one)(kept, end)):
+            if each is not None:
+                cotangents.found[k] = jnp.sum(each, 0) if axes[k] is None else jnp.moveaxis(each, 0, axes[k])
+
+    def like(*arguments: Any) -> Any:
+        shapes = [
+            ShapedArray(leaf.shape if axis is None else (*leaf.shape[:axis], *leaf.shape[axis + 1 :]), leaf.dtype)
+            for leaf, axis in zip(jax.tree.leaves(arguments), axes, strict=True)
+        ]
+        one = rule.like(*jax.tree.unflatten(structure, shapes))
+        return jax.tree.map(lambda leaf: ShapedArray((size, *leaf.shape), leaf.dtype), one)
+
+    many = Rule(side_by_side(rule.value), side_by_side(rule.plain), pull, like, rule.smooth)
+    results = _reversed_p.bind(*leaves, rule=many, structure=structure)
+    return results, (0,) * len(results)
+
+
+def _no_change(*_: Any, **__: Any) -> Any:
+    raise NotImplementedError("a simulation cannot be linearized by itself: take jax.jvp or jax.vjp of it")
+
+
+_reversed_p = Primitive("with_own_reverse")
+_reversed_p.multiple_results = True
+_reversed_p.def_impl(lambda *leaves, **static: jax.jit(partial(_value, **static))(*leaves))
+_reversed_p.def_abstract_eval(_like)
+mlir.register_lowering(_reversed_p, mlir.lower_fun(_value, multiple_results=True))
+ad.primitive_jvps[_reversed_p] = _jvp
+batching.primitive_batchers[_reversed_p] = _batched
+
+_change_p = Primitive("with_own_reverse_change")
+_change_p.multiple_results = True
+_change_p.def_impl(_no_change)
+_change_p.def_abstract_eval(lambda *_, shapes, **__: [ShapedArray(*shape) for shape in shapes])
+ad.primitive_transposes[_change_p] = _transpose
+mlir.register_lowering(_change_p, mlir.lower_fun(_no_change, multiple_results=True))
