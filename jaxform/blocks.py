@@ -49,15 +49,15 @@ def over_blocks(
         inputs: Arrays (..., room), the room a whole number of blocks; or a `Part` of one.
         into: Arrays (k, room), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it is.
         sums: How many vectors are summed; of the inputs' floating type.
-        update: Of so many arrays of `into`, the first ones, the function takes the rows as they were: a list of
-            them is its first argument.
+        update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
+            list of them is its first argument.
 
     Returns:
         The arrays with the rows, and the sums.
     """
     if jax.default_backend() != "cpu":
-        parts: list[Any] = jax.tree.leaves(inputs, is_leaf=_is_part)
-        size = max(part.shape[-1] for part in parts if not isinstance(part, Part))
+        whole = [value for value in jax.tree.leaves((inputs, list(into)), is_leaf=_is_part) if not _is_part(value)]
+        size = max(value.shape[-1] for value in whole)
         rows, terms = function(*([list(into[:update])] if update else []), *_block(inputs, 0, size))
         new = [jnp.stack(list(row)) for row in rows]
         return [_put(old, row) for old, row in zip(into, new, strict=True)], [jnp.sum(term) for term in terms]
@@ -66,7 +66,7 @@ def over_blocks(
         if not update:
             return function(*_block(inputs, i * BLOCK))
         # All is read before anything is written, or XLA would copy the arrays for every block.
-        old = [rows_read(array, shape.shape[0], i * BLOCK) for array, shape in zip(flat, into[:update], strict=False)]
+        old = [rows_read(each, len(array), i * BLOCK) for each, array in zip(flat, arrays[:update], strict=False)]
         return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
@@ -76,15 +76,17 @@ def over_blocks(
         return flat, [total + term.astype(real) for total, term in zip(totals, terms, strict=True)]
 
     begins = [part.begin if isinstance(part, Part) else 0 for part in into]
-    into = [part.array if isinstance(part, Part) else part for part in into]
-    flat = [array.reshape(-1) for array in into]
+    arrays = [part.array if isinstance(part, Part) else part for part in into]
+    flat = [array.reshape(-1) for array in arrays]
     kinds = [leaf.dtype for leaf in jax.tree.leaves((inputs, into)) if jnp.issubdtype(leaf.dtype, jnp.floating)]
     real = kinds[0] if kinds else jnp.float32
     zeros = [jnp.zeros(BLOCK, real) for _ in range(sums)]
     flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
     # Else the whole loop would be worked out again by whoever uses it twice.
     flat, totals = jax.lax.optimization_barrier((flat, totals))
-    return [array.reshape(old.shape) for array, old in zip(flat, into, strict=True)], [jnp.sum(each) for each in totals]
+    return [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)], [
+        jnp.sum(each) for each in totals
+    ]
 
 
 def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int = BLOCK) -> list[jax.Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from benchmarks.bench import without
 from jaxform import blocks, force, membrane, packing, shapes, simulation, timestep
 from jaxform.body import body
 from jaxform.scene import Sheet
-from jaxform.state import initial_state
+from jaxform.state import any_mode, initial_state
 from tests import scenes
 
 
@@ -146,22 +147,60 @@ def test_the_first_step_is_not_cold() -> None:
     assert 1.1 < float(sharp / bound) < 2.0
 
 
-def test_what_is_stored_does_not_change_the_gradient() -> None:
-    # Without the search for the highest mode there is half as much to compile, and nothing less to store.
+def _weighted(scene: jaxform.Scene, values: dict[str, jax.Array], vertices: jax.Array, every: int) -> jax.Array:
+    """All of a result that carries a derivative, weighted without a pattern."""
+    assert scene.mold is not None
+    changed = jaxform.replace(scene, values)
+    changed = dataclasses.replace(changed, mold=dataclasses.replace(scene.mold, vertices=vertices))
+    result = jaxform.simulate(changed, windows_per_checkpoint=every)
+    ways = any_mode(result.positions.T).T
+    energies = sum(jax.tree.leaves(result.energy))
+    landed = jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
+    wall = jnp.mean((1.0 + ways[:, 0]) * jnp.square(result.thickness / 0.005))
+    return wall + jnp.mean(ways * (result.positions + result.velocities)) + 0.3 * energies + 0.01 * landed
+
+
+def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> None:
+    """With every step kept it is JAX's; of everything that a design may change, and of the mold."""
+    # Without the search for the highest mode there is half as much to compile, and nothing less to differentiate.
+    scene = dataclasses.replace(without(scenes.cup(), sharp_step=False), material=scenes.mooney(0.1))
+    assert scene.mold is not None and scene.solver.damping is not None
+    leaves = {
+        "parison.thickness": scene.parison.thickness,
+        "pressure.time": scene.pressure.time,
+        "pressure.value": jnp.asarray([0.001, 0.2]),
+        "solver.damping": scene.solver.damping,
+        "material.c": scenes.real(1.0),
+        "material.alpha": scenes.real(0.1),
+        "material.density": scene.material.density,
+    }
+    slopes = [
+        jax.jit(jax.value_and_grad(functools.partial(_weighted, scene, every=every), argnums=(0, 1)))(
+            leaves, scene.mold.vertices
+        )
+        for every in (0, 1)
+    ]
+    for expected, got in zip(*(jax.tree.leaves(each) for each in slopes), strict=True):
+        assert np.abs(expected).max() > 1e-6
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> None:
     scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
-    def wall(thickness: jax.Array, every: int) -> jax.Array:
-        result = jaxform.simulate(
-            jaxform.replace(scene, {"parison.thickness": thickness}), windows_per_checkpoint=every
-        )
-        return jnp.mean(jnp.square(result.thickness))
+    def wall(thickness: jax.Array, pressure: jax.Array, every: int = 1) -> jax.Array:
+        changed = jaxform.replace(scene, {"parison.thickness": thickness, "pressure.value": pressure})
+        return jnp.mean(jnp.square(jaxform.simulate(changed, windows_per_checkpoint=every).thickness)) * 1e4
 
-    usual, *others = (
-        jax.jit(jax.value_and_grad(lambda h, n=n: wall(h, n)))(scene.parison.thickness) for n in (1, 0, 3)
-    )
-    for other in others:
-        np.testing.assert_allclose(other[0], usual[0], rtol=1e-12)
-        np.testing.assert_allclose(other[1], usual[1], rtol=1e-9, atol=1e-12)
+    def together(rows: jax.Array, pressure: jax.Array) -> jax.Array:
+        return jnp.sum(jax.vmap(wall, (0, None))(rows, pressure))
+
+    rows = jnp.stack([factor * scene.parison.thickness for factor in (0.9, 1.0, 1.2)])
+    slope, pressing = jax.jit(jax.grad(together, argnums=(0, 1)))(rows, scene.pressure.value)
+    alone = jax.jit(jax.grad(functools.partial(wall, every=3), argnums=(0, 1)))
+    single = [alone(row, scene.pressure.value) for row in rows]
+    np.testing.assert_allclose(slope, [row for row, _ in single], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(pressing, sum(p for _, p in single), rtol=1e-9, atol=1e-12)
 
 
 def test_a_batch_gives_the_results_of_single_runs() -> None:
@@ -198,6 +237,20 @@ def test_blocks_in_use_are_worked_through_and_no_others() -> None:
         np.testing.assert_array_equal(got[0, :used], 2 * values[:used])
         assert np.all(np.asarray(got[0, used:]) == -1.0)
         assert float(total) == float(values[:used].sum())
+
+
+def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:
+    long = jnp.arange(2 * 3 * 256.0).reshape(2, 3 * 256)
+    written, (updated,) = jnp.zeros((2, 3 * 256)), (jnp.ones((1, 256)),)
+    new, _ = blocks.over_blocks(
+        lambda old, part: ([[old[0][0] + part[0]], list(part)], []),
+        jnp.int32(2),
+        (blocks.Part(long, jnp.int32(256)),),
+        [updated, blocks.Part(written, jnp.int32(512))],
+        update=1,
+    )
+    np.testing.assert_array_equal(new[0][0], 1.0 + long[0, 256:512])
+    np.testing.assert_array_equal(new[1], written.at[:, 512:].set(long[:, 256:512]))
 
 
 def test_replaced_switches_are_static() -> None:
