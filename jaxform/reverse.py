@@ -1,9 +1,10 @@
 """The reverse derivative of a window's steps, written by hand.
 
 Between its borders a window is a few passes over elements and nodes. Gone through backwards they are as many: the steps
-are worked out once more from the state at the border, by loops as fast as a run's, the positions of each are kept, and
+are worked out once more from the state at the border, by loops as fast as a run's, the velocities of each are kept, and
 then every step costs one pass over the elements, for the transpose of the force's derivative, and one over the nodes.
-Found by JAX, it would keep twice as much and copy it several times; forward mode, which keeps nothing, is left to JAX.
+Found by JAX, it would keep more and work every step out a third time; forward mode, which keeps nothing, is left to
+JAX.
 """
 
 from __future__ import annotations
@@ -380,12 +381,8 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
     put(of[2].compliance, packed.put_back(share * now.compliance))
     if cotangents.want(of[2].thickness):
-        put(
-            of[2].thickness,
-            jnp.zeros_like(now.thickness, shape=sheet_body.thickness.shape)
-            .at[packed.element]
-            .add(summed[0][0] / now.thickness),
-        )
+        none = jnp.zeros_like(sheet_body.thickness)
+        put(of[2].thickness, none.at[packed.element].add(summed[0][0] / now.thickness))
 
 
 def _idle(kept: _Kept, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[Any, Any]:
@@ -410,8 +407,7 @@ def _steps_back(
     parameters = jax.tree.leaves(scene.material)
     wanted = [True, thickens, presses, *(varies for _ in parameters)]
     losses = end.damping_loss, end.contact_loss
-    falls = scene.mold is not None and cotangents.want(of[1].mold.vertices)
-    assert scene.mold is not None or not falls
+    vertices = scene.mold.vertices if scene.mold is not None and cotangents.want(of[1].mold.vertices) else None
     nodes = _Nodes(
         at=packed.taken(kept.end),
         positions=jnp.where(packed.exists, packed.taken(end.positions), 0.0),
@@ -421,7 +417,7 @@ def _steps_back(
         compliance=jnp.zeros_like(now.mass),
         contact_time=jnp.where(packed.exists, packed.taken(end.contact_time), 0.0),
         damping=jnp.zeros((), real),
-        vertices=jnp.zeros_like(scene.mold.vertices) if scene.mold is not None and falls else None,
+        vertices=None if vertices is None else jnp.zeros_like(vertices),
     )
     steps = jnp.arange(STEPS_PER_WINDOW)
     lands = jnp.append(jnp.any(now.landed[:, None] == steps, axis=0), jnp.asarray(False))
