@@ -64,10 +64,11 @@ def over_blocks(
 
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
-            return function(*_block(inputs, i * BLOCK))
+            return function(*_block(inputs, i * BLOCK, BLOCK))
         # All is read before anything is written, or XLA would copy the arrays for every block.
-        old = [rows_read(each, len(array), i * BLOCK) for each, array in zip(flat, arrays[:update], strict=False)]
-        return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK))
+        updated = zip(flat, arrays[:update], strict=False)
+        old = [rows_read(each, len(array), i * BLOCK, BLOCK) for each, array in updated]
+        return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK, BLOCK))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
         flat, totals = carry
@@ -89,7 +90,7 @@ def over_blocks(
     ]
 
 
-def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int = BLOCK) -> list[jax.Array]:
+def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
     """Entries (size,) from `first` on of each of the `count` rows that lie one after the other in `flat`."""
     room = flat.size // count
     return [jax.lax.dynamic_slice(flat, (k * room + first,), (size,)) for k in range(count)]
@@ -115,7 +116,7 @@ def _is_part(value: Any) -> bool:
     return isinstance(value, Part)
 
 
-def _block(inputs: Any, first: jax.Array | int, size: int = BLOCK) -> Any:
+def _block(inputs: Any, first: jax.Array | int, size: int) -> Any:
     def cut(value: Any) -> jax.Array:
         array, begin = value if isinstance(value, Part) else (value, 0)
         return jax.lax.dynamic_slice_in_dim(array, begin + first, size, axis=array.ndim - 1)
