@@ -24,10 +24,11 @@ def padded(count: int) -> int:
 
 
 class Part(NamedTuple):
-    """Of an array (k, several rooms) the room that begins at an offset: read, or written, where it is."""
+    """Of an array (k, several rooms) one room, (k, size) from `begin` on: read, or written, where it is."""
 
     array: jax.Array
     begin: jax.Array | int
+    size: int
 
 
 def over_blocks(
@@ -56,19 +57,17 @@ def over_blocks(
         The arrays with the rows, and the sums.
     """
     if jax.default_backend() != "cpu":
-        whole = [value for value in jax.tree.leaves((inputs, list(into)), is_leaf=_is_part) if not _is_part(value)]
-        size = max(value.shape[-1] for value in whole)
-        rows, terms = function(*([list(into[:update])] if update else []), *_block(inputs, 0, size))
+        rows, terms = function(*([list(into[:update])] if update else []), *_whole(inputs))
         new = [jnp.stack(list(row)) for row in rows]
         return [_put(old, row) for old, row in zip(into, new, strict=True)], [jnp.sum(term) for term in terms]
 
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
-            return function(*_block(inputs, i * BLOCK, BLOCK))
+            return function(*_block(inputs, i))
         # All is read before anything is written, or XLA would copy the arrays for every block.
         updated = zip(flat, arrays[:update], strict=False)
         old = [rows_read(each, len(array), i * BLOCK, BLOCK) for each, array in updated]
-        return function(jax.lax.optimization_barrier(old), *_block(inputs, i * BLOCK, BLOCK))
+        return function(jax.lax.optimization_barrier(old), *_block(inputs, i))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
         flat, totals = carry
@@ -79,15 +78,14 @@ def over_blocks(
     begins = [part.begin if isinstance(part, Part) else 0 for part in into]
     arrays = [part.array if isinstance(part, Part) else part for part in into]
     flat = [array.reshape(-1) for array in arrays]
-    kinds = [leaf.dtype for leaf in jax.tree.leaves((inputs, into)) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    real = kinds[0] if kinds else jnp.float32
+    kinds = map(jnp.result_type, jax.tree.leaves((inputs, arrays)))
+    real = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
     zeros = [jnp.zeros(BLOCK, real) for _ in range(sums)]
     flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
     # Else the whole loop would be worked out again by whoever uses it twice.
     flat, totals = jax.lax.optimization_barrier((flat, totals))
-    return [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)], [
-        jnp.sum(each) for each in totals
-    ]
+    shaped = [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)]
+    return shaped, [jnp.sum(each) for each in totals]
 
 
 def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
@@ -116,10 +114,18 @@ def _is_part(value: Any) -> bool:
     return isinstance(value, Part)
 
 
-def _block(inputs: Any, first: jax.Array | int, size: int) -> Any:
+def _cut(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
+    return jax.lax.dynamic_slice_in_dim(array, begin, size, axis=array.ndim - 1)
+
+
+def _whole(inputs: Any) -> Any:
+    return jax.tree.map(lambda value: _cut(*value) if _is_part(value) else value, inputs, is_leaf=_is_part)
+
+
+def _block(inputs: Any, i: jax.Array) -> Any:
     def cut(value: Any) -> jax.Array:
-        array, begin = value if isinstance(value, Part) else (value, 0)
-        return jax.lax.dynamic_slice_in_dim(array, begin + first, size, axis=array.ndim - 1)
+        array, begin = (value.array, value.begin) if _is_part(value) else (value, 0)
+        return _cut(array, begin + i * BLOCK, BLOCK)
 
     return jax.tree.map(cut, inputs, is_leaf=_is_part)
 

@@ -6,7 +6,8 @@ both: where JAX looks for what is linear in unknown tangents, a reverse derivati
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -77,18 +78,21 @@ def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: C
 
     def pull(arguments: Any, cotangents: Cotangents, end: Any) -> None:
         leaves, structure = jax.tree.flatten(arguments)
-        wanted = [k for k, here in enumerate(cotangents.wanted) if here]
 
         def moved(*new: Any) -> list[Any]:
-            given = dict(zip(wanted, new, strict=True))
-            result = function(*jax.tree.unflatten(structure, [given.get(k, old) for k, old in enumerate(leaves)]))
+            result = function(*jax.tree.unflatten(structure, _merged(cotangents.wanted, new, leaves)))
             return _smooth_leaves(result, smooth)[0]
 
-        found = jax.vjp(moved, *(leaves[k] for k in wanted))[1](jax.tree.leaves(end))
-        for k, each in zip(wanted, found, strict=True):
-            cotangents.found[k] = each
+        wanted = [leaf for leaf, here in zip(leaves, cotangents.wanted, strict=True) if here]
+        cotangents.found = _merged(cotangents.wanted, jax.vjp(moved, *wanted)[1](jax.tree.leaves(end)))
 
     return Rule(value, jax.checkpoint(function), pull, like, smooth)
+
+
+def _merged(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
+    """One after the other the next of `some` where it is here, else what is at its place in `others`."""
+    new = iter(some)
+    return [next(new) if own else other for own, other in zip(here, others, strict=False)]
 
 
 def _shapes(tree: Any) -> Any:
@@ -130,17 +134,15 @@ def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[An
     else:
 
         def plain(*moved: Any) -> tuple[list[Any], Any]:
-            new = iter(moved)
-            leaves = [next(new) if here else p for p, here in zip(primals, moving, strict=True)]
-            result = rule.plain(*jax.tree.unflatten(structure, leaves))
+            result = rule.plain(*jax.tree.unflatten(structure, _merged(moving, moved, primals)))
             return _smooth_leaves(result, rule.smooth)[0], result
 
         moved = [p for p, here in zip(primals, moving, strict=True) if here]
         _, changes, result = jax.jvp(plain, moved, given, has_aux=True)
         smooth = _smooth_leaves(result, rule.smooth)[1]
-    results, change = jax.tree.leaves(result), iter(changes)
+    results = jax.tree.leaves(result)
     none = [ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results]
-    return results, [next(change) if here else zero for zero, here in zip(none, smooth, strict=True)]
+    return results, _merged(smooth, changes, none)
 
 
 def _transpose(
@@ -155,10 +157,9 @@ def _transpose(
     shapes: Any,
 ) -> list[Any]:
     count = kept.num_leaves
-    given = iter(ad.instantiate_zeros(cotangent) for cotangent in cotangents)
-    end = jax.tree.unflatten(like, [next(given) if here else None for here in smooth])
-    change = iter(leaves[count:])
-    wanted = Cotangents(structure, tuple(here and ad.is_undefined_primal(next(change)) for here in moving))
+    end = jax.tree.unflatten(like, _merged(smooth, map(ad.instantiate_zeros, cotangents)))
+    change = map(ad.is_undefined_primal, leaves[count:])
+    wanted = Cotangents(structure, tuple(_merged(moving, change, itertools.repeat(False))))
     rule.pull(jax.tree.unflatten(kept, leaves[:count]), wanted, end)
     return [None] * count + [found for found, here in zip(wanted.found, moving, strict=True) if here]
 

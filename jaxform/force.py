@@ -135,10 +135,17 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     return corners, volume / 6.0
 
 
-def assembled(corners: Corners, slots: jax.Array, row_count: jax.Array) -> Vector:
-    """Sum (n,) at nodes of their shares, component by component; slots (depth, n) of `corners`, rows in use."""
+def assembled(corners: Corners, slots: jax.Array, row_count: jax.Array, spill: jax.Array | None = None) -> Vector:
+    """Sum (n,) at nodes of their shares, component by component.
+
+    Args:
+        corners: What corners get.
+        slots: Which of them (depth, n) the nodes sum up.
+        row_count: Rows of `slots` in use.
+        spill: From `spilled`, at these nodes (3, n).
+    """
     x, y, z = (_gathered(corner.reshape(-1), slots, row_count) for corner in corners)
-    return x, y, z
+    return (x, y, z) if spill is None else plus((x, y, z), rows_of(spill))
 
 
 def spilled(corners: Corners, elements: Elements) -> jax.Array | None:
@@ -165,13 +172,13 @@ def _gathered(flat: jax.Array, slots: jax.Array, row_count: jax.Array) -> jax.Ar
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:
     """Sum of the corners' shares at the nodes in use (3, place), 0 at the others."""
 
-    def work(slots: jax.Array) -> Any:
-        return [assembled(corners, slots, elements.row_count)], []
+    def work(slots: jax.Array, spill: jax.Array | None) -> Any:
+        return [assembled(corners, slots, elements.row_count, spill)], []
 
     into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
-    (nodal,), _ = over_blocks(work, elements.node_block_count, (elements.slots,), into)
-    spill = spilled(corners, elements)
-    return nodal if spill is None else nodal + spill
+    inputs = elements.slots, spilled(corners, elements)
+    (nodal,), _ = over_blocks(work, elements.node_block_count, inputs, into)
+    return nodal
 
 
 def _over(

@@ -26,8 +26,17 @@ from jaxform.mold import Mold
 from jaxform.packing import Packed
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Scene
-from jaxform.state import Schedule, State, enclosed_volume
-from jaxform.stepping import Timing, kicked, kicks, pressures, window, window_and_landings, worked_through
+from jaxform.state import Schedule, State
+from jaxform.stepping import (
+    Timing,
+    idle_volume,
+    kicked,
+    kicks,
+    pressures,
+    window,
+    window_and_landings,
+    worked_through,
+)
 
 _SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
 _SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
@@ -122,6 +131,7 @@ def _replayed(kept: _Kept, now: _Window) -> _Replay:
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
     begin, end = packed.taken(kept.positions), packed.taken(kept.end)
     velocities = jnp.where(packed.exists, packed.taken(kept.velocities), 0.0)
+    places = now.mass.size
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         n, positions, velocities, speeds, volumes, corners = carry
@@ -131,21 +141,18 @@ def _replayed(kept: _Kept, now: _Window) -> _Replay:
 
         def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
             positions, velocities = old
-            nodal = assembled(corners, slots, elements.row_count)
-            if spill is not None:
-                nodal = [own + more for own, more in zip(nodal, spill, strict=True)]
+            nodal = assembled(corners, slots, elements.row_count, spill)
             new, _ = kicked(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
             velocities = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
             ways = zip(positions, velocities, end, strict=True)
             return [[jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways], velocities, velocities], []
 
         inputs = elements.slots, spill, now.landed, now.mass, now.compliance, end
-        into = [positions, velocities, Part(speeds, (n + 1) * velocities.shape[1])]
+        into = [positions, velocities, Part(speeds, (n + 1) * places, places)]
         new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
         return n + 1, *new, volumes.at[n].set(volume), corners
 
-    speeds = jnp.zeros((3, (STEPS_PER_WINDOW + 1) * begin.shape[1]), begin.dtype)
-    speeds = speeds.at[:, : begin.shape[1]].set(velocities)
+    speeds = jnp.zeros((3, (STEPS_PER_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
     volumes = jnp.zeros(STEPS_PER_WINDOW, begin.dtype)
     carry = jnp.int32(0), begin, velocities, speeds, volumes, no_corners(begin, elements)
     carry = jax.lax.while_loop(lambda carry: carry[0] < now.count, advance, carry)
@@ -213,10 +220,11 @@ def _before(
         loss: Cotangent of the damping loss.
     """
     mass, compliance, free = node
-    half = 0.5 * step.kick * (0.0 if damping is None else damping)
+    rubbed = 0.0 if damping is None else damping
+    half = 0.5 * step.kick * rubbed
     kept = [v + step.length * x for x, v in zip(*after, strict=True)]
     twice = _vector(jnp.where(free, old + new, 0.0) for old, new in zip(*speeds, strict=True))
-    share = 0.5 * loss * step.kick * mass * (0.0 if damping is None else damping)
+    share = 0.5 * loss * step.kick * mass * rubbed
     if damping is not None:
         kept = [g + share * both for g, both in zip(kept, twice, strict=True)]
     kept = _vector(jax.lax.optimization_barrier(kept))
@@ -246,9 +254,7 @@ def _over_nodes(
 
     def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, speeds: Any) -> Any:
         at, position, velocity, (power,), *more = old
-        pulled = assembled(corners, slots, elements.row_count)
-        if spill is not None:
-            pulled = [own + other for own, other in zip(pulled, spill, strict=True)]
+        pulled = assembled(corners, slots, elements.row_count, spill)
         position = jax.lax.optimization_barrier([x + own for x, own in zip(position, pulled, strict=True)])
         free, lands = landed >= step.number, landed == step.number
         before = _before((position, velocity), (mass, compliance, free), speeds, step, damping, loss)
@@ -356,12 +362,13 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     work = end.external_work
     after = jnp.where(number == kept.count - 1, end.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
-    idle, pull_idle = _idle(kept, scene, sheet_body, packed)
+    idle, pull_idle = jax.vjp(
+        lambda positions: idle_volume(positions, scene, sheet_body, packed, differentiable=True), kept.positions
+    )
     volumes = replay.volumes + idle
     gains = jnp.where(taken, work * jnp.diff(volumes, prepend=kept.volume), 0.0)
 
-    nodes, sums = _steps_back(kept, now, replay, cotangents, end, volume)
-    summed, pressing, law = sums
+    nodes, summed, pressing, law = _steps_back(kept, now, replay, cotangents, end, volume)
 
     put, of = cotangents.put, cotangents.of
     put(begun.positions, packed.put_back(nodes.positions) + pull_idle(jnp.sum(volume))[0])
@@ -385,17 +392,9 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
         put(of[2].thickness, none.at[packed.element].add(summed[0][0] / now.thickness))
 
 
-def _idle(kept: _Kept, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[Any, Any]:
-    """Volume [m^3] enclosed by what is not worked through, and how its cotangent is pulled back to the positions."""
-    if not scene.packs_moving:
-        return 0.0, lambda _: [0.0]
-    counted = jnp.where(packed.kept, 0.0, 1.0)
-    return jax.vjp(lambda positions: enclosed_volume(positions, sheet_body.sheet, counted), kept.positions)
-
-
 def _steps_back(
     kept: _Kept, now: _Window, replay: _Replay, cotangents: Cotangents, end: State, volume: jax.Array
-) -> tuple[_Nodes, tuple[list[jax.Array], jax.Array, list[jax.Array]]]:
+) -> tuple[_Nodes, list[jax.Array], jax.Array, list[jax.Array]]:
     """Cotangents at the window's begin.
 
     With them the elements' sums, the cotangents of the pressure at every step, and those of the law's parameters.
@@ -423,7 +422,7 @@ def _steps_back(
     lands = jnp.append(jnp.any(now.landed[:, None] == steps, axis=0), jnp.asarray(False))
     room = now.thickness.size
     summed = [jnp.zeros((1, room), real)] * thickens
-    none = jnp.zeros((), real)
+    none, places = jnp.zeros((), real), now.mass.size
     carry = (
         now.count,
         nodes,
@@ -441,15 +440,14 @@ def _steps_back(
         law = [total + more for total, more in zip(law, sums, strict=True)]
         first = n == 0
         step = _Step(n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]))
-        places = now.mass.size
-        speeds = Part(replay.speeds, jnp.maximum(n - 1, 0) * places), Part(replay.speeds, n * places)
-        nodes = _over_nodes(nodes, corners, speeds, step, now, losses[0])
+        before, after = (Part(replay.speeds, k * places, places) for k in (jnp.maximum(n - 1, 0), n))
+        nodes = _over_nodes(nodes, corners, (before, after), step, now, losses[0])
         if scene.mold is not None:
             nodes = only_if(lands[n - 1], lambda nodes: _landings(nodes, replay, kept, step, now, losses), nodes)
         return n - 1, nodes, corners, summed, pressing, law
 
     _, nodes, _, summed, pressing, law = jax.lax.while_loop(lambda carry: carry[0] >= 0, back, carry)
-    return nodes, (summed, pressing, law or [none for _ in parameters])
+    return nodes, summed, pressing, law or [none for _ in parameters]
 
 
 differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries)

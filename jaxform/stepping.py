@@ -83,7 +83,7 @@ class _Window:
     bound: jax.Array
     most: jax.Array | int
     row: _Row | None
-    idle_volume: jax.Array | float
+    idle_volume: jax.Array
     near: Near | None
 
 
@@ -168,9 +168,7 @@ def _taken_in_blocks(
 
     def work(old: Any, slots: jax.Array, spill: Any, nodes: Any, near: Any) -> Any:
         positions, velocities = old
-        nodal = assembled(corners, slots, elements.row_count)
-        if spill is not None:
-            nodal = [own + more for own, more in zip(nodal, spill, strict=True)]
+        nodal = assembled(corners, slots, elements.row_count, spill)
         velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
         new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
         sums = [] if losses is None else [losses]
@@ -277,7 +275,7 @@ def window_and_landings(
         bound=decided.limit.bound,
         most=decided.most,
         row=decided.row,
-        idle_volume=_idle_volume(state, scene, sheet_body, packed, differentiable),
+        idle_volume=idle_volume(state.positions, scene, sheet_body, packed, differentiable=differentiable),
         near=_list_near(moving, scene, length),
     )
 
@@ -315,7 +313,8 @@ def pressures(pressure: Pressure, timing: Timing) -> tuple[jax.Array, jax.Array]
 
 def kicks(timing: Timing) -> jax.Array:
     """The step that the velocity takes in each step of a window [s]."""
-    return jnp.full(STEPS_PER_WINDOW, timing.length).at[0].set(0.5 * (timing.before + timing.length))
+    first = 0.5 * (timing.before + timing.length)
+    return jnp.where(jnp.arange(STEPS_PER_WINDOW) == 0, first, timing.length)
 
 
 class _Row(NamedTuple):
@@ -410,14 +409,15 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
     )
 
 
-def _idle_volume(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed, differentiable: bool
-) -> jax.Array | float:
+def idle_volume(
+    positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed, *, differentiable: bool
+) -> jax.Array:
+    """Volume [m^3] enclosed by what is not worked through, of positions (3, n_node) [m]."""
     if not scene.packs_moving:
-        return 0.0
+        return jnp.zeros((), positions.dtype)
     if differentiable:
-        return enclosed_volume(state.positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
-    return counted_volume(state.positions, sheet_body, ~packed.kept)
+        return enclosed_volume(positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return counted_volume(positions, sheet_body, ~packed.kept)
 
 
 def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving, most: jax.Array | int) -> _Moving:
