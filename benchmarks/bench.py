@@ -268,9 +268,14 @@ def show_parts(window: int = 20) -> Table:
         "and without damping": (whole_window, undamped),
         "and without the search for the step": (whole_window, unsearched),
     }
-    seconds = best_in_turns({name: _repeated(*part, state) for name, part in parts.items()}, 15)
+    sheet = sheets.sheet(2048)
+    own, steps = formulations.own(sheet), _TIMES * stepping.STEPS_PER_WINDOW
+    runs = {name: _repeated(*part, state) for name, part in parts.items()}
+    seconds = best_in_turns({"bare": lambda: own(steps)} | runs, 15)
+    bare = seconds.pop("bare") * len(scene.parison.triangles) / len(sheet.triangles)
     nothing = seconds.pop("nothing")
-    table = [{"part": name, "us per window": 1e6 * (taken - nothing) / _TIMES} for name, taken in seconds.items()]
+    table = [{"part": "bare steps of as many elements", "us per window": 1e6 * bare / _TIMES}]
+    table += [{"part": name, "us per window": 1e6 * (taken - nothing) / _TIMES} for name, taken in seconds.items()]
     for row in table:
         say(row)
     return table
