@@ -48,7 +48,8 @@ class Landing(NamedTuple):
     """Where the nodes are after contact.
 
     Positions and velocities (3, n_node); stuck, contact_time, wall and the number of the step in which each landed
-    (n_node,); the kinetic energy lost so far [J].
+    (n_node,); the kinetic energy lost so far [J]. Where it is kept, the impact (6, n_node): where each node that landed
+    was before that step [m], and the velocity that it came with [m/s].
     """
 
     positions: jax.Array
@@ -58,6 +59,7 @@ class Landing(NamedTuple):
     wall: jax.Array
     step: jax.Array
     loss: jax.Array
+    impact: jax.Array | None = None
 
 
 class Step(NamedTuple):
@@ -239,6 +241,9 @@ def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
     kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
+    impact = landing.impact
+    if impact is not None:
+        impact = jnp.where(lands, jnp.concatenate([before, landing.velocities]), impact)
     return Landing(
         positions=jnp.where(lands, point, landing.positions),
         velocities=jnp.where(lands, 0.0, landing.velocities),
@@ -247,6 +252,7 @@ def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax
         wall=jnp.where(lands, wall, landing.wall),
         step=jnp.where(lands, now.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
+        impact=impact,
     )
 
 

@@ -331,6 +331,8 @@ def corner_cotangents(
     volume: jax.Array | None,
     into: Corners,
     summed: list[jax.Array],
+    *,
+    forces: bool = False,
 ) -> tuple[Corners, list[jax.Array], list[jax.Array]]:
     """Transpose of `corner_forces`' derivative, from cotangents of the nodal force (3, place) and of the volume.
 
@@ -343,10 +345,12 @@ def corner_cotangents(
         into: Room for what corners get, from `no_corners`; empty where the positions' cotangent is not wanted.
         summed: Sums over steps that are added to: (1, room) of the cotangents of the thickness' logarithm where the
             thickness is wanted.
+        forces: Whether `corner_forces` is worked out along with it, since most of it is at hand; `into` then has room
+            for what the corners get of the cotangent and, after it, of the force.
 
     Returns:
         What the corners get, the sums, and the cotangents of the pressure and of all the material's parameters, as
-        far as they are wanted.
+        far as they are wanted; with the forces the enclosed volume [m^3] comes last.
     """
     rows = rows_of(load.positions)
     pushed = None if nodal is None else rows_of(nodal)
@@ -359,6 +363,7 @@ def corner_cotangents(
         first, edge1, edge2, normal = _geometry(rows, triangles)
         weight, pressure = area * thickness, _pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
+        own_shares: list[Vector] = []
         own = edge1_cotangent = edge2_cotangent = _scaled(jnp.zeros_like(area), normal)
         turn = own
         if pushed is not None:
@@ -367,6 +372,8 @@ def corner_cotangents(
             total = plus(_scaled(3.0, w0), plus(w1, w2))
             g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
             s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)
+            if forces:
+                own_shares = _shares(_scaled(pressure, normal), *_pulls(s, edge1, edge2))
             if moves:
                 pull1, pull2 = _pulls(ds, edge1, edge2)
                 more1, more2 = _pulls(s, w1, w2)
@@ -389,15 +396,17 @@ def corner_cotangents(
             share = _used(area) * (volume / 6.0)
             turn = plus(turn, _scaled(share, minus(first, elements.origin)))
             own = _scaled(share, normal)
+        if forces:
+            sums.append(_used(area) * dot(minus(first, elements.origin), normal) / 6.0)
         if not moves:
             return old, sums
         turn = _once(turn)
         cotangent1 = _once(plus(edge1_cotangent, cross(edge2, turn)))
         cotangent2 = _once(plus(edge2_cotangent, cross(turn, edge1)))
         own = minus(minus(own, cotangent1), cotangent2)
-        return [*old, *([own[k], cotangent1[k], cotangent2[k]] for k in range(3))], sums
+        return [*old, *([own[k], cotangent1[k], cotangent2[k]] for k in range(3)), *own_shares], sums
 
-    count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0)
+    count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0) + int(forces)
     inputs = elements.triangles, elements.inverse_metric, elements.area, load.thickness
     room = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))

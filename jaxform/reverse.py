@@ -1,10 +1,12 @@
 """The reverse derivative of a window's steps, written by hand.
 
-Between its borders a window is a few passes over elements and nodes. Gone through backwards they are as many: the steps
-are worked out once more from the state at the border, by loops as fast as a run's, the velocities of each are kept, and
-then every step costs one pass over the elements, for the transpose of the force's derivative, and one over the nodes.
-Found by JAX, it would keep more and work every step out a third time; forward mode, which keeps nothing, is left to
-JAX.
+Between its borders a window is a few passes over elements and nodes, and its scheme goes as well backwards: from the
+positions and velocities at the end, the forces at these positions give the velocities before. So nothing is kept but
+the end; every step back costs one pass over the elements, for the force and the transpose of its derivative together,
+and one over the nodes. Nodes that landed are let go in the step they landed in, one by one. Where damping takes too
+much of a velocity for it to be found again, the steps are worked out once more from the begin, and their velocities
+kept. Found by JAX, the derivative would keep more and work every step out again; forward mode, which keeps nothing, is
+left to JAX.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from jaxform.stepping import (
     kicks,
     pressures,
     window,
-    window_and_landings,
+    window_and_impacts,
     worked_through,
 )
 
@@ -42,18 +44,24 @@ _SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
 _SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
 
 
+_LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
+
+
 @pytree
 class _Kept:
     """What the reverse derivative of a window needs.
 
-    Of its begin positions, velocities, stuck, time [s], step [s], volume [m^3] and mesh, as in `State`; of its end
-    `end` (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
+    Of its begin stuck, time [s], step [s], volume [m^3] and mesh, as in `State`; of its end the positions `end`
+    (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
+
+    Attributes:
+        positions: Of nodes that landed, before that step (3, n_node) [m].
+        velocities: At the end (3, n_node) [m/s]; of nodes that landed, what they landed with. Where steps cannot be
+            taken back, both are those of all nodes at the begin.
     """
 
     scene: Scene
     first: Body
-    positions: jax.Array
-    velocities: jax.Array
     stuck: jax.Array
     time: jax.Array
     before: jax.Array
@@ -64,16 +72,24 @@ class _Kept:
     landed: jax.Array
     length: jax.Array
     count: jax.Array
+    positions: jax.Array
+    velocities: jax.Array
 
 
 def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> tuple[State, _Kept]:
     packed = worked_through(state.stuck, state.mesh, scene, sheet_body)
-    end, landed = window_and_landings(state, scene, sheet_body, packed, schedule, differentiable=False)
+    end, landed, impact = window_and_impacts(state, scene, sheet_body, packed, schedule)
+    positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], end.velocities)
+    damping = scene.solver.damping
+    if damping is not None:
+        back = _can_be_taken_back(damping, Timing(state.time, state.step_length, end.last_length))
+        positions, velocities = (
+            jnp.where(back, late, early)
+            for late, early in ((positions, state.positions), (velocities, state.velocities))
+        )
     kept = _Kept(
         scene=scene,
         first=first,
-        positions=state.positions,
-        velocities=state.velocities,
         stuck=state.stuck,
         time=state.time,
         before=state.step_length,
@@ -84,8 +100,16 @@ def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: 
         landed=landed,
         length=end.last_length,
         count=end.last_count,
+        positions=positions,
+        velocities=velocities,
     )
     return end, kept
+
+
+def _can_be_taken_back(damping: jax.Array, timing: Timing) -> jax.Array:
+    """Whether the steps of a window leave enough of a velocity to find it again."""
+    half = 0.5 * damping * jnp.maximum(timing.before, timing.length)
+    return 1.0 - half > _LEAST_LEFT ** (1.0 / STEPS_PER_WINDOW) * (1.0 + half)
 
 
 @jax.checkpoint
@@ -100,7 +124,10 @@ def carries(state: State) -> State:
 
 
 class _Window(NamedTuple):
-    """What stays the same within a window, in packed order; as in `stepping`, and when nodes landed (place,)."""
+    """What stays the same within a window, in packed order; as in `stepping`, and when nodes landed (place,).
+
+    Beyond the steps that were taken, pressure and kick are 0.
+    """
 
     scene: Scene
     packed: Packed
@@ -114,60 +141,81 @@ class _Window(NamedTuple):
     count: jax.Array
 
 
-class _Replay(NamedTuple):
-    """The steps worked out once more.
+class _End(NamedTuple):
+    """Where the way back begins, in packed order: as in `_Kept`, and the velocities of each step where they are kept.
 
     Attributes:
-        speeds: Velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after another's;
-            of nodes that landed, what they landed with. Positions follow from them.
-        volumes: Enclosed by what is worked through, before each step [m^3].
+        before: Of nodes that landed, before that step (3, place) [m].
+        velocities: After the last step (3, place) [m/s]; of nodes that landed, what they landed with.
+        speeds: Velocities before each step and after the last (3, (1 + steps) place) [m/s], one step's after another's.
+        keeps: Whether they are kept.
     """
 
-    speeds: jax.Array
-    volumes: jax.Array
+    before: jax.Array
+    velocities: jax.Array
+    speeds: jax.Array | None = None
+    keeps: jax.Array | bool = False
+
+    def speeds_of(self, number: jax.Array) -> Part | None:
+        """Velocities before a step; where none are kept, it is the same part for all of them, which costs least."""
+        if self.speeds is None:
+            return None
+        places = self.before.shape[1]
+        return Part(self.speeds, jnp.where(self.keeps, number, 0) * places, places)
 
 
-def _replayed(kept: _Kept, now: _Window) -> _Replay:
+def _end_of(kept: _Kept, now: _Window) -> _End:
+    """Where steps cannot be taken back, they are worked out once more."""
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
     begin, end = packed.taken(kept.positions), packed.taken(kept.end)
     velocities = jnp.where(packed.exists, packed.taken(kept.velocities), 0.0)
-    places = now.mass.size
+    if damping is None:
+        return _End(begin, velocities)
+    keeps = ~_can_be_taken_back(damping, Timing(kept.time, kept.before, kept.length))
+    places, count = now.mass.size, jnp.where(keeps, now.count, 0)
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        n, positions, velocities, speeds, volumes, corners = carry
+        n, positions, velocities, before, speeds, corners = carry
         load = Load(positions, now.thickness, now.pressure[n], now.scene.material)
-        corners, volume = corner_forces(load, elements, corners)
+        corners, _ = corner_forces(load, elements, corners)
         spill = spilled(corners, elements)
 
         def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
-            positions, velocities = old
+            positions, velocities, before = old
             nodal = assembled(corners, slots, elements.row_count, spill)
             new, _ = kicked(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
-            velocities = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
-            ways = zip(positions, velocities, end, strict=True)
-            return [[jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways], velocities, velocities], []
+            new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
+            before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
+            ways = zip(positions, new, end, strict=True)
+            moved = [jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways]
+            return [moved, new, before, new], []
 
         inputs = elements.slots, spill, now.landed, now.mass, now.compliance, end
-        into = [positions, velocities, Part(speeds, (n + 1) * places, places)]
-        new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
-        return n + 1, *new, volumes.at[n].set(volume), corners
+        into = [positions, velocities, before, Part(speeds, (n + 1) * places, places)]
+        new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
+        return n + 1, *new, corners
 
     speeds = jnp.zeros((3, (STEPS_PER_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
-    volumes = jnp.zeros(STEPS_PER_WINDOW, begin.dtype)
-    carry = jnp.int32(0), begin, velocities, speeds, volumes, no_corners(begin, elements)
-    carry = jax.lax.while_loop(lambda carry: carry[0] < now.count, advance, carry)
-    return _Replay(carry[3], carry[4])
+    carry = jnp.int32(0), begin, velocities, begin, speeds, no_corners(begin, elements)
+    carry = jax.lax.while_loop(lambda carry: carry[0] < count, advance, carry)
+    return _End(carry[3], carry[2], carry[4], keeps)
 
 
 class _Nodes(NamedTuple):
-    """Between two steps: where the nodes are (3, place) [m], cotangents, and what the sums over steps have come to.
+    """Between two steps: the nodes' positions [m] and cotangents, and what the sums over steps have come to.
 
-    Cotangents of positions and velocities (3, place); that of the force of the step before, for the elements to pull
-    back; of the mass, the compliance's logarithm and the contact time (place,); of the damping and of the mold's
-    vertices (n_vertex, 3).
+    Attributes:
+        at: Where they are (3, place) [m].
+        speeds: Their velocities after the step that begins there (3, place) [m/s].
+        positions: Cotangents of the positions (3, place), all but what the force at them adds.
+        velocities: Of the velocities after the step (3, place), with what the positions after it add.
+        force: Of the force in the step (3, place).
+        mass, compliance, contact_time: Of the mass, the compliance's logarithm and the contact time (place,).
+        damping, vertices: Of the damping and of the mold's vertices (n_vertex, 3).
     """
 
     at: jax.Array
+    speeds: jax.Array
     positions: jax.Array
     velocities: jax.Array
     force: jax.Array
@@ -178,22 +226,47 @@ class _Nodes(NamedTuple):
     vertices: jax.Array | None
 
 
-class _Step(NamedTuple):
-    """One step: its number, its length and the one that the velocity takes [s]."""
+class _Turn(NamedTuple):
+    """Between two steps: the number of the earlier one and its length, and the kicks of both [s].
+
+    Before the first step there is one of no length.
+    """
 
     number: jax.Array
     length: jax.Array
     kick: jax.Array
+    later_kick: jax.Array
 
 
-class _Before(NamedTuple):
-    """Cotangents before a step, of velocity and force (3, n), and a step's shares of others, as in `_Nodes` (n,)."""
+def _half(kick: jax.Array, damping: jax.Array | None) -> jax.Array | float:
+    return 0.0 if damping is None else 0.5 * kick * damping
 
-    velocity: Any
-    force: Any
-    mass: jax.Array
-    compliance: jax.Array
-    damping: jax.Array
+
+def _speeds_before(
+    nodal: Vector, after: Any, speeds: Any, node: tuple[jax.Array, Any], kick: jax.Array, now: _Window, end: _End
+) -> Vector:
+    """Velocities before a step, (n,) each, from its force and those `after` it; or as they were kept, `speeds`.
+
+    Args:
+        nodal: The force [N].
+        after: Velocities after the step [m/s].
+        speeds: Those before it, where they are kept.
+        node: Whether the nodes are free in it, and their compliance [1/kg].
+        kick: The step that the velocity takes [s].
+        now: The window.
+        end: Its end.
+    """
+    flies, compliance = node
+    half = _half(kick, now.scene.solver.damping)
+
+    def taken_back(v: jax.Array, f: jax.Array, c: jax.Array) -> jax.Array:
+        before = ((1.0 + half) * v - kick * (f * c)) / (1.0 - half)
+        return jnp.where(flies, before, v)
+
+    found = [taken_back(*each) for each in zip(after, nodal, compliance, strict=True)]
+    if speeds is not None:
+        found = [jnp.where(end.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
+    return _vector(found)
 
 
 def _vector(components: Iterable[jax.Array]) -> Vector:
@@ -201,93 +274,94 @@ def _vector(components: Iterable[jax.Array]) -> Vector:
     return x, y, z
 
 
-def _before(
-    after: tuple[Any, Any],
-    node: tuple[jax.Array, Any, jax.Array],
-    speeds: tuple[Any, Any],
-    step: _Step,
-    damping: jax.Array | None,
-    loss: jax.Array,
-) -> _Before:
-    """Nodes' cotangents before a step without contact.
-
-    Args:
-        after: Those of positions and velocities after it.
-        node: Of the nodes mass, compliance, and whether they are free.
-        speeds: Their velocities before and after it [m/s].
-        step: The step.
-        damping: The scene's [1/s].
-        loss: Cotangent of the damping loss.
-    """
-    mass, compliance, free = node
-    rubbed = 0.0 if damping is None else damping
-    half = 0.5 * step.kick * rubbed
-    kept = [v + step.length * x for x, v in zip(*after, strict=True)]
-    twice = _vector(jnp.where(free, old + new, 0.0) for old, new in zip(*speeds, strict=True))
-    share = 0.5 * loss * step.kick * mass * rubbed
-    if damping is not None:
-        kept = [g + share * both for g, both in zip(kept, twice, strict=True)]
-    kept = _vector(jax.lax.optimization_barrier(kept))
-    ratio = (1.0 - half) / (1.0 + half)
-    gains = _vector(jnp.where(free, new - ratio * old, 0.0) for old, new in zip(*speeds, strict=True))
-    velocity = kept if damping is None else [ratio * g + share * both for g, both in zip(kept, twice, strict=True)]
-    force = [jnp.where(free, step.kick / (1.0 + half) * c * g, 0.0) for g, c in zip(kept, compliance, strict=True)]
-    rate = 0.25 * loss * step.kick * dot(twice, twice)
-    return _Before(
-        velocity=velocity,
-        force=force,
-        mass=jnp.zeros_like(rate) if damping is None else rate * damping,
-        compliance=dot(kept, gains),
-        damping=rate * mass - 0.5 * step.kick / (1.0 + half) * dot(kept, twice),
-    )
+def _force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: _Window) -> list[jax.Array]:
+    """Of the force in a step, from those of the velocities after it."""
+    factor = kick / (1.0 + _half(kick, now.scene.solver.damping))
+    return [factor * c * g for g, c in zip(velocities, compliance, strict=True)]
 
 
-def _over_nodes(
-    nodes: _Nodes, corners: Corners, speeds: tuple[Any, Any], step: _Step, now: _Window, loss: jax.Array
-) -> _Nodes:
-    """Adds what the elements pulled back to the positions' cotangents, and goes back over the step before.
+def _with_loss(
+    nodes: _Nodes, corners: Corners, load: Load, turn: _Turn, now: _Window, end: _End, loss: jax.Array
+) -> tuple[_Nodes, Corners]:
+    """Adds to the cotangents of a step's velocities and force what its damping loss has of them.
 
-    Nodes that landed in that step are left for `_landings`.
+    For that the velocities before the step must be known, and so its force, before its elements are gone back over.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
-    spill = spilled(corners, elements)
+    assert damping is not None
+    forces, _ = corner_forces(load, elements, corners[3:])
+    spill, kick = spilled(forces, elements), turn.later_kick
 
-    def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, speeds: Any) -> Any:
-        at, position, velocity, (power,), *more = old
-        pulled = assembled(corners, slots, elements.row_count, spill)
-        position = jax.lax.optimization_barrier([x + own for x, own in zip(position, pulled, strict=True)])
-        free, lands = landed >= step.number, landed == step.number
-        before = _before((position, velocity), (mass, compliance, free), speeds, step, damping, loss)
-        velocity = [jnp.where(lands, v, new) for v, new in zip(velocity, before.velocity, strict=True)]
-        force = [jnp.where(lands, 0.0, f) for f in before.force]
-        power = [power + jnp.where(lands, 0.0, before.compliance)]
-        # Taken back is what was gone; nodes that stuck stay.
-        at = [x - jnp.where(free, step.length * v, 0.0) for x, v in zip(at, speeds[1], strict=True)]
-        if damping is None:
-            return [at, position, velocity, power, force], []
-        masses = [more[0][0] + jnp.where(lands, 0.0, before.mass)]
-        return [at, position, velocity, power, masses, force], [jnp.where(lands, 0.0, before.damping)]
+    def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
+        flies = landed > turn.number
+        nodal = assembled(forces, slots, elements.row_count, spill)
+        before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
+        share = jnp.where(flies, 0.5 * loss * kick * mass * damping, 0.0)
+        more = [share * (v + w) for v, w in zip(before, after, strict=True)]
+        more = [more, _force_cotangent(more, compliance, kick, now)]
+        return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
-    inputs = elements.slots, spill, now.landed, now.mass, now.compliance, speeds
-    updated = [nodes.at, nodes.positions, nodes.velocities, nodes.compliance[None]]
+    kept = end.speeds_of(turn.number + 1)
+    inputs = elements.slots, spill, now.landed, now.mass, now.compliance, nodes.speeds, kept
+    into = [nodes.velocities, nodes.force]
+    new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
+    return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
+
+
+def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end: _End, loss: jax.Array) -> _Nodes:
+    """From what the elements pulled back and their forces, goes from one step to the one before.
+
+    Nodes that landed in the earlier one are left for `_landings`.
+    """
+    elements, damping = now.packed.elements, now.scene.solver.damping
+    spills = spilled(corners[:3], elements), spilled(corners[3:], elements)
+    kick, half = turn.later_kick, _half(turn.later_kick, damping)
+
+    def work(old: Any, slots: Any, spills: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
+        at, after, position, velocity, (power,), *more = old
+        flies = landed > turn.number
+        pulled, nodal = (
+            assembled(part, slots, elements.row_count, spill)
+            for part, spill in zip((corners[:3], corners[3:]), spills, strict=True)
+        )
+        before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
+        position = [x + own for x, own in zip(position, pulled, strict=True)]
+        before, position = jax.lax.optimization_barrier((before, position))
+        ratio = (1.0 - half) / (1.0 + half)
+        gains = _vector(jnp.where(flies, v - ratio * w, 0.0) for v, w in zip(after, before, strict=True))
+        power, sums = [power + dot(_vector(velocity), gains)], []
+        if damping is not None:
+            twice = _vector(jnp.where(flies, v + w, 0.0) for v, w in zip(before, after, strict=True))
+            rate, share = 0.25 * loss * kick * dot(twice, twice), 0.5 * loss * kick * mass * damping
+            more = [[more[0][0] + rate * damping]]
+            sums = [rate * mass - 0.5 * kick / (1.0 + half) * dot(_vector(velocity), twice)]
+            velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
+        velocity = [g + turn.length * x for g, x in zip(velocity, position, strict=True)]
+        velocity = jax.lax.optimization_barrier(velocity)
+        force = [jnp.where(flies, f, 0.0) for f in _force_cotangent(velocity, compliance, turn.kick, now)]
+        at = [x - jnp.where(flies, turn.length * v, 0.0) for x, v in zip(at, before, strict=True)]
+        return [at, before, position, velocity, power, *more, force], sums
+
+    kept = end.speeds_of(turn.number + 1)
+    inputs = elements.slots, spills, now.landed, now.mass, now.compliance, kept
+    updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
+    count = int(damping is not None)
     new, sums = over_blocks(
-        work, elements.node_block_count, inputs, [*updated, nodes.force], sums=len(updated) - 4, update=len(updated)
+        work, elements.node_block_count, inputs, [*updated, nodes.force], sums=count, update=len(updated)
     )
-    nodes = nodes._replace(at=new[0], positions=new[1], velocities=new[2], compliance=new[3][0], force=new[-1])
-    return nodes if damping is None else nodes._replace(mass=new[4][0], damping=nodes.damping + sums[0])
+    at, before, position, velocity, (power,), *more, force = new
+    nodes = nodes._replace(at=at, speeds=before, positions=position, velocities=velocity, force=force, compliance=power)
+    return nodes if damping is None else nodes._replace(mass=more[0][0], damping=nodes.damping + sums[0])
 
 
-def _landings(nodes: _Nodes, replay: _Replay, kept: _Kept, step: _Step, now: _Window, losses: Any) -> _Nodes:
-    """Goes back over the landings of a step, and over the step, for the nodes that landed: one by one."""
+def _landings(nodes: _Nodes, before: jax.Array, kept: _Kept, turn: _Turn, now: _Window, loss: jax.Array) -> _Nodes:
+    """Goes back over the landings of a step, for the nodes that landed: one by one, each to where it was `before`."""
     mold = now.scene.mold
     assert mold is not None
     wall = now.packed.taken(kept.wall)
-    end = kept.time + (step.number + 1) * step.length
-    number = step.number
+    number, time = turn.number, kept.time + (turn.number + 1) * turn.length
     places, count = listed(now.landed == number, now.landed.size)
-    start, steps = now.packed.taken(kept.positions), jnp.arange(STEPS_PER_WINDOW + 1)
-    speeds = replay.speeds.reshape(3, steps.size, -1)
 
     def one(k: jax.Array, nodes: _Nodes) -> _Nodes:
         place = places[k]
@@ -300,33 +374,30 @@ def _landings(nodes: _Nodes, replay: _Replay, kept: _Kept, step: _Step, now: _Wi
 
         def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
             free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
-            flying = contact.Landing(after, velocity, free, jnp.zeros_like(mass), none, none, jnp.zeros_like(end))
+            flying = contact.Landing(after, velocity, free, jnp.zeros_like(mass), none, none, jnp.zeros_like(time))
             triangle = Mold(corners, jnp.arange(3, dtype=jnp.int32)[None])
-            there = contact.landed(flying, contact.Step(step.length, end, number), mass, triangle, none)
-            return there.positions, there.velocities, there.contact_time, there.loss
+            there = contact.landed(flying, contact.Step(turn.length, time, number), mass, triangle, none)
+            return there.positions, there.contact_time, there.loss
 
         # All is read before anything is written, or XLA would copy the arrays.
         old = jax.lax.optimization_barrier(jax.tree.map(own, nodes._replace(damping=None, vertices=None)))
-        # Its positions were not kept: they are summed up from the begin.
-        own_speeds = jax.lax.dynamic_index_in_dim(speeds, place, 2, keepdims=False)
-        gone = jnp.where((steps > 0) & (steps <= number), own_speeds, 0.0)
-        begin = own(start) + step.length * jnp.sum(gone, axis=1, keepdims=True)
-        around = own_speeds[:, number, None], own_speeds[:, number + 1, None]
+        begin = own(before)
         triangle = mold.triangles[jnp.abs(own(wall)[0]) - 1]
-        _, pull = jax.vjp(land, begin + step.length * around[1], around[1], own(now.mass), mold.vertices[triangle])
-        after, speed, mass, corners = pull((old.positions, old.velocities, old.contact_time, losses[1]))
-        node = own(now.mass), rows_of(own(now.compliance)), jnp.ones(1, bool)
-        rows = rows_of(around[0]), rows_of(around[1])
-        before = _before((rows_of(after), rows_of(speed)), node, rows, step, now.scene.solver.damping, losses[0])
+        after = begin + turn.length * old.speeds
+        _, pull = jax.vjp(land, after, old.speeds, own(now.mass), mold.vertices[triangle])
+        position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
+        velocity = velocity + turn.length * position
+        force = _force_cotangent(rows_of(velocity), rows_of(own(now.compliance)), turn.kick, now)
         return _Nodes(
             at=put(nodes.at, begin),
-            positions=put(nodes.positions, after),
-            velocities=put(nodes.velocities, jnp.stack(before.velocity)),
-            force=put(nodes.force, jnp.stack(before.force)),
-            mass=put(nodes.mass, old.mass + mass + before.mass),
-            compliance=put(nodes.compliance, old.compliance + before.compliance),
+            speeds=nodes.speeds,
+            positions=put(nodes.positions, position),
+            velocities=put(nodes.velocities, velocity),
+            force=put(nodes.force, jnp.stack(force)),
+            mass=put(nodes.mass, old.mass + mass),
+            compliance=nodes.compliance,
             contact_time=put(nodes.contact_time, jnp.zeros_like(old.contact_time)),
-            damping=nodes.damping + before.damping[0],
+            damping=nodes.damping,
             vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
         )
 
@@ -342,7 +413,6 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing), scene.pressure)
     number = jnp.arange(STEPS_PER_WINDOW)
     taken = number < kept.count
-    landed = jnp.where(kept.count > 0, kept.landed, NEVER)
     held = packed.taken(kept.stuck) | ~packed.exists
     now = _Window(
         scene=scene,
@@ -350,25 +420,23 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
         thickness=sheet_body.thickness[packed.element],
         mass=packed.taken(sheet_body.mass),
         compliance=packed.taken(sheet_body.compliance),
-        landed=jnp.where(held, -1, packed.taken(landed)),
+        landed=jnp.where(held, -1, packed.taken(kept.landed)),
         pressure=jnp.append(pressure, 0.0),
-        kick=kicks(timing),
+        kick=jnp.append(jnp.where(taken, kicks(timing), 0.0), 0.0),
         length=kept.length,
         count=kept.count,
     )
-    replay = _replayed(kept, now)
 
     # What the pressure does: mean times (volume - volume before), summed.
     work = end.external_work
     after = jnp.where(number == kept.count - 1, end.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
     idle, pull_idle = jax.vjp(
-        lambda positions: idle_volume(positions, scene, sheet_body, packed, differentiable=True), kept.positions
+        lambda positions: idle_volume(positions, scene, sheet_body, packed, differentiable=True), kept.end
     )
-    volumes = replay.volumes + idle
-    gains = jnp.where(taken, work * jnp.diff(volumes, prepend=kept.volume), 0.0)
-
-    nodes, summed, pressing, law = _steps_back(kept, now, replay, cotangents, end, volume)
+    back = _steps_back(kept, now, cotangents, end, volume)
+    nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
+    gains = jnp.where(taken, work * gains, 0.0)
 
     put, of = cotangents.put, cotangents.of
     put(begun.positions, packed.put_back(nodes.positions) + pull_idle(jnp.sum(volume))[0])
@@ -377,8 +445,8 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     put(begun.volume, jnp.where(kept.count > 0, -work * mean[0], end.volume))
     for name in ("external_work", "damping_loss", "contact_loss", "refinement_loss"):
         put(getattr(begun, name), getattr(end, name))
-    put(of[1].pressure, pull_pressure((pressing[:-1], gains))[0])
-    put(of[1].material, jax.tree.unflatten(jax.tree.structure(scene.material), law))
+    put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
+    put(of[1].material, jax.tree.unflatten(jax.tree.structure(scene.material), back.law))
     put(of[1].solver.damping, None if scene.solver.damping is None else nodes.damping)
     if scene.mold is not None and nodes.vertices is not None:
         put(of[1].mold.vertices, nodes.vertices)
@@ -389,65 +457,88 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     put(of[2].compliance, packed.put_back(share * now.compliance))
     if cotangents.want(of[2].thickness):
         none = jnp.zeros_like(sheet_body.thickness)
-        put(of[2].thickness, none.at[packed.element].add(summed[0][0] / now.thickness))
+        put(of[2].thickness, none.at[packed.element].add(back.summed[0][0] / now.thickness))
 
 
-def _steps_back(
-    kept: _Kept, now: _Window, replay: _Replay, cotangents: Cotangents, end: State, volume: jax.Array
-) -> tuple[_Nodes, list[jax.Array], jax.Array, list[jax.Array]]:
-    """Cotangents at the window's begin.
+class _Back(NamedTuple):
+    """On the way back: the next step, the nodes, and room for what corners get.
 
-    With them the elements' sums, the cotangents of the pressure at every step, and those of the law's parameters.
+    With them the elements' sums; at every step, and after the last, the cotangents of the pressure, and the volume
+    enclosed by what is worked through [m^3]; the cotangents of the law's parameters.
     """
+
+    number: jax.Array
+    nodes: _Nodes
+    corners: Corners
+    summed: list[jax.Array]
+    pressing: jax.Array
+    volumes: jax.Array
+    law: list[jax.Array]
+
+
+def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, volume: jax.Array) -> _Back:
+    """To the window's begin, with the cotangents of the volume at every step."""
     scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
-    positions, real = packed.taken(kept.positions), now.thickness.dtype
+    start, positions, real = _end_of(kept, now), packed.taken(kept.end), now.thickness.dtype
     thickens = cotangents.want(of[2].thickness)
     presses, varies = cotangents.want(of[1].pressure), cotangents.want(of[1].material)
     parameters = jax.tree.leaves(scene.material)
     wanted = [True, thickens, presses, *(varies for _ in parameters)]
-    losses = end.damping_loss, end.contact_loss
     vertices = scene.mold.vertices if scene.mold is not None and cotangents.want(of[1].mold.vertices) else None
-    nodes = _Nodes(
-        at=packed.taken(kept.end),
-        positions=jnp.where(packed.exists, packed.taken(end.positions), 0.0),
-        velocities=jnp.where(packed.exists, packed.taken(end.velocities), 0.0),
-        force=jnp.zeros_like(positions),
-        mass=jnp.zeros_like(now.mass),
-        compliance=jnp.zeros_like(now.mass),
-        contact_time=jnp.where(packed.exists, packed.taken(end.contact_time), 0.0),
-        damping=jnp.zeros((), real),
-        vertices=None if vertices is None else jnp.zeros_like(vertices),
-    )
     steps = jnp.arange(STEPS_PER_WINDOW)
     lands = jnp.append(jnp.any(now.landed[:, None] == steps, axis=0), jnp.asarray(False))
-    room = now.thickness.size
-    summed = [jnp.zeros((1, room), real)] * thickens
-    none, places = jnp.zeros((), real), now.mass.size
-    carry = (
-        now.count,
-        nodes,
-        no_corners(positions, elements),
-        summed,
-        jnp.zeros(STEPS_PER_WINDOW + 1, real),
-        [none for _ in parameters] if varies else [],
+    at_every_step = jnp.zeros(STEPS_PER_WINDOW + 1, real)
+    last = _Back(
+        number=now.count,
+        nodes=_Nodes(
+            at=positions,
+            speeds=start.velocities,
+            positions=jnp.where(packed.exists, packed.taken(end.positions), 0.0),
+            velocities=jnp.where(packed.exists, packed.taken(end.velocities), 0.0),
+            force=jnp.zeros_like(positions),
+            mass=jnp.zeros_like(now.mass),
+            compliance=jnp.zeros_like(now.mass),
+            contact_time=jnp.where(packed.exists, packed.taken(end.contact_time), 0.0),
+            damping=jnp.zeros((), real),
+            vertices=None if vertices is None else jnp.zeros_like(vertices),
+        ),
+        corners=no_corners(positions, elements) + no_corners(positions, elements),
+        summed=[jnp.zeros((1, now.thickness.size), real)] * thickens,
+        pressing=at_every_step,
+        volumes=at_every_step,
+        law=[jnp.zeros((), real) for _ in parameters],
     )
 
-    def back(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        n, nodes, corners, summed, pressing, law = carry
-        load = Load(nodes.at, now.thickness, now.pressure[n], scene.material)
-        corners, summed, sums = corner_cotangents(load, elements, wanted, nodes.force, volume[n], corners, summed)
-        pressing = pressing.at[n].set(sums.pop(0)) if presses else pressing
-        law = [total + more for total, more in zip(law, sums, strict=True)]
+    def back(carry: _Back) -> _Back:
+        n, nodes, corners = carry.number, carry.nodes, carry.corners
         first = n == 0
-        step = _Step(n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]))
-        before, after = (Part(replay.speeds, k * places, places) for k in (jnp.maximum(n - 1, 0), n))
-        nodes = _over_nodes(nodes, corners, (before, after), step, now, losses[0])
+        turn = _Turn(
+            n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), later_kick=now.kick[n]
+        )
+        load = Load(nodes.at, now.thickness, now.pressure[n], scene.material)
+        if scene.solver.damping is not None:
+            nodes, corners = only_if(
+                end.damping_loss != 0.0,
+                lambda both: _with_loss(*both, load, turn, now, start, end.damping_loss),
+                (nodes, corners),
+            )
+        corners, summed, sums = corner_cotangents(
+            load, elements, wanted, nodes.force, volume[n], corners, carry.summed, forces=True
+        )
+        enclosed = sums.pop()
+        pressing = carry.pressing.at[n].set(sums.pop(0)) if presses else carry.pressing
+        law = [total + more for total, more in zip(carry.law, sums, strict=True)] if varies else carry.law
+        nodes = _over_nodes(nodes, corners, turn, now, start, end.damping_loss)
         if scene.mold is not None:
-            nodes = only_if(lands[n - 1], lambda nodes: _landings(nodes, replay, kept, step, now, losses), nodes)
-        return n - 1, nodes, corners, summed, pressing, law
+            nodes = only_if(
+                lands[n - 1],
+                lambda nodes: _landings(nodes, start.before, kept, turn, now, end.contact_loss),
+                nodes,
+            )
+        volumes = carry.volumes.at[n].set(enclosed)
+        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law)
 
-    _, nodes, _, summed, pressing, law = jax.lax.while_loop(lambda carry: carry[0] >= 0, back, carry)
-    return nodes, summed, pressing, law or [none for _ in parameters]
+    return jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
 
 
 differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries)

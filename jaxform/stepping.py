@@ -37,8 +37,8 @@ _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which 
 class _Moving:
     """What changes from step to step inside a window, in packed order.
 
-    `landed` is the step in which a node landed, NEVER where it has not in this window; the room is None where
-    derivatives are taken.
+    `landed` is the step in which a node landed, NEVER where it has not in this window, and the impact that of
+    `contact.Landing`, None where it is not kept; the room is None where derivatives are taken.
     """
 
     positions: jax.Array
@@ -47,6 +47,7 @@ class _Moving:
     contact_time: jax.Array
     wall: jax.Array
     landed: jax.Array
+    impact: jax.Array | None
     volume: jax.Array
     external_work: jax.Array
     damping_loss: jax.Array
@@ -218,6 +219,7 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         moved.wall,
         moved.landed,
         moved.contact_loss,
+        moved.impact,
     )
     reached = jnp.asarray(taken.reached) if scene.solver.skip_far else jnp.asarray(True)
     this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
@@ -233,6 +235,7 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         contact_time=landing.contact_time,
         wall=landing.wall,
         landed=landing.step,
+        impact=landing.impact,
         contact_loss=landing.loss,
         halted=moved.halted | taken.leaving | (moved.count >= now.most),
     )
@@ -255,16 +258,36 @@ def window(
     given, `packed`, where it is known.
     """
     packed = worked_through(state.stuck, state.mesh, scene, sheet_body) if packed is None else packed
-    return window_and_landings(state, scene, sheet_body, packed, schedule, differentiable=differentiable)[0]
+    return _stepped(state, scene, sheet_body, packed, schedule, differentiable=differentiable)[0]
 
 
-def window_and_landings(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None, *, differentiable: bool
-) -> tuple[State, jax.Array]:
-    """As `window`, and in which of its steps each node (n_node,) landed: NEVER where it did not."""
+def window_and_impacts(
+    state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None
+) -> tuple[State, jax.Array, jax.Array]:
+    """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
+
+    And its impact (6, n_node), as in `contact.Landing`.
+    """
+    end, moving = _stepped(state, scene, sheet_body, packed, schedule, differentiable=False, impacts=True)
+    # Of a window that is not taken nothing landed.
+    landed = jnp.where(end.last_count > 0, packed.put_back(moving.landed), NEVER)
+    assert moving.impact is not None
+    return end, landed, packed.put_back(moving.impact)
+
+
+def _stepped(
+    state: State,
+    scene: Scene,
+    sheet_body: Body,
+    packed: Packed,
+    schedule: Schedule | None,
+    *,
+    differentiable: bool,
+    impacts: bool = False,
+) -> tuple[State, _Moving]:
     decided = _decided(state, scene, sheet_body, packed, schedule)
     length = decided.length
-    moving = _begun(state, packed, differentiable)
+    moving = _begun(state, packed, differentiable, impacts)
     now = _Window(
         packed=packed,
         thickness=sheet_body.thickness[packed.element],
@@ -291,7 +314,7 @@ def window_and_landings(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
     found = dataclasses.replace(state, mode=decided.limit.mode, sharpness=decided.limit.sharpness)
-    return _close(found, moving, scene, sheet_body, now), packed.put_back(moving.landed)
+    return _close(found, moving, scene, sheet_body, now), moving
 
 
 class Timing(NamedTuple):
@@ -390,7 +413,7 @@ def still_worked_through(
     return only_if(stale | shorter, lambda _: worked_through(state.stuck, state.mesh, scene, sheet_body), packed)
 
 
-def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
+def _begun(state: State, packed: Packed, differentiable: bool, impacts: bool) -> _Moving:
     positions = packed.taken(state.positions)
     return _Moving(
         positions=positions,
@@ -399,6 +422,7 @@ def _begun(state: State, packed: Packed, differentiable: bool) -> _Moving:
         contact_time=packed.taken(state.contact_time),
         wall=packed.taken(state.wall),
         landed=jnp.full(packed.node.size, NEVER, jnp.int32),
+        impact=jnp.zeros((6, packed.node.size), positions.dtype) if impacts else None,
         volume=state.volume,
         external_work=state.external_work,
         damping_loss=state.damping_loss,
