@@ -79,7 +79,9 @@ class _Kept:
 def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> tuple[State, _Kept]:
     packed = worked_through(state.stuck, state.mesh, scene, sheet_body)
     end, landed, impact = window_and_impacts(state, scene, sheet_body, packed, schedule)
-    positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], end.velocities)
+    positions, velocities = end.positions, end.velocities
+    if impact is not None:
+        positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
     damping = scene.solver.damping
     if damping is not None:
         back = _can_be_taken_back(damping, Timing(state.time, state.step_length, end.last_length))

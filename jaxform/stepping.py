@@ -263,16 +263,16 @@ def window(
 
 def window_and_impacts(
     state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None
-) -> tuple[State, jax.Array, jax.Array]:
+) -> tuple[State, jax.Array, jax.Array | None]:
     """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
 
-    And its impact (6, n_node), as in `contact.Landing`.
+    And its impact (6, n_node), as in `contact.Landing`; None where there is no mold.
     """
-    end, moving = _stepped(state, scene, sheet_body, packed, schedule, differentiable=False, impacts=True)
+    impacts = scene.mold is not None
+    end, moving = _stepped(state, scene, sheet_body, packed, schedule, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.
     landed = jnp.where(end.last_count > 0, packed.put_back(moving.landed), NEVER)
-    assert moving.impact is not None
-    return end, landed, packed.put_back(moving.impact)
+    return end, landed, None if moving.impact is None else packed.put_back(moving.impact)
 
 
 def _stepped(
