@@ -116,11 +116,15 @@ def _loss(scene: jaxform.Scene, every: int) -> Callable[..., jax.Array]:
 
 
 def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = False) -> dict[str, Any]:
-    """Cost of value and gradient with respect to all thicknesses and pressures, and of one forward-mode column."""
+    """Cost of value and gradient with respect to all thicknesses and pressures, and of one forward-mode column.
+
+    Beside them as many bare steps of a sheet of about as many elements in a plain C++ loop.
+    """
     elements = len(scene.parison.triangles)
     result = jaxform.run(scene)
     assert int(result.status) == 0, jaxform.explain(result)
-    unit = 1e-9 * int(result.steps) * elements
+    steps = int(result.steps)
+    unit = 1e-9 * steps * elements
     values = scene.parison.thickness, scene.pressure.value
     begin = time.perf_counter()
     gradient = jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))).lower(*values).compile()
@@ -130,16 +134,23 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
     if forward_mode:
         column = jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))).lower(*values).compile()
         runs["forward mode"] = lambda: column(*values)
+    sheet = sheets.sheet(elements)
+    if (compiled_loop := peers.cpp(sheet)) is not None:
+        runs["C++"] = lambda: compiled_loop(steps)
     seconds = best_in_turns(runs, 3)
     row = {
         "elements": elements,
-        "steps": int(result.steps),
+        "steps": steps,
         "windows per checkpoint": every,
         "compile s": compiled,
         "memory MB": None if memory is None else memory.temp_size_in_bytes / 1e6,
     }
     row |= {name: taken / unit for name, taken in seconds.items()}
-    return row | {"gradient / run": seconds["value and gradient"] / seconds["run"]}
+    row["gradient / run"] = seconds["value and gradient"] / seconds["run"]
+    if compiled_loop is not None:
+        row["C++"] *= elements / len(sheet.triangles)
+        row["gradient / C++"] = row["value and gradient"] / row["C++"]
+    return row
 
 
 def show_gradients(sizes: tuple[int, ...] = SIZES) -> Table:

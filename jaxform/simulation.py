@@ -44,9 +44,9 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
         scene: The scene.
         schedule: The decisions of an earlier run, from its result: taken as they are, the result is a smooth function
             of the design as far as contact is. Without it every run decides for itself.
-        windows_per_checkpoint: What the reverse derivative stores. 1: the state at every window's border; the steps
-            of a window are worked out again. More: the state at every so many borders; windows are worked out once
-            more in between, for less memory. 0: every step, nothing is worked out again.
+        windows_per_checkpoint: What the reverse derivative stores. 1: the state at every window's border, from
+            which its steps are taken back. More: the state at every so many borders; windows are worked out once more
+            in between, for less memory. 0: every step, by JAX's own derivative.
     """
     first, state = body(scene), initial_state(scene)
     count = scene.tables.window_count
