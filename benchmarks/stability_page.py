@@ -164,8 +164,12 @@ def _gradients(found: Found, folder: Path) -> str:
             f"{': ' if bad else ''}{', '.join(bad[:_SHOWN])} |"
         )
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.0), layout="constrained")
-    for curve in found["growth"]["curves"]:
-        left.plot(found["growth"]["shares"], np.maximum(curve["norms"], 1e-12), "o-", alpha=0.6, linewidth=1)
+    families = list(dict.fromkeys(curve["family"] for curve in found["growth"]["curves"]))
+    for k, family in enumerate(families):
+        curves = [curve["norms"] for curve in found["growth"]["curves"] if curve["family"] == family]
+        drawn = left.plot(found["growth"]["shares"], np.maximum(curves, 1e-12).T, "o-", color=f"C{k}", markersize=4)
+        drawn[0].set_label(family)
+    left.legend(fontsize=7)
     left.set(yscale="log", xlabel="share of the time", ylabel="norm of the gradient by the relative thickness")
     for name, line in found["rough"].items():
         right.plot(line["line"], np.array(line["slopes"]) / np.mean(np.abs(line["slopes"])), ".-", label=name)

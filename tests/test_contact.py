@@ -93,6 +93,9 @@ def test_nodes_that_land_one_by_one_land_as_all_at_once(name: str) -> None:
     assert well and 20 < int(one.stuck.sum()) < 110
     for value, expected in zip(one, all_at_once, strict=True):
         np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-14)
+    assert one.impact is not None
+    before = np.concatenate([begin, end - begin])
+    np.testing.assert_allclose(one.impact, np.where(one.stuck, before, 0.0), rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["cup", "ribs", "box"])
