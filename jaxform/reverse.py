@@ -42,8 +42,6 @@ from jaxform.stepping import (
 
 _SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
 _SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
-
-
 _LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
 
 
