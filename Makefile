@@ -2,6 +2,10 @@
 
 .PHONY: validate stability bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
 
+# Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
+# every start of a command compiles JAX and matplotlib anew, for three seconds.
+export PYTHONDONTWRITEBYTECODE :=
+
 # Inverse design: the initial thickness that forms a dish of uniform wall.
 demo: environment
 	.venv/bin/jaxform optimize dish-uniform-wall --out out/demo --force

@@ -28,7 +28,7 @@ DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit status."""
+    """Runs one command, of the process where none is given, and returns its exit status."""
     # What is imported stays: to look for garbage in it takes a tenth of a short run. `_prepare` turns it on again.
     gc.disable()
     try:
@@ -41,8 +41,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("jaxform: interrupted", file=sys.stderr)
         return INTERRUPTED
     finally:
-        # For a caller that goes on, wherever the command ended.
-        gc.unfreeze()
+        if argv is None:
+            # The process ends: to look through all that is left for garbage takes a quarter of a second.
+            gc.freeze()
+        else:
+            # For a caller that goes on, wherever the command ended.
+            gc.unfreeze()
         gc.enable()
 
 
