@@ -83,11 +83,20 @@ def _scenes(_: argparse.Namespace) -> int:
     uses: dict[catalog.Kind, str] = {"scene": "simulate", "study": "optimize"}
     for kind, use in uses.items():
         for name, words in catalog.descriptions(kind).items():
-            print(f"{name:20} {kind:6} jaxform {use} {name:18}  {words}")
+            _say(f"{name:20} {kind:6} jaxform {use} {name:18}  {words}")
     return DONE
 
 
-def _prepare(arguments: argparse.Namespace) -> tuple[Callable[..., None], Store]:
+def _say(words: str) -> None:
+    """Prints a line for people; where nobody reads it any more, the work goes on in silence."""
+    try:
+        print(words, flush=True)
+    except BrokenPipeError:
+        # All that is still to come goes nowhere, what Python flushes at the end included.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Store]:
     """Sets the precision and what is kept between runs; returns what prints for people, and the store."""
     import warnings
 
@@ -106,7 +115,7 @@ def _prepare(arguments: argparse.Namespace) -> tuple[Callable[..., None], Store]
     store = Store(None if folder is None else folder / "made")
     gc.freeze()
     gc.enable()
-    return (lambda *_: None) if arguments.quiet else print, store
+    return (lambda _: None) if arguments.quiet else _say, store
 
 
 def _cache_folder() -> Path | None:
@@ -253,7 +262,7 @@ def _exit_status(result: Result) -> int:
     return DONE
 
 
-def _tell(say: Callable[..., None], summary: dict[str, Any], folder: Path) -> None:
+def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
     wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
     say(
         f"{summary['scene']}: {summary['elements_final']} elements, {summary['steps']} steps in "
@@ -387,7 +396,7 @@ def _redesigned(changes: dict[str, Any]) -> bool:
     return any(key.startswith(("parison.", "material.")) for key in changes)
 
 
-def _tell_design(say: Callable[..., None], design: Any, folder: Path) -> None:
+def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
     facts = design.summary()
     first, best = facts["before"], facts["after"]
     if best["thickness_rms_error"] is not None:

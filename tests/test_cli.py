@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -380,6 +381,15 @@ def test_an_output_folder_that_is_a_file_or_cannot_be_made(tmp_path: Path, capfd
     assert "file" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked))
     assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked / "below"))
     assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", "/proc/nowhere")
+
+
+def test_a_reader_who_leaves_early_stops_nothing() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write) as nobody:
+        command = [sys.executable, "-m", "jaxform.cli", "scenes"]
+        done = subprocess.run(command, stdout=nobody, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_help_and_the_list_of_scenes_need_no_jax() -> None:
