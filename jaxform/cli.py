@@ -240,11 +240,15 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
 
 
 def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> dict[str, Any]:
+    from concurrent.futures import ThreadPoolExecutor
+
     from jaxform import output, plots
 
-    summary = output.write_result(scene, result, folder)
-    plots.thickness_picture(folder / "thickness.png", scene, result, reference)
-    return summary
+    # Side by side: half of either is spent outside of Python.
+    with ThreadPoolExecutor(1) as pool:
+        summary = pool.submit(output.write_result, scene, result, folder)
+        plots.thickness_picture(folder / "thickness.png", scene, result, reference)
+        return summary.result()
 
 
 def _warn(summary: dict[str, Any]) -> None:
