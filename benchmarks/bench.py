@@ -31,6 +31,7 @@ from jaxform.state import State, can_move
 
 SIZES = (128, 512, 2048, 8192, 32768, 131072)
 _WORK = 1_200_000  # element steps in one timing
+_MANY = 20  # rounds of what takes a tenth of a second: in fewer of them, what else the machine does shows
 Table = list[dict[str, Any]]
 
 
@@ -202,7 +203,7 @@ def show_skips() -> Table:
     for name, scene in skip_scenes():
         scenes = {switch: without(scene, **off) for switch, off in SKIPS.items()}
         ready = {switch: whole_loop(one) for switch, one in scenes.items()}
-        seconds = best_in_turns(ready, 5)
+        seconds = best_in_turns(ready, _MANY)
         for switch, taken in seconds.items():
             row = {"scene": name, "switched": switch, "seconds": taken, "steps": int(jaxform.run(scenes[switch]).steps)}
             table.append(row | {"saved": 1 - seconds["all"] / taken})
@@ -232,12 +233,12 @@ def show_whole_run() -> Table:
     scene = jaxform.load("dish")
     moved, steps = moving_share(scene)
     double = jaxform.run(scene)
-    seconds = best_in_turns({"bare": lambda: own(count), "dish": whole_loop(scene)})
+    seconds = best_in_turns({"bare": lambda: own(count), "dish": whole_loop(scene)}, _MANY)
     bare = 1e9 * seconds["bare"] / count / elements
     with jax.enable_x64(False):
         single_scene = jaxform.load("dish")
         single = jaxform.run(single_scene)
-        single_seconds = best_seconds(whole_loop(single_scene), 7)
+        single_seconds = best_seconds(whole_loop(single_scene), _MANY)
     ratio = np.asarray(single.thickness, float) / np.asarray(double.thickness) - 1
     row = {
         "moving": moved / steps / len(scene.parison.triangles),
@@ -264,6 +265,13 @@ def show_parts(window: int = 20) -> Table:
     def whole_window(state: State, scene: jaxform.Scene, body: Any, packed: Any) -> State:
         return stepping.window(state, scene, body, packed=packed, differentiable=False)
 
+    def border(*arguments: Any) -> State:
+        steps, stepping.STEPS_PER_WINDOW = stepping.STEPS_PER_WINDOW, 1
+        try:
+            return whole_window(*arguments)
+        finally:
+            stepping.STEPS_PER_WINDOW = steps
+
     def listed(state: State, scene: jaxform.Scene, _: Any, __: Any) -> Any:
         assert scene.tables.grid is not None
         duration = stepping.STEPS_PER_WINDOW * state.step_length
@@ -279,6 +287,9 @@ def show_parts(window: int = 20) -> Table:
         "window without contact": (whole_window, free),
         "and without damping": (whole_window, undamped),
         "and without the search for the step": (whole_window, unsearched),
+        "window of one step": (border, scene),
+        "window of one step without contact": (border, free),
+        "and without damping and search": (border, unsearched),
     }
     sheet = sheets.sheet(2048)
     own, steps = formulations.own(sheet), _TIMES * stepping.STEPS_PER_WINDOW
