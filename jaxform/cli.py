@@ -109,6 +109,8 @@ def _prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Stor
     # Told in one line, from the summary.
     warnings.filterwarnings("ignore", message="jaxform: this is no slow process")
     jax.config.update("jax_enable_x64", arguments.dtype == "float64")
+    # Lines of source in the programs help nobody here; without them they are a tenth smaller and sooner read back.
+    jax.config.update("jax_traceback_in_locations_limit", 0)
     folder = _cache_folder()
     if folder is not None:
         _use_compile_cache(folder / "compiled")
