@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -266,11 +267,8 @@ def show_parts(window: int = 20) -> Table:
         return stepping.window(state, scene, body, packed=packed, differentiable=False)
 
     def border(*arguments: Any) -> State:
-        steps, stepping.STEPS_PER_WINDOW = stepping.STEPS_PER_WINDOW, 1
-        try:
+        with mock.patch.object(stepping, "STEPS_PER_WINDOW", 1):
             return whole_window(*arguments)
-        finally:
-            stepping.STEPS_PER_WINDOW = steps
 
     def listed(state: State, scene: jaxform.Scene, _: Any, __: Any) -> Any:
         assert scene.tables.grid is not None

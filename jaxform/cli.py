@@ -19,6 +19,8 @@ from jaxform import catalog
 from jaxform.errors import InputError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from jaxform.files import SceneDocument
     from jaxform.result import Result
     from jaxform.scene import Scene
@@ -28,7 +30,7 @@ DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command, of the process where none is given, and returns its exit status."""
+    """Runs one command, that of the process where no arguments are given, and returns its exit status."""
     # What is imported stays: to look for garbage in it takes a tenth of a short run. `_prepare` turns it on again.
     gc.disable()
     try:
@@ -207,16 +209,12 @@ def _warm_up() -> None:
 
 
 @contextlib.contextmanager
-def _meanwhile(work: Callable[[], object]) -> Iterator[None]:
-    """Does something on another thread; most of a run needs none of Python's time."""
-    import threading
+def _meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
+    """Does something on another thread; much of a run, and of writing, is spent outside of Python."""
+    from concurrent.futures import ThreadPoolExecutor
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        yield
-    finally:
-        thread.join()
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(work)
 
 
 def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
@@ -242,15 +240,11 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
 
 
 def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> dict[str, Any]:
-    from concurrent.futures import ThreadPoolExecutor
-
     from jaxform import output, plots
 
-    # Side by side: half of either is spent outside of Python.
-    with ThreadPoolExecutor(1) as pool:
-        summary = pool.submit(output.write_result, scene, result, folder)
+    with _meanwhile(lambda: output.write_result(scene, result, folder)) as summary:
         plots.thickness_picture(folder / "thickness.png", scene, result, reference)
-        return summary.result()
+    return summary.result()
 
 
 def _warn(summary: dict[str, Any]) -> None:
