@@ -94,7 +94,7 @@ def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
         u, w = ([a - b for a, b in zip(corner, first, strict=True)] for corner in (second, third))
         shares = jax.lax.optimization_barrier(_corners(u, w, inverse, weight, jax.lax.optimization_barrier))
         rows = [jnp.stack([jnp.pad(share[k], (0, room - count)) for share in shares]) for k in range(3)]
-        found = force.assembled(jax.lax.optimization_barrier(rows), elements.slots, elements.row_count)
+        found = force.assembled(jax.lax.optimization_barrier(rows), _shares(elements))
         return jnp.stack(found)[:, : x.shape[1]]
 
     return nodal
@@ -106,6 +106,10 @@ def packed(sheet: Sheet) -> packing.Packed:
         jnp.asarray(sheet.triangles.T), jnp.asarray(sheet.metric.T), jnp.asarray(sheet.area), jnp.zeros(3)
     )
     return packing.pack(None, tables, packing.make_assembly(sheet.triangles, len(sheet.positions)))
+
+
+def _shares(elements: force.Elements) -> force.Shares:
+    return force.Shares(elements.slots, jnp.max(elements.row_count), None)
 
 
 def _weight(sheet: Sheet) -> jax.Array:
@@ -162,7 +166,7 @@ def _own(sheet: Sheet, dtype: Any) -> Callable[[int], Any]:
             x, v, corners, volume = state
             load = force.Load(x, thickness, pressure, law)
             corners, volume = force.corner_forces(load, whole.elements, corners)
-            nodal = force.assembled(corners, whole.elements.slots, whole.elements.row_count)
+            nodal = force.assembled(corners, _shares(whole.elements))
             v = v + step * jnp.stack(nodal) * compliance
             return x + step * v, v, corners, volume
 

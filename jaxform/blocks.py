@@ -31,6 +31,12 @@ class Part(NamedTuple):
     size: int
 
 
+class PerBlock(NamedTuple):
+    """A number for each block (n_block,), which a function gets; of all of them at once it gets the largest."""
+
+    array: jax.Array
+
+
 def over_blocks(
     function: Callable[..., tuple[Sequence[Rows], Sequence[jax.Array]]],
     block_count: jax.Array,
@@ -47,7 +53,7 @@ def over_blocks(
             summed over all. It must treat every column by itself, and columns that are not in use harmlessly: where
             there are no blocks it is given them all.
         block_count: How many blocks are in use.
-        inputs: Arrays (..., room), the room a whole number of blocks; or a `Part` of one.
+        inputs: Arrays (..., room), the room a whole number of blocks; or a `Part` of one, or what is `PerBlock`.
         into: Arrays (k, room), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it is.
         sums: How many vectors are summed; of the inputs' floating type.
         update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
@@ -110,24 +116,31 @@ def total(values: jax.Array) -> jax.Array:
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))
 
 
-def _is_part(value: Any) -> bool:
-    return isinstance(value, Part)
-
-
 def _cut(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
     return jax.lax.dynamic_slice_in_dim(array, begin, size, axis=array.ndim - 1)
 
 
 def _whole(inputs: Any) -> Any:
-    return jax.tree.map(lambda value: _cut(*value) if _is_part(value) else value, inputs, is_leaf=_is_part)
+    def all_of(value: Any) -> jax.Array:
+        if isinstance(value, PerBlock):
+            return jnp.max(value.array)
+        return _cut(*value) if isinstance(value, Part) else value
+
+    return jax.tree.map(all_of, inputs, is_leaf=_is_special)
 
 
 def _block(inputs: Any, i: jax.Array) -> Any:
     def cut(value: Any) -> jax.Array:
-        array, begin = (value.array, value.begin) if _is_part(value) else (value, 0)
+        if isinstance(value, PerBlock):
+            return value.array[i]
+        array, begin = (value.array, value.begin) if isinstance(value, Part) else (value, 0)
         return _cut(array, begin + i * BLOCK, BLOCK)
 
-    return jax.tree.map(cut, inputs, is_leaf=_is_part)
+    return jax.tree.map(cut, inputs, is_leaf=_is_special)
+
+
+def _is_special(value: Any) -> bool:
+    return isinstance(value, Part | PerBlock)
 
 
 def _put(into: jax.Array | Part, new: jax.Array) -> jax.Array:

@@ -203,13 +203,15 @@ def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arr
     def take(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
         k, (best, chosen, nodes, count) = carry
         here = node[k]
-        better = (beta[k] < best[here]) | (beta[k] == best[here]) & (triangle[k] > chosen[here])
+        # All is read before anything is written, or XLA would copy the lists for every pair.
+        pair = k, here, beta[k], triangle[k], best[here], chosen[here]
+        k, here, own, number, least, last = jax.lax.optimization_barrier(pair)
+        better = (own < least) | (own == least) & (number > last)
         # What is listed already is written over by the next one.
-        new = chosen[here] < 0
         nodes = nodes.at[count].set(here)
-        best = best.at[here].set(jnp.where(better, beta[k], best[here]))
-        chosen = chosen.at[here].set(jnp.where(better, triangle[k], chosen[here]))
-        return next_one(k), _Met(best, chosen, nodes, count + new)
+        best = best.at[here].set(jnp.where(better, own, least))
+        chosen = chosen.at[here].set(jnp.where(better, number, last))
+        return next_one(k), _Met(best, chosen, nodes, count + (last < 0))
 
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 

@@ -12,7 +12,7 @@ formulations that lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxform.blocks import over_blocks
+from jaxform.blocks import PerBlock, over_blocks
 from jaxform.materials import Material
 from jaxform.membrane import (
     Metric,
@@ -55,7 +55,7 @@ class Elements:
         slots: Where the corners' shares of each node are (depth, place): corner times room plus element.
         spill_node, spill_slot: Further shares (k,), of nodes with more elements than `slots` is deep.
         block_count, node_block_count: Blocks of elements, and of nodes, in use.
-        row_count: Rows of `slots` in use.
+        row_count: Rows of `slots` in use, of each block of nodes (n_node_block,).
     """
 
     triangles: jax.Array
@@ -86,7 +86,7 @@ class Load(NamedTuple):
     material: Material
 
 
-_USUAL_ROWS = 8  # of the shares of a node; all that are looked up without asking
+USUAL_ROWS = 6  # of the shares of a node; all that are looked up without asking
 
 Corners = list[jax.Array]  # component by component, (3 corners, room)
 
@@ -135,49 +135,59 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     return corners, volume / 6.0
 
 
-def assembled(corners: Corners, slots: jax.Array, row_count: jax.Array, spill: jax.Array | None = None) -> Vector:
-    """Sum (n,) at nodes of their shares, component by component.
+class Shares(NamedTuple):
+    """Where nodes find what is theirs of what corners get, for `over_blocks`.
 
-    Args:
-        corners: What corners get.
-        slots: Which of them (depth, n) the nodes sum up.
-        row_count: Rows of `slots` in use.
-        spill: From `spilled`, at these nodes (3, n).
+    As in `Elements`; and the shares (3, place) that `slots` has no room for, None where it has room for all.
     """
-    x, y, z = (_gathered(corner.reshape(-1), slots, row_count) for corner in corners)
-    return (x, y, z) if spill is None else plus((x, y, z), rows_of(spill))
+
+    slots: jax.Array
+    row_count: Any
+    spill: jax.Array | None
 
 
-def spilled(corners: Corners, elements: Elements) -> jax.Array | None:
-    """The shares (3, place) that `slots` has no room for; None where it has room for all."""
+def shares(corners: Corners, elements: Elements) -> Shares:
+    """The nodes' shares of what corners get."""
+    return Shares(elements.slots, PerBlock(elements.row_count), _spilled(corners, elements))
+
+
+def _spilled(corners: Corners, elements: Elements) -> jax.Array | None:
     if elements.spill_node.size == 0:
         return None
-    shares = jnp.stack([corner.reshape(-1)[elements.spill_slot] for corner in corners])
-    return jnp.zeros((3, elements.slots.shape[1]), shares.dtype).at[:, elements.spill_node].add(shares)
+    beyond = jnp.stack([corner.reshape(-1)[elements.spill_slot] for corner in corners])
+    return jnp.zeros((3, elements.slots.shape[1]), beyond.dtype).at[:, elements.spill_node].add(beyond)
 
 
-def _gathered(flat: jax.Array, slots: jax.Array, row_count: jax.Array) -> jax.Array:
-    def taken(slot: jax.Array) -> jax.Array:
-        return gather(flat, slot)
+def assembled(corners: Corners, own: Shares) -> Vector:
+    """Sum (n,) at nodes of their `own` shares of what corners get, component by component."""
+    flat = [corner.reshape(-1) for corner in corners]
 
-    total = taken(slots[0])
-    for slot in slots[1:_USUAL_ROWS]:
-        total = total + taken(slot)
-    if len(slots) <= _USUAL_ROWS:
-        return total
-    # Few nodes have more, though any might: these rows are looked through only as far as they are in use.
-    return jax.lax.fori_loop(_USUAL_ROWS, row_count, lambda k, total: total + taken(slots[k]), total)
+    def add(total: Vector, slot: jax.Array) -> Vector:
+        return plus(total, _vector(gather(corner, slot) for corner in flat))
+
+    slots = own.slots
+    total = _vector(gather(corner, slots[0]) for corner in flat)
+    for slot in slots[1:USUAL_ROWS]:
+        total = add(total, slot)
+    if len(slots) > USUAL_ROWS:
+        # Few nodes have more, and they are packed together.
+        total = jax.lax.fori_loop(USUAL_ROWS, own.row_count, lambda k, total: add(total, slots[k]), total)
+    return total if own.spill is None else plus(total, rows_of(own.spill))
+
+
+def _vector(components: Iterable[jax.Array]) -> Vector:
+    x, y, z = components
+    return x, y, z
 
 
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:
     """Sum of the corners' shares at the nodes in use (3, place), 0 at the others."""
 
-    def work(slots: jax.Array, spill: jax.Array | None) -> Any:
-        return [assembled(corners, slots, elements.row_count, spill)], []
+    def work(own: Shares) -> Any:
+        return [assembled(corners, own)], []
 
     into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
-    inputs = elements.slots, spilled(corners, elements)
-    (nodal,), _ = over_blocks(work, elements.node_block_count, inputs, into)
+    (nodal,), _ = over_blocks(work, elements.node_block_count, (shares(corners, elements),), into)
     return nodal
 
 

@@ -16,10 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.blocks import BLOCK, listed, over_blocks, padded, running_count
-from jaxform.force import Elements
+from jaxform.force import USUAL_ROWS, Elements
 from jaxform.membrane import gather
 from jaxform.pytree import as_index, pytree
 from jaxform.scene import Assembly, Sheet
+
+_MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
 
 
 @pytree
@@ -74,10 +76,12 @@ def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
 
 
 def _depth(count: np.ndarray) -> int:
-    """The depth at which looking up costs least [ns]: a row for every node, or a scatter of the shares beyond."""
-    depths = np.arange(1, count.max() + 1)
+    """The depth at which looking up costs least [ns]: rows, the unusual ones of few blocks, or a list of the rest."""
+    depths = np.arange(1, min(count.max(), _MOST_ROWS) + 1)
     beyond = np.array([np.maximum(count - depth, 0).sum() for depth in depths])
-    return int(depths[np.argmin(3 * depths * len(count) + 60 * beyond + 5000 * (beyond > 0))])
+    blocks = np.array([-(-np.count_nonzero(count >= depth) // BLOCK) for depth in depths])
+    looked_up = np.cumsum(np.where(depths <= USUAL_ROWS, len(count), BLOCK * blocks))
+    return int(depths[np.argmin(3 * looked_up + (beyond > 0) * (10_000 + len(count) + 60 * beyond))])
 
 
 def pack(
@@ -103,7 +107,7 @@ def pack(
     else:
         kept, (element, count) = moving, listed(moving, room)
         rank = running_count(moving) - 1
-        place, node_total = _moved_first(_touched(moving, assembly, counts[1]))
+        place, node_total = _ordered(_touched(moving, assembly, counts[1]), assembly)
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
 
@@ -114,7 +118,8 @@ def pack(
 
     block_count, node_block_count = count // BLOCK + 1, -(-node_total // BLOCK)
     triangles, inverse_metric, area = _columns(sheet, place, element, block_count)
-    shares, row_count = jnp.zeros((assembly.table.shape[0], places), jnp.int32), jnp.int32(0)
+    shares = jnp.zeros((assembly.table.shape[0], places), jnp.int32)
+    row_count = jnp.zeros(places // BLOCK, jnp.int32)
     if stepped:
         shares, row_count = _shares(slots, assembly, node, exists, node_block_count)
     elements = Elements(
@@ -154,7 +159,7 @@ def _shares(
     exists: jax.Array,
     node_block_count: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Where the shares of the nodes in use are (depth, place), and how many rows of it are in use."""
+    """Where the shares of the nodes in use are (depth, place), and how many rows each block of nodes uses of it."""
 
     def work(node: jax.Array, exists: jax.Array) -> Any:
         codes = [row[node] for row in assembly.table]
@@ -164,7 +169,7 @@ def _shares(
     depth = assembly.table.shape[0]
     into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]
     (found, count), _ = over_blocks(work, node_block_count, (node, exists), into)
-    return found, jnp.max(count)
+    return found, jnp.max(count.reshape(-1, BLOCK), axis=1)
 
 
 def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:
@@ -185,9 +190,21 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
     return touched.at[assembly.spill_node].max(moving[assembly.spill >> 2])
 
 
-def _moved_first(first: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _ordered(touched: jax.Array, assembly: Assembly) -> tuple[jax.Array, jax.Array]:
+    """Places (n,) that put the marked nodes first, before all those with many elements; and how many are marked.
+
+    So nearly all blocks of nodes look up the usual number of shares, and no more.
+    """
+    if len(assembly.table) <= USUAL_ROWS:
+        return _first(touched)
+    many, _ = _first(assembly.table[USUAL_ROWS] >= 0)
+    place, count = _first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True))
+    return place[many], count
+
+
+def _first(marked: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked."""
-    running = running_count(first)
+    running = running_count(marked)
     count = running[-1]
-    others = count + jnp.arange(first.size, dtype=jnp.int32) - running
-    return jnp.where(first, running - 1, others), count
+    others = count + jnp.arange(marked.size, dtype=jnp.int32) - running
+    return jnp.where(marked, running - 1, others), count

@@ -22,7 +22,7 @@ from jaxform import contact
 from jaxform.blocks import Part, listed, only_if, over_blocks
 from jaxform.body import NEVER, Body, Mesh, present_body
 from jaxform.derivatives import Cotangents, Rule
-from jaxform.force import Corners, Load, assembled, corner_cotangents, corner_forces, no_corners, spilled
+from jaxform.force import Corners, Load, assembled, corner_cotangents, corner_forces, no_corners, shares
 from jaxform.membrane import Vector, dot, rows_of
 from jaxform.mold import Mold
 from jaxform.packing import Packed
@@ -178,11 +178,10 @@ def _end_of(kept: _Kept, now: _Window) -> _End:
         n, positions, velocities, before, speeds, corners = carry
         load = Load(positions, now.thickness, now.pressure[n], now.scene.material)
         corners, _ = corner_forces(load, elements, corners)
-        spill = spilled(corners, elements)
 
-        def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
+        def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
             positions, velocities, before = old
-            nodal = assembled(corners, slots, elements.row_count, spill)
+            nodal = assembled(corners, own)
             new, _ = kicked(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
             new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
             before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
@@ -190,7 +189,7 @@ def _end_of(kept: _Kept, now: _Window) -> _End:
             moved = [jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways]
             return [moved, new, before, new], []
 
-        inputs = elements.slots, spill, now.landed, now.mass, now.compliance, end
+        inputs = shares(corners, elements), now.landed, now.mass, now.compliance, end
         into = [positions, velocities, before, Part(speeds, (n + 1) * places, places)]
         new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
         return n + 1, *new, corners
@@ -290,11 +289,11 @@ def _with_loss(
     elements, damping = now.packed.elements, now.scene.solver.damping
     assert damping is not None
     forces, _ = corner_forces(load, elements, corners[3:])
-    spill, kick = spilled(forces, elements), turn.later_kick
+    kick = turn.later_kick
 
-    def work(old: Any, slots: Any, spill: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
+    def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > turn.number
-        nodal = assembled(forces, slots, elements.row_count, spill)
+        nodal = assembled(forces, own)
         before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
         share = jnp.where(flies, 0.5 * loss * kick * mass * damping, 0.0)
         more = [share * (v + w) for v, w in zip(before, after, strict=True)]
@@ -302,7 +301,7 @@ def _with_loss(
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
     kept = end.speeds_of(turn.number + 1)
-    inputs = elements.slots, spill, now.landed, now.mass, now.compliance, nodes.speeds, kept
+    inputs = shares(forces, elements), now.landed, now.mass, now.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
     return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
@@ -314,16 +313,13 @@ def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end:
     Nodes that landed in the earlier one are left for `_landings`.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
-    spills = spilled(corners[:3], elements), spilled(corners[3:], elements)
+    both = corners[:3], corners[3:]
     kick, half = turn.later_kick, _half(turn.later_kick, damping)
 
-    def work(old: Any, slots: Any, spills: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
+    def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > turn.number
-        pulled, nodal = (
-            assembled(part, slots, elements.row_count, spill)
-            for part, spill in zip((corners[:3], corners[3:]), spills, strict=True)
-        )
+        pulled, nodal = (assembled(part, its) for part, its in zip(both, own, strict=True))
         before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = jax.lax.optimization_barrier((before, position))
@@ -343,7 +339,7 @@ def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end:
         return [at, before, position, velocity, power, *more, force], sums
 
     kept = end.speeds_of(turn.number + 1)
-    inputs = elements.slots, spills, now.landed, now.mass, now.compliance, kept
+    inputs = [shares(part, elements) for part in both], now.landed, now.mass, now.compliance, kept
     updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
     count = int(damping is not None)

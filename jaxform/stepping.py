@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxform import contact, membrane
 from jaxform.blocks import BLOCK, only_if, over_blocks, total
 from jaxform.body import NEVER, Body, Mesh
-from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, spilled
+from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
@@ -163,13 +163,12 @@ def _taken_in_blocks(
     elements, room = now.packed.elements, moving.room
     assert room is not None
     corners, volume = corner_forces(load, elements, room)
-    spill = spilled(corners, elements)
     nodes = moving.stuck, now.mass, now.compliance
     near = None if now.near is None else seen(now.near)
 
-    def work(old: Any, slots: jax.Array, spill: Any, nodes: Any, near: Any) -> Any:
+    def work(old: Any, own: Any, nodes: Any, near: Any) -> Any:
         positions, velocities = old
-        nodal = assembled(corners, slots, elements.row_count, spill)
+        nodal = assembled(corners, own)
         velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
         new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
         sums = [] if losses is None else [losses]
@@ -177,7 +176,7 @@ def _taken_in_blocks(
             sums += watch(new, nodes[0], near)
         return [new, velocities], sums
 
-    inputs, into = (elements.slots, spill, nodes, near), [moving.positions, moving.velocities]
+    inputs, into = (shares(corners, elements), nodes, near), [moving.positions, moving.velocities]
     count = (scene.solver.damping is not None) + 2 * (near is not None)
     new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=2)
     loss = sums.pop(0) if scene.solver.damping is not None else 0.0
