@@ -27,8 +27,10 @@ import jaxform
 from benchmarks import contact, formulations, peers, sheets
 from benchmarks.sheets import best_in_turns, best_seconds, whole_loop
 from jaxform import molds, simulation, stepping
+from jaxform.body import Body
 from jaxform.materials import MooneyRivlin
 from jaxform.state import State, can_move
+from jaxform.working import Working, packed_moving, worked_through
 
 SIZES = (128, 512, 2048, 8192, 32768, 131072)
 _WORK = 1_200_000  # element steps in one timing
@@ -263,28 +265,28 @@ def show_parts(window: int = 20) -> Table:
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
-    def whole_window(state: State, scene: jaxform.Scene, body: Any, packed: Any) -> State:
-        return stepping.window(state, scene, body, packed=packed, differentiable=False)
-
     def border(*arguments: Any) -> State:
         with mock.patch.object(stepping, "STEPS_PER_WINDOW", 1):
-            return whole_window(*arguments)
+            return stepping.window_in_place(*arguments)
 
-    def listed(state: State, scene: jaxform.Scene, _: Any, __: Any) -> Any:
+    def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
         duration = stepping.STEPS_PER_WINDOW * state.step_length
         return stepping.list_near(state.positions, state.velocities, ~state.stuck, duration, scene.tables.grid)
 
+    def balance(state: State, scene: jaxform.Scene, working: Working) -> Any:
+        return stepping.account(state.positions, working.packed.elements, working.thickness, scene.material)
+
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
         "nothing": (lambda state, *_: state.positions[0, 0], scene),
-        "pack what can move": (lambda state, scene, body, _: _packed(state, scene, body), scene),
-        "choose the step": (lambda state, scene, body, packed: stepping.choose_step(state, scene, body, packed), scene),
+        "pack what can move": (lambda state, scene, _: _packed(state, scene, body), scene),
+        "choose the step": (stepping.choose_step, scene),
         "list the nodes near the mold": (listed, scene),
-        "energy account": (lambda state, scene, body, _: stepping.account(state.positions, scene, body), scene),
-        "window": (whole_window, scene),
-        "window without contact": (whole_window, free),
-        "and without damping": (whole_window, undamped),
-        "and without the search for the step": (whole_window, unsearched),
+        "energy account": (balance, scene),
+        "window": (stepping.window_in_place, scene),
+        "window without contact": (stepping.window_in_place, free),
+        "and without damping": (stepping.window_in_place, undamped),
+        "and without the search for the step": (stepping.window_in_place, unsearched),
         "window of one step": (border, scene),
         "window of one step without contact": (border, free),
         "and without damping and search": (border, unsearched),
@@ -305,10 +307,11 @@ def show_parts(window: int = 20) -> Table:
 _TIMES = 40  # in one program: called by itself a part takes longer to start than to work
 
 
-def _packed(state: State, scene: jaxform.Scene, body: Any) -> Any:
-    # Read from the positions, so that it is not taken out of the loop.
-    stuck = state.stuck | (state.positions[0] > 1e9)
-    return stepping.worked_through(stuck, state.mesh, scene, body)
+def _packed(state: State, scene: jaxform.Scene, body: Body) -> Any:
+    # Read from the positions, so that it is not taken out of the loop; in packed order, where nothing sticks, it is a
+    # list of as many nodes.
+    stuck = state.positions[0, : body.mass.size] > 1e9
+    return packed_moving(stuck, state.mesh, scene, body)
 
 
 def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> Callable[[], jax.Array]:
@@ -317,17 +320,17 @@ def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> C
         state = dataclasses.replace(state, mode=None)
 
     @jax.jit
-    def several(state: State, scene: jaxform.Scene, body: Any, packed: Any) -> jax.Array:
+    def several(state: State, scene: jaxform.Scene, working: Working) -> jax.Array:
         def once(_: jax.Array, last: jax.Array) -> jax.Array:
             moved = dataclasses.replace(state, positions=state.positions + 1e-30 * last)
-            results = jax.tree.leaves(part(moved, scene, body, packed))
+            results = jax.tree.leaves(part(moved, scene, working))
             return sum((jnp.sum(result.ravel()[:3]) * 1.0 for result in results), jnp.zeros(()))
 
         return jax.lax.fori_loop(0, _TIMES, once, jnp.zeros(()))
 
-    body = simulation._begin(scene)[1]
-    packed = jax.jit(stepping.worked_through)(state.stuck, state.mesh, scene, body)
-    return lambda: several(state, scene, body, packed)
+    working = jax.jit(worked_through)(state, scene, simulation._begin(scene)[1])
+    taken = working.taken(state)
+    return lambda: several(taken, scene, working)
 
 
 def show_batch(count: int = 16) -> Table:

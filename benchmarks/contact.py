@@ -97,7 +97,7 @@ def walk(
     one, mass = jnp.asarray(1.0), jnp.ones(free.size)
     now = contact.Step(one, one, jnp.int32(0))
     landed = contact.land(flying, now, reached, mass, window, wall, grid, differentiable=differentiable)
-    return landed, ~(window.overflow | near.left(end, window))
+    return landed, ~(window.overflow | jnp.any(near.left(end, window.center, window.limit_square)))
 
 
 @jax.jit

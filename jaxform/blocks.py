@@ -44,28 +44,32 @@ def over_blocks(
     into: Sequence[jax.Array | Part],
     *,
     sums: int = 0,
+    most: int = 0,
     update: int = 0,
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Applies a function to the blocks in use, along the last axis.
 
     Args:
         function: Takes the inputs' blocks; gives for every array of `into` its rows (n,), and vectors (n,) to be
-            summed over all. It must treat every column by itself, and columns that are not in use harmlessly: where
-            there are no blocks it is given them all.
+            summed over all, then those of which the largest is to be found, but 0 at least. It must treat every
+            column by itself, and columns that are not in use harmlessly: where there are no blocks it is given them
+            all.
         block_count: How many blocks are in use.
         inputs: Arrays (..., room), the room a whole number of blocks; or a `Part` of one, or what is `PerBlock`.
         into: Arrays (k, room), or a `Part` of one, that take the rows; what is beyond the blocks in use stays as it is.
         sums: How many vectors are summed; of the inputs' floating type.
+        most: Of how many the largest is found.
         update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
             list of them is its first argument.
 
     Returns:
-        The arrays with the rows, and the sums.
+        The arrays with the rows; the sums and, after them, the largest.
     """
     if jax.default_backend() != "cpu":
         rows, terms = function(*([list(into[:update])] if update else []), *_whole(inputs))
         new = [jnp.stack(list(row)) for row in rows]
-        return [_put(old, row) for old, row in zip(into, new, strict=True)], [jnp.sum(term) for term in terms]
+        found = [jnp.sum(term) for term in terms[:sums]] + [jnp.max(term, initial=0.0) for term in terms[sums:]]
+        return [_put(old, row) for old, row in zip(into, new, strict=True)], found
 
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
@@ -79,19 +83,21 @@ def over_blocks(
         flat, totals = carry
         rows, terms = apply(flat, i)
         flat = [_written(*each, begin + i * BLOCK) for *each, begin in zip(flat, rows, begins, strict=True)]
-        return flat, [total + term.astype(real) for total, term in zip(totals, terms, strict=True)]
+        terms = [term.astype(real) for term in terms]
+        added = [total + term for total, term in zip(totals[:sums], terms, strict=False)]
+        return flat, added + [jnp.maximum(last, term) for last, term in zip(totals[sums:], terms[sums:], strict=True)]
 
     begins = [part.begin if isinstance(part, Part) else 0 for part in into]
     arrays = [part.array if isinstance(part, Part) else part for part in into]
     flat = [array.reshape(-1) for array in arrays]
     kinds = map(jnp.result_type, jax.tree.leaves((inputs, arrays)))
     real = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
-    zeros = [jnp.zeros(BLOCK, real) for _ in range(sums)]
+    zeros = [jnp.zeros(BLOCK, real) for _ in range(sums + most)]
     flat, totals = jax.lax.fori_loop(0, block_count, work, (flat, zeros))
     # Else the whole loop would be worked out again by whoever uses it twice.
     flat, totals = jax.lax.optimization_barrier((flat, totals))
     shaped = [array.reshape(old.shape) for array, old in zip(flat, arrays, strict=True)]
-    return shaped, [jnp.sum(each) for each in totals]
+    return shaped, [jnp.sum(each) for each in totals[:sums]] + [jnp.max(each) for each in totals[sums:]]
 
 
 def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:

@@ -302,12 +302,13 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
     from jaxform.result import SLOW_ENOUGH
     from jaxform.scene import STEPS_PER_WINDOW
     from jaxform.state import initial_state
-    from jaxform.stepping import worked_through
     from jaxform.timestep import choose_step
+    from jaxform.working import worked_through
 
     def first_step(scene: Scene) -> jax.Array:
-        state, sheet_body = initial_state(scene), body(scene)
-        return choose_step(state, scene, sheet_body, worked_through(state.stuck, state.mesh, scene, sheet_body))[0]
+        state = initial_state(scene)
+        working = worked_through(state, scene, body(scene))
+        return choose_step(working.taken(state), scene, working)[0]
 
     step = float(jax.jit(first_step)(scene))
     parison, law = scene.parison, document.model.material.model

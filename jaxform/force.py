@@ -12,7 +12,7 @@ formulations that lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -37,6 +37,7 @@ from jaxform.membrane import (
     rows_of,
     stress,
     stress_factors,
+    vector,
 )
 from jaxform.pytree import pytree
 
@@ -103,14 +104,13 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
     return nodal, volume
 
 
-def force_change(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> tuple[jax.Array, Corners]:
-    """Change of the nodal force (3, place) [N] as the positions change by `moved` (3, place) [m]; not differentiable.
+def corner_changes(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> Corners:
+    """Change of what each element's corners get of the force [N] as positions change by `moved` (3, place) [m].
 
-    What corners get is written `into` room from `no_corners`, and comes back to be written into again.
+    Not differentiable; written `into` room as by `corner_forces`.
     """
     none = jax.tree.map(lambda _: None, load)
-    corners, _ = _corner_changes(load, elements, none._replace(positions=moved), into)
-    return _nodal(corners, elements), corners
+    return _corner_changes(load, elements, none._replace(positions=moved), into)[0]
 
 
 def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
@@ -163,21 +163,16 @@ def assembled(corners: Corners, own: Shares) -> Vector:
     flat = [corner.reshape(-1) for corner in corners]
 
     def add(total: Vector, slot: jax.Array) -> Vector:
-        return plus(total, _vector(gather(corner, slot) for corner in flat))
+        return plus(total, vector(gather(corner, slot) for corner in flat))
 
     slots = own.slots
-    total = _vector(gather(corner, slots[0]) for corner in flat)
+    total = vector(gather(corner, slots[0]) for corner in flat)
     for slot in slots[1:USUAL_ROWS]:
         total = add(total, slot)
     if len(slots) > USUAL_ROWS:
         # Few nodes have more, and they are packed together.
         total = jax.lax.fori_loop(USUAL_ROWS, own.row_count, lambda k, total: add(total, slots[k]), total)
     return total if own.spill is None else plus(total, rows_of(own.spill))
-
-
-def _vector(components: Iterable[jax.Array]) -> Vector:
-    x, y, z = components
-    return x, y, z
 
 
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:

@@ -7,6 +7,7 @@ triple (11, 12, 22) of its components in the basis of the triangle's two edges f
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import jax
@@ -36,6 +37,12 @@ def columns(values: jax.Array, index: jax.Array) -> Vector:
     """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
     flat, size = values.reshape(-1), values.shape[1]
     x, y, z = (gather(flat, index + k * size) for k in range(3))
+    return x, y, z
+
+
+def vector(components: Iterable[jax.Array]) -> Vector:
+    """Three components (n,) as a vector."""
+    x, y, z = components
     return x, y, z
 
 

@@ -110,10 +110,10 @@ def watch(positions: Any, stuck: jax.Array, seen: Seen) -> tuple[jax.Array, jax.
     return ~stuck & (dot(way, way) >= clear_square), ~stuck & (dot(gap, gap) > alarm_square)
 
 
-def left(positions: jax.Array, near: Near) -> jax.Array:
-    """Whether any node has left its ball, so that it may have missed the mold."""
-    gap = positions - near.center
-    return jnp.any(dot(gap, gap) > near.limit_square)
+def left(positions: Any, center: jax.Array, limit_square: jax.Array) -> jax.Array:
+    """Which nodes (n,) have left their ball, so that they may have missed the mold."""
+    gap = minus(positions, center)
+    return dot(gap, gap) > limit_square
 
 
 def list_near(

@@ -243,7 +243,8 @@ def _with_parts(
     new = born(state, mesh, scene, sheet_body.volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
-        account(*jax.lax.stop_gradient((s.positions, scene, b))) for s, b in ((state, sheet_body), (new, body))
+        account(*jax.lax.stop_gradient((s.positions, b.whole.elements, b.thickness[b.whole.element], scene.material)))
+        for s, b in ((state, sheet_body), (new, body))
     )
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, sheet_body), (new, body))

@@ -12,7 +12,6 @@ left to JAX.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -23,7 +22,7 @@ from jaxform.blocks import Part, listed, only_if, over_blocks
 from jaxform.body import NEVER, Body, Mesh, present_body
 from jaxform.derivatives import Cotangents, Rule
 from jaxform.force import Corners, Load, assembled, corner_cotangents, corner_forces, no_corners, shares
-from jaxform.membrane import Vector, dot, rows_of
+from jaxform.membrane import Vector, dot, rows_of, vector
 from jaxform.mold import Mold
 from jaxform.packing import Packed
 from jaxform.pytree import pytree
@@ -31,14 +30,13 @@ from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import Schedule, State
 from jaxform.stepping import (
     Timing,
-    idle_volume,
     kicked,
     kicks,
     pressures,
     window,
     window_and_impacts,
-    worked_through,
 )
+from jaxform.working import idle_volume, packed_moving, worked_through
 
 _SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
 _SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
@@ -75,8 +73,8 @@ class _Kept:
 
 
 def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> tuple[State, _Kept]:
-    packed = worked_through(state.stuck, state.mesh, scene, sheet_body)
-    end, landed, impact = window_and_impacts(state, scene, sheet_body, packed, schedule)
+    working = worked_through(state, scene, sheet_body)
+    end, landed, impact = window_and_impacts(state, scene, working, schedule)
     positions, velocities = end.positions, end.velocities
     if impact is not None:
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
@@ -265,12 +263,7 @@ def _speeds_before(
     found = [taken_back(*each) for each in zip(after, nodal, compliance, strict=True)]
     if speeds is not None:
         found = [jnp.where(end.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
-    return _vector(found)
-
-
-def _vector(components: Iterable[jax.Array]) -> Vector:
-    x, y, z = components
-    return x, y, z
+    return vector(found)
 
 
 def _force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: _Window) -> list[jax.Array]:
@@ -324,13 +317,13 @@ def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end:
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = jax.lax.optimization_barrier((before, position))
         ratio = (1.0 - half) / (1.0 + half)
-        gains = _vector(jnp.where(flies, v - ratio * w, 0.0) for v, w in zip(after, before, strict=True))
-        power, sums = [power + dot(_vector(velocity), gains)], []
+        gains = vector(jnp.where(flies, v - ratio * w, 0.0) for v, w in zip(after, before, strict=True))
+        power, sums = [power + dot(vector(velocity), gains)], []
         if damping is not None:
-            twice = _vector(jnp.where(flies, v + w, 0.0) for v, w in zip(before, after, strict=True))
+            twice = vector(jnp.where(flies, v + w, 0.0) for v, w in zip(before, after, strict=True))
             rate, share = 0.25 * loss * kick * dot(twice, twice), 0.5 * loss * kick * mass * damping
             more = [[more[0][0] + rate * damping]]
-            sums = [rate * mass - 0.5 * kick / (1.0 + half) * dot(_vector(velocity), twice)]
+            sums = [rate * mass - 0.5 * kick / (1.0 + half) * dot(vector(velocity), twice)]
             velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
         velocity = [g + turn.length * x for g, x in zip(velocity, position, strict=True)]
         velocity = jax.lax.optimization_barrier(velocity)
@@ -404,7 +397,7 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     """Of a window's begin and of all that it depends on, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
     sheet_body = present_body(scene, kept.mesh, kept.first)
-    packed = worked_through(kept.stuck, kept.mesh, scene, sheet_body)
+    packed = packed_moving(kept.stuck, kept.mesh, scene, sheet_body)
     timing = Timing(kept.time, kept.before, kept.length)
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing), scene.pressure)
     number = jnp.arange(STEPS_PER_WINDOW)
@@ -427,9 +420,7 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     work = end.external_work
     after = jnp.where(number == kept.count - 1, end.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
-    idle, pull_idle = jax.vjp(
-        lambda positions: idle_volume(positions, scene, sheet_body, packed, differentiable=True), kept.end
-    )
+    idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, sheet_body, packed), kept.end)
     back = _steps_back(kept, now, cotangents, end, volume)
     nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
     gains = jnp.where(taken, work * gains, 0.0)

@@ -21,14 +21,14 @@ from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.derivatives import Rule, recomputed
 from jaxform.errors import InputError
-from jaxform.packing import Packed
 from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, finished, initial_state
-from jaxform.stepping import energy_rounding, still_worked_through, window
+from jaxform.stepping import energy_rounding, window, window_in_place
 from jaxform.store import Store
+from jaxform.working import Working, still_worked_through, wholly_worked_through
 
 _IN_MEMORY = Store()
 _UNBALANCED = 0.01  # of the largest work
@@ -239,28 +239,32 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         return (carry.count < most) & ~finished(carry.state, scene)
 
     def take(carry: _Going) -> _Going:
-        state, now = refined(carry.state, scene, carry.now, differentiable=False)
-        stale = carry.count == 0
-        if state.mesh is not None and carry.state.mesh is not None:
-            stale |= state.mesh.element_count != carry.state.mesh.element_count
-        packed = still_worked_through(state, scene, now, carry.packed, stale)
-        whole = functools.partial(window, scene=scene, sheet_body=now, packed=packed, differentiable=False)
-        after = _unless_full(state, scene, whole, differentiable=False)
-        at = carry.state.windows
+        state, now, stale = carry.state, carry.now, carry.count == 0
+        if state.mesh is not None:
+            whole, now = refined(carry.working.put_back(state), scene, now, differentiable=False)
+            assert whole.mesh is not None
+            stale |= whole.mesh.element_count != state.mesh.element_count
+            state = carry.working.taken(whole)
+        state, working = still_worked_through(state, scene, now, carry.working, stale)
+        whole_window = functools.partial(window_in_place, scene=scene, working=working)
+        after = _unless_full(state, scene, whole_window, differentiable=False)
+        at = state.windows
         taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, _latest(after))
-        return _Going(after, now, packed, taken, carry.count + 1)
+        return _Going(after, now, working, taken, carry.count + 1)
 
     now = present_body(scene, state.mesh, first)
-    gone = jax.lax.while_loop(going, take, _Going(state, now, now.whole, taken, jnp.int32(0)))
-    return gone.state, gone.taken, finished(gone.state, scene)
+    working = wholly_worked_through(state, scene, now)
+    begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
+    gone = jax.lax.while_loop(going, take, begun)
+    return gone.working.put_back(gone.state), gone.taken, finished(gone.state, scene)
 
 
 class _Going(NamedTuple):
-    """What goes from window to window: with the state the body and what of it is worked through, as they are now."""
+    """What goes from window to window: with the state, in packed order, the body and what of it is worked through."""
 
     state: State
     now: Body
-    packed: Packed
+    working: Working
     taken: Taken
     count: jax.Array
 

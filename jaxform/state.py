@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jaxform import membrane
 from jaxform.blocks import over_blocks
 from jaxform.body import Body, Mesh, first_mesh
+from jaxform.force import Elements
+from jaxform.materials import Material
 from jaxform.pytree import as_real, pytree
 from jaxform.scene import Scene, Sheet
 
@@ -54,6 +56,8 @@ class Schedule:
 @pytree
 class State:
     """Where a simulation is.
+
+    Nodes are in the mesh's order, or as a run's windows have them, in the packed order of `working.Working`.
 
     Attributes:
         positions: (3, n_node) [m].
@@ -190,39 +194,36 @@ def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
 
-def account(positions: jax.Array, scene: Scene, sheet_body: Body) -> tuple[jax.Array, jax.Array]:
-    """Strain energy [J] and enclosed volume [m^3] of nodes (3, n_node) [m], in one pass; not differentiable."""
-    elements = sheet_body.whole.elements
-    thickness = sheet_body.thickness[sheet_body.whole.element]
+def account(
+    positions: jax.Array,
+    elements: Elements,
+    thickness: jax.Array,
+    material: Material,
+    counted: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """Strain energy [J] and enclosed volume [m^3] of elements, in one pass; not differentiable.
+
+    Args:
+        positions: (3, place) [m].
+        elements: The elements, of nodes at these places.
+        thickness: Their initial thickness (room,) [m].
+        material: Their law.
+        counted: Those that count (room,); all by default.
+    """
     rows = membrane.rows_of(positions)
 
-    def work(
-        triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array
-    ) -> tuple[list[list[jax.Array]], list[jax.Array]]:
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array, counted: Any) -> Any:
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
         strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
-        energy = area * thickness * scene.material.energy(strain.i1, strain.i2)
-        arm = membrane.minus(first, elements.origin)
-        return [], [energy, jnp.where(area > 0.0, membrane.dot(arm, membrane.cross(edge1, edge2)), 0.0)]
+        energy = area * thickness * material.energy(strain.i1, strain.i2)
+        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        used = area > 0.0 if counted is None else counted & (area > 0.0)
+        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
 
-    inputs = elements.triangles, elements.inverse_metric, elements.area, thickness
+    inputs = elements.triangles, elements.inverse_metric, elements.area, thickness, counted
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return energy, volume / 6.0
-
-
-def counted_volume(positions: jax.Array, sheet_body: Body, counted: jax.Array) -> jax.Array:
-    """As `enclosed_volume` [m^3], of the elements (n_element,) that count; in blocks, and not differentiable."""
-    elements, rows = sheet_body.whole.elements, membrane.rows_of(positions)
-    counted = jnp.pad(counted, (0, elements.area.size - counted.size))
-
-    def work(triangles: jax.Array, area: jax.Array, counted: jax.Array) -> Any:
-        first, edge1, edge2 = membrane.edges(rows, triangles)
-        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
-        return [], [jnp.where(counted & (area > 0.0), share, 0.0)]
-
-    _, (volume,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area, counted), [], sums=1)
-    return volume / 6.0
 
 
 def last_pressure(state: State, scene: Scene) -> jax.Array:

@@ -8,6 +8,7 @@ design; inside a window all shapes are fixed and the continuous state flows thro
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,15 +16,15 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.blocks import BLOCK, only_if, over_blocks, total
-from jaxform.body import NEVER, Body, Mesh
+from jaxform.blocks import only_if, over_blocks, total
+from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.near import Near, left, list_near, seen, watch
-from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import STEPS_PER_WINDOW, Pressure, Scene
-from jaxform.state import Schedule, State, Status, account, can_move, counted_volume, enclosed_volume, last_pressure
+from jaxform.state import Schedule, State, Status, account, last_pressure
 from jaxform.timestep import RUNGS_PER_OCTAVE, Limit, choose_step, elements_bound
+from jaxform.working import Working, worked_through
 
 _MOST_RETRIES = 12
 _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
@@ -62,29 +63,21 @@ class _Window:
     """What stays the same within a window, in packed order.
 
     Attributes:
-        packed: The elements and nodes that are worked through.
-        thickness: Initial thickness of the elements (room,) [m].
-        mass: Lumped mass of the nodes (place,) [kg].
-        compliance: Mobility over mass (3, place) [1/kg].
+        working: The elements and nodes that are worked through.
         begin: Its begin [s].
         length: The step [s].
         bound: The elements' bound on it [s].
         most: How many steps it takes, unless it is cut short.
         row: Of a schedule that is followed; None where none is.
-        idle_volume: Enclosed by what is not worked through [m^3].
         near: The list of nodes near the mold; None where there is no mold.
     """
 
-    packed: Packed
-    thickness: jax.Array
-    mass: jax.Array
-    compliance: jax.Array
+    working: Working
     begin: jax.Array
     length: jax.Array
     bound: jax.Array
     most: jax.Array | int
     row: _Row | None
-    idle_volume: jax.Array
     near: Near | None
 
 
@@ -103,9 +96,9 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    load = Load(moving.positions, now.thickness, pressure, scene.material)
+    load = Load(moving.positions, now.working.thickness, pressure, scene.material)
     taken = (_taken if moving.room is None else _taken_in_blocks)(load, moving, kick, length, scene, now)
-    volume = taken.volume + now.idle_volume
+    volume = taken.volume + now.working.idle_volume
     count = moving.count + jnp.where(moving.halted, 0, 1)
     moved = dataclasses.replace(
         moving,
@@ -144,8 +137,8 @@ class _Taken(NamedTuple):
 
 
 def _taken(load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window) -> _Taken:
-    nodal, volume = force(load, now.packed.elements)
-    nodes = moving.stuck, now.mass, now.compliance
+    nodal, volume = force(load, now.working.packed.elements)
+    nodes = moving.stuck, now.working.mass, now.working.compliance
     velocities, losses = kicked(nodal, moving.velocities, nodes, kick, scene.solver.damping)
     positions = moving.positions + length * jnp.stack(velocities)
     reached = leaving = False
@@ -160,10 +153,10 @@ def _taken_in_blocks(
     load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window
 ) -> _Taken:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
-    elements, room = now.packed.elements, moving.room
+    elements, room = now.working.packed.elements, moving.room
     assert room is not None
     corners, volume = corner_forces(load, elements, room)
-    nodes = moving.stuck, now.mass, now.compliance
+    nodes = moving.stuck, now.working.mass, now.working.compliance
     near = None if now.near is None else seen(now.near)
 
     def work(old: Any, own: Any, nodes: Any, near: Any) -> Any:
@@ -224,7 +217,7 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
     this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
     differentiable = moved.room is None
     landing = contact.land(
-        landing, this, reached, now.mass, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
+        landing, this, reached, now.working.mass, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
     )
     return dataclasses.replace(
         moved,
@@ -241,63 +234,57 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
 
 
 def window(
-    state: State,
-    scene: Scene,
-    sheet_body: Body,
-    schedule: Schedule | None = None,
-    *,
-    packed: Packed | None = None,
-    differentiable: bool = True,
+    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
 ) -> State:
     """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
 
     A design may move faster than the one whose schedule it follows: contact then cuts its window short, and the next
     one goes on with the steps that are left; or it is taken anew with shorter ones, as any other. Where no derivative
-    is asked for, a halted window ends at once; else its remaining steps change nothing. What is worked through may be
-    given, `packed`, where it is known.
+    is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
-    packed = worked_through(state.stuck, state.mesh, scene, sheet_body) if packed is None else packed
-    return _stepped(state, scene, sheet_body, packed, schedule, differentiable=differentiable)[0]
+    working = worked_through(state, scene, sheet_body, differentiable=differentiable)
+    end = _stepped(working.taken(state), scene, working, schedule, differentiable=differentiable)[0]
+    return working.put_back(end)
+
+
+def window_in_place(state: State, scene: Scene, working: Working) -> State:
+    """As `window`, not differentiable, of a state in packed order."""
+    return _stepped(state, scene, working, None, differentiable=False)[0]
 
 
 def window_and_impacts(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None
+    state: State, scene: Scene, working: Working, schedule: Schedule | None
 ) -> tuple[State, jax.Array, jax.Array | None]:
     """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
 
     And its impact (6, n_node), as in `contact.Landing`; None where there is no mold.
     """
-    impacts = scene.mold is not None
-    end, moving = _stepped(state, scene, sheet_body, packed, schedule, differentiable=False, impacts=impacts)
+    impacts, packed = scene.mold is not None, working.packed
+    end, moving = _stepped(working.taken(state), scene, working, schedule, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.
     landed = jnp.where(end.last_count > 0, packed.put_back(moving.landed), NEVER)
-    return end, landed, None if moving.impact is None else packed.put_back(moving.impact)
+    return working.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
 
 
 def _stepped(
     state: State,
     scene: Scene,
-    sheet_body: Body,
-    packed: Packed,
+    working: Working,
     schedule: Schedule | None,
     *,
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[State, _Moving]:
-    decided = _decided(state, scene, sheet_body, packed, schedule)
+    decided = _decided(state, scene, working, schedule)
     length = decided.length
-    moving = _begun(state, packed, differentiable, impacts)
+    moving = _begun(state, working, differentiable, impacts)
     now = _Window(
-        packed=packed,
-        thickness=sheet_body.thickness[packed.element],
-        mass=packed.taken(sheet_body.mass),
-        compliance=packed.taken(sheet_body.compliance),
+        working=working,
         begin=state.time,
         length=length,
         bound=decided.limit.bound,
         most=decided.most,
         row=decided.row,
-        idle_volume=idle_volume(state.positions, scene, sheet_body, packed, differentiable=differentiable),
         near=_list_near(moving, scene, length),
     )
 
@@ -313,7 +300,7 @@ def _stepped(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
     found = dataclasses.replace(state, mode=decided.limit.mode, sharpness=decided.limit.sharpness)
-    return _close(found, moving, scene, sheet_body, now), moving
+    return _close(found, moving, scene, now), moving
 
 
 class Timing(NamedTuple):
@@ -359,16 +346,16 @@ class _Decisions(NamedTuple):
     row: _Row | None = None
 
 
-def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, schedule: Schedule | None) -> _Decisions:
+def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        return _Decisions(*choose_step(state, scene, sheet_body, packed), STEPS_PER_WINDOW)
+        return _Decisions(*choose_step(state, scene, working), STEPS_PER_WINDOW)
     row = schedule.upcoming(state.row)
 
-    def as_planned(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> _Decisions:
+    def as_planned(state: State, scene: Scene, working: Working) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
         # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
-        bound = elements_bound(state, scene, sheet_body, packed)
+        bound = elements_bound(state, scene, working)
         rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
         finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.retries)
         # As many as planned, if none of them is taken yet; else what is left is divided evenly.
@@ -383,64 +370,28 @@ def _decided(state: State, scene: Scene, sheet_body: Body, packed: Packed, sched
         most = jnp.full_like(schedule.counts[0], STEPS_PER_WINDOW)
         return _Decisions(*choose_step(*now), most, _Row(row, jnp.full_like(state.time, jnp.inf)))
 
-    now = (*jax.lax.stop_gradient((state, scene, sheet_body)), packed)
+    now = jax.lax.stop_gradient((state, scene, working))
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
 
 
-def worked_through(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body: Body) -> Packed:
-    """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
-    if not scene.packs_moving:
-        return sheet_body.whole
-    sheet = sheet_body.sheet
-    counts = None if mesh is None else (mesh.element_count, mesh.node_count)
-    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
-
-
-def still_worked_through(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed, stale: jax.Array | bool
-) -> Packed:
-    """The same from what the last window worked through: made anew only where that is stale, or is a block too long."""
-    if not scene.packs_moving:
-        return sheet_body.whole
-    elements, stuck = packed.elements, packed.taken(state.stuck)
-
-    def work(triangles: jax.Array, area: jax.Array) -> Any:
-        return [], [can_move(stuck, triangles, area).astype(area.dtype)]
-
-    _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
-    shorter = moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
-    return only_if(stale | shorter, lambda _: worked_through(state.stuck, state.mesh, scene, sheet_body), packed)
-
-
-def _begun(state: State, packed: Packed, differentiable: bool, impacts: bool) -> _Moving:
-    positions = packed.taken(state.positions)
+def _begun(state: State, working: Working, differentiable: bool, impacts: bool) -> _Moving:
+    places, positions = working.mass.size, state.positions
     return _Moving(
         positions=positions,
-        velocities=jnp.where(packed.exists, packed.taken(state.velocities), 0.0),
-        stuck=packed.taken(state.stuck) | ~packed.exists,
-        contact_time=packed.taken(state.contact_time),
-        wall=packed.taken(state.wall),
-        landed=jnp.full(packed.node.size, NEVER, jnp.int32),
-        impact=jnp.zeros((6, packed.node.size), positions.dtype) if impacts else None,
+        velocities=state.velocities,
+        stuck=state.stuck,
+        contact_time=state.contact_time,
+        wall=state.wall,
+        landed=jnp.full(places, NEVER, jnp.int32),
+        impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
         volume=state.volume,
         external_work=state.external_work,
         damping_loss=state.damping_loss,
         contact_loss=state.contact_loss,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
-        room=None if differentiable else no_corners(positions, packed.elements),
+        room=None if differentiable else no_corners(positions, working.packed.elements),
     )
-
-
-def idle_volume(
-    positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed, *, differentiable: bool
-) -> jax.Array:
-    """Volume [m^3] enclosed by what is not worked through, of positions (3, n_node) [m]."""
-    if not scene.packs_moving:
-        return jnp.zeros((), positions.dtype)
-    if differentiable:
-        return enclosed_volume(positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
-    return counted_volume(positions, sheet_body, ~packed.kept)
 
 
 def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving, most: jax.Array | int) -> _Moving:
@@ -460,23 +411,16 @@ def _list_near(moving: _Moving, scene: Scene, length: jax.Array) -> Near | None:
     return list_near(positions, velocities, ~moving.stuck, duration, grid, scene.solver.skip_far)
 
 
-def _close(
-    state: State,
-    moving: _Moving,
-    scene: Scene,
-    sheet_body: Body,
-    now: _Window,
-) -> State:
+def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    packed, near = now.packed, now.near
-    kinetic, excess = _kinetic(moving, scene, now)
+    near, end = now.near, _looked_over(moving, scene, now)
     new = dataclasses.replace(
         state,
-        positions=packed.put_back(moving.positions),
-        velocities=packed.put_back(moving.velocities),
-        stuck=packed.put_back(moving.stuck),
-        contact_time=packed.put_back(moving.contact_time),
-        wall=packed.put_back(moving.wall),
+        positions=moving.positions,
+        velocities=moving.velocities,
+        stuck=moving.stuck,
+        contact_time=moving.contact_time,
+        wall=moving.wall,
         time=state.time + moving.count * now.length,
         step_length=now.length,
         bound=now.bound,
@@ -485,28 +429,26 @@ def _close(
         damping_loss=moving.damping_loss,
         contact_loss=moving.contact_loss,
         peak_work=jnp.maximum(state.peak_work, jnp.abs(jax.lax.stop_gradient(moving.external_work))),
-        kinetic_peak=jnp.maximum(state.kinetic_peak, kinetic),
-        kinetic_excess=excess,
+        kinetic_peak=jnp.maximum(state.kinetic_peak, end.kinetic),
+        kinetic_excess=end.behind - end.kinetic,
         steps=state.steps + moving.count,
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
     )
-    rounding = energy_rounding(scene, total(packed.elements.area * now.thickness))
-    largest = jnp.max(jnp.abs(jax.lax.stop_gradient(moving.positions)))
-    status, imbalance = _health(new, largest, kinetic, rounding, scene, sheet_body)
+    rounding = energy_rounding(scene, now.working.substance)
+    status, imbalance = _health(new, end, rounding, scene, now.working)
     new = dataclasses.replace(new, imbalance=imbalance)
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + rounding
     unsure = jump & (state.retries < _RETRIES_FOR_ENERGY)
     # What blew up, and what may have missed the mold since a node flew out of its ball, is taken anew with half the
     # step: the sheet may have stiffened within the window.
-    missed = jnp.asarray(False) if near is None else left(moving.positions, near)
-    status = jnp.where(missed, Status.CONTACT_MISSED, status)
+    status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
     if near is not None:
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
-    status |= jnp.where((largest > _FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
+    status |= jnp.where((end.largest > _FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
@@ -527,36 +469,59 @@ def _close(
     )
 
 
-def _kinetic(moving: _Moving, scene: Scene, now: _Window) -> tuple[jax.Array, jax.Array]:
-    """Kinetic energy [J] and by how much that of the velocities is larger; no derivative is taken of them.
+class _End(NamedTuple):
+    """What a window's end comes to.
+
+    Kinetic energy [J], and that of the velocities, which are half a step behind; the largest coordinate [m], not finite
+    where any position is not; whether a node has left its ball.
+    """
+
+    kinetic: jax.Array
+    behind: jax.Array
+    largest: jax.Array
+    missed: jax.Array | bool
+
+
+def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> _End:
+    """In one pass over the elements and one over the nodes; no derivative is taken of it.
 
     Velocities are half a step behind, which shows at the begin and in fast modes: the half step that follows counts as
     well. The product of both is what a linear mode keeps.
     """
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
-    behind = 0.5 * total(now.mass * membrane.dot(moving.velocities, moving.velocities))
-    end = now.begin + moving.count * now.length
-    load = Load(moving.positions, now.thickness, scene.pressure.at(end), scene.material)
-    ahead = (_taken if moving.room is None else _taken_in_blocks)(load, moving, now.length, now.length, scene, now)
-    kinetic = 0.5 * total(now.mass * membrane.dot(moving.velocities, ahead.velocities))
-    return kinetic, behind - kinetic
+    working, elements = now.working, now.working.packed.elements
+    pressure = scene.pressure.at(now.begin + moving.count * now.length)
+    load = Load(moving.positions, working.thickness, pressure, scene.material)
+    room = no_corners(moving.positions, elements) if moving.room is None else moving.room
+    corners, _ = corner_forces(load, elements, room)
+
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, ball: Any) -> Any:
+        ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
+        half = 0.5 * nodes[1]
+        energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
+        size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
+        return [], [*energies, size] if ball is None else [*energies, size, left(positions, *ball)]
+
+    nodes = moving.stuck, working.mass, working.compliance
+    ball = None if now.near is None else (now.near.center, now.near.limit_square)
+    inputs = shares(corners, elements), nodes, moving.positions, moving.velocities, ball
+    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
+    return _End(*found[:3], missed=found[3] > 0.0 if ball is not None else False)
 
 
 def _health(
-    state: State, largest: jax.Array, kinetic: jax.Array, rounding: jax.Array, scene: Scene, sheet_body: Body
+    state: State, end: _End, rounding: jax.Array, scene: Scene, working: Working
 ) -> tuple[jax.Array, jax.Array]:
-    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J].
-
-    `largest` is the largest coordinate [m]: not finite where any position is not.
-    """
-    state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
-    strain, volume = account(state.positions, scene, sheet_body)
-    held = strain + kinetic
-    held += state.damping_loss + state.contact_loss + state.refinement_loss
+    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
+    state, scene, working = jax.lax.stop_gradient((state, scene, working))
+    strain, volume = account(state.positions, working.packed.elements, working.thickness, scene.material)
+    strain, volume = strain + working.idle_energy, volume + working.idle_volume
+    held = strain + end.kinetic + state.damping_loss + state.contact_loss + state.refinement_loss
     excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + rounding
-    status = jnp.where(jnp.isfinite(largest + kinetic), jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    finite = jnp.isfinite(end.largest + end.kinetic)
+    status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
     return status, excess
 
 

@@ -8,18 +8,18 @@ products with the tangent do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
-from jaxform.blocks import over_blocks, total
-from jaxform.body import Body
-from jaxform.force import Load, force_change, no_corners
-from jaxform.packing import Packed
+from jaxform.blocks import Part, only_if, over_blocks
+from jaxform.force import Load, assembled, corner_changes, no_corners, shares
 from jaxform.scene import STEPS_PER_WINDOW, Scene
 from jaxform.state import State, any_mode, can_move
+from jaxform.working import Working
 
 RUNGS_PER_OCTAVE = 16
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
@@ -41,20 +41,20 @@ class Limit(NamedTuple):
     sharpness: jax.Array
 
 
-def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
+def choose_step(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Limit]:
     """The step [s] of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
 
-    With it what the next window needs to know of the limit.
+    With it what the next window needs to know of the limit. The state is in packed order.
     """
-    state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
-    longest, limit = _limit(state, scene, sheet_body, packed)
+    state, scene, working = jax.lax.stop_gradient((state, scene, working))
+    longest, limit = _limit(state, scene, working)
     longest = scene.solver.safety * longest
     if scene.solver.damping is None:
         longest = _UNDAMPED * longest
     if scene.tables.grid is not None:
         # No node passes more of the range of its list in one step than can be watched.
-        fastest = jnp.sqrt(jnp.max(membrane.dot(state.velocities, state.velocities)))
-        longest = jnp.minimum(longest, _RANGE_PER_STEP * scene.tables.grid.reach / jnp.maximum(fastest, 1e-30))
+        range_per_step = _RANGE_PER_STEP * scene.tables.grid.reach
+        longest = jnp.minimum(longest, range_per_step / jnp.maximum(_fastest(state, working), 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:
         # Every change of the step changes the energy of the fast modes, which nothing takes away.
@@ -65,7 +65,17 @@ def choose_step(state: State, scene: Scene, sheet_body: Body, packed: Packed) ->
     return jax.lax.stop_gradient((jnp.minimum(rung, rest), limit))
 
 
-def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, Limit]:
+def _fastest(state: State, working: Working) -> jax.Array:
+    """The highest speed [m/s]."""
+
+    def work(velocities: jax.Array) -> Any:
+        return [], [membrane.dot(velocities, velocities)]
+
+    _, (square,) = over_blocks(work, working.packed.elements.node_block_count, (state.velocities,), [], most=1)
+    return jnp.sqrt(square)
+
+
+def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Limit]:
     """The longest stable step [s], and how it was found.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
@@ -73,13 +83,13 @@ def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tupl
     where it seems to rise, the search is done once more and thoroughly, as it is where no mode is known, or else the
     rise is not believed.
     """
-    bound = elements_bound(state, scene, sheet_body, packed)
+    bound = elements_bound(state, scene, working)
     if state.mode is None:
         return bound, Limit(None, bound, state.sharpness)
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> Any:
         thorough = found[2]
-        mode, square = _highest(state, scene, sheet_body, packed, thorough)
+        mode, square = _highest(state, scene, working, thorough)
         sharpness = jnp.clip(_MARGIN * 2.0 / (bound * jnp.sqrt(square)), 1.0, _MOST_SHARPENING)
         lost = ~thorough & (sharpness > _RISE * state.sharpness)
         sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.sharpness))
@@ -94,62 +104,126 @@ def _limit(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> tupl
     return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness)
 
 
-def elements_bound(state: State, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
-    """A step [s] that is stable whatever the elements' neighbours are; in tension."""
-    rows, bounds = membrane.rows_of(packed.taken(state.positions)), sheet_body.bound[packed.element]
-    stuck = packed.taken(state.stuck)
+def elements_bound(state: State, scene: Scene, working: Working) -> jax.Array:
+    """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
+    rows, elements = membrane.rows_of(state.positions), working.packed.elements
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
-        moving = can_move(stuck, triangles, area)
-        return [(membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material),)], []
+        moving = can_move(state.stuck, triangles, area)
+        return [], [membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material)]
 
-    elements = packed.elements
-    inputs = elements.triangles, elements.inverse_metric, elements.area, bounds
-    (stiffness,), _ = over_blocks(work, elements.block_count, inputs, [jnp.zeros((1, bounds.size), bounds.dtype)])
-    return membrane.stable_step(jnp.max(stiffness), scene.material)
+    inputs = elements.triangles, elements.inverse_metric, elements.area, working.bound
+    _, (stiffness,) = over_blocks(work, elements.block_count, inputs, [], most=1)
+    return membrane.stable_step(stiffness, scene.material)
 
 
-def _highest(
-    state: State, scene: Scene, sheet_body: Body, packed: Packed, thorough: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """The mode (3, n_node), and its squared frequency with the residual [1/s^2], by Lanczos' method.
+class _Lanczos(NamedTuple):
+    """What goes from product to product.
+
+    Attributes:
+        vector: The next one (3, place), and `size`, the norm by which it is to be divided.
+        last: The one before, a unit vector (3, place).
+        basis: All so far, unit vectors, one after the other (3, several places).
+        diagonal, beside: Of the small matrix.
+        new: Room (3, place), and `corners` for the elements' corners.
+    """
+
+    vector: jax.Array
+    size: jax.Array
+    last: jax.Array
+    basis: jax.Array
+    diagonal: jax.Array
+    beside: jax.Array
+    new: jax.Array
+    corners: list[jax.Array]
+
+
+def _highest(state: State, scene: Scene, working: Working, thorough: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The mode (3, place), and its squared frequency with the residual [1/s^2], by Lanczos' method.
 
     The residual makes up for what is missing: the frequency is approached from below.
     """
     assert state.mode is not None
-    positions = packed.taken(state.positions)
-    stuck = packed.taken(state.stuck) | ~packed.exists
-    compliance = jnp.where(stuck, 0.0, packed.taken(sheet_body.compliance))
-    mass = packed.taken(sheet_body.mass)
-    load = Load(positions, sheet_body.thickness[packed.element], scene.pressure.at(state.time), scene.material)
+    elements, places = working.packed.elements, working.mass.size
+    compliance = jnp.where(state.stuck, 0.0, working.compliance)
+    load = Load(state.positions, working.thickness, scene.pressure.at(state.time), scene.material)
 
-    def product(a: jax.Array, b: jax.Array) -> jax.Array:
-        return total(mass * membrane.dot(a, b))
+    def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: int) -> Any:
+        return over_blocks(work, elements.node_block_count, inputs, into, **kinds)
 
-    def unit(vector: jax.Array) -> jax.Array:
-        return vector / jnp.sqrt(jnp.maximum(product(vector, vector), jnp.finfo(mass.dtype).tiny))
+    def norm(vector: jax.Array) -> jax.Array:
+        _, (square,) = over_nodes(lambda m, v: ([], [m * membrane.dot(v, v)]), (working.mass, vector), [], sums=1)
+        return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
 
-    def multiply(k: jax.Array, found: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-        basis, diagonal, beside, vector, last, *room = found
-        change, room = force_change(load, packed.elements, vector, room)
-        new = -compliance * change
-        rate = product(vector, new)
-        new = new - rate * vector - jnp.where(k > 0, beside[k - 1], 0.0) * last
-        norm = jnp.sqrt(product(new, new))
-        basis, diagonal, beside = basis.at[k].set(vector), diagonal.at[k].set(rate), beside.at[k].set(norm)
-        return basis, diagonal, beside, new / jnp.where(norm > 0.0, norm, 1.0), vector, *room
+    def with_noise(mode: jax.Array) -> jax.Array:
+        there = jnp.zeros((3, working.packed.place.size), mode.dtype)
+        noise = jnp.sqrt(compliance) * working.packed.taken(any_mode(there))
+        return mode / norm(mode) + _NOISE / norm(noise) * noise
 
-    mode = unit(jnp.where(compliance > 0.0, packed.taken(state.mode), 0.0))
-    noise = unit(jnp.sqrt(compliance) * packed.taken(any_mode(state.positions)))
-    start = unit(mode + jnp.where(thorough, _NOISE, 0.0) * noise)
+    def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
+        corners = corner_changes(load, elements, now.vector, now.corners)
+
+        def multiplied(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array) -> Any:
+            new = membrane.vector(-c * f / now.size for c, f in zip(compliance, assembled(corners, own), strict=True))
+            return [new], [mass * membrane.dot(vector, new) / now.size]
+
+        inputs = shares(corners, elements), working.mass, compliance, now.vector
+        (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
+        before = jnp.where(k > 0, now.beside[k - 1], 0.0)
+
+        def orthogonal(old: Any, mass: jax.Array, vector: jax.Array) -> Any:
+            unit = vector / now.size
+            new = membrane.vector(x - rate * v - before * w for x, v, w in zip(old[0], unit, old[1], strict=True))
+            # Both are worked out before either is written, or XLA would copy the arrays for every block.
+            new, unit = jax.lax.optimization_barrier((new, unit))
+            return [new, list(unit), list(unit)], [mass * membrane.dot(new, new)]
+
+        into = [new, now.last, Part(now.basis, k * places, places)]
+        (new, unit, basis), (square,) = over_nodes(orthogonal, (working.mass, now.vector), into, sums=1, update=2)
+        size = jnp.sqrt(square)
+        return _Lanczos(
+            vector=new,
+            size=jnp.where(size > 0.0, size, 1.0),
+            last=unit,
+            basis=basis,
+            diagonal=now.diagonal.at[k].set(rate),
+            beside=now.beside.at[k].set(size),
+            new=now.vector,
+            corners=corners,
+        )
+
+    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, state.mode, 0.0))
+    none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
-    none = jnp.zeros(_MANY, mass.dtype)
-    basis = jnp.zeros((_MANY, *start.shape), mass.dtype)
-    begun = basis, none, none, start, jnp.zeros_like(start), *no_corners(positions, packed.elements)
-    basis, diagonal, beside, *_ = jax.lax.fori_loop(0, count, multiply, begun)
-    off = jnp.where(jnp.arange(1, _MANY) < count, beside[:-1], 0.0)
+    basis = jnp.zeros((3, _MANY * places), start.dtype)
+    begun = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, no_corners(state.positions, elements))
+    done = jax.lax.fori_loop(0, count, multiply, begun)
+    off = jnp.where(jnp.arange(1, _MANY) < count, done.beside[:-1], 0.0)
+    square, share = _largest_of_few(done.diagonal, off)
+    square, share = only_if(thorough, lambda _: _largest_of_many(done.diagonal, off), (square, share))
+
+    def add(k: jax.Array, mode: jax.Array) -> jax.Array:
+        def work(old: Any, unit: jax.Array) -> Any:
+            return [[x + share[k] * v for x, v in zip(old[0], unit, strict=True)]], []
+
+        return over_nodes(work, (Part(done.basis, k * places, places),), [mode], update=1)[0][0]
+
+    mode = jax.lax.fori_loop(0, count, add, nowhere)
+    return mode, square + jnp.abs(done.beside[count - 1] * share[count - 1])
+
+
+def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Largest eigenvalue of a symmetric matrix of three diagonals, and its vector (n,)."""
     small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
-    squares, shares = jnp.linalg.eigh(jnp.where(jnp.isfinite(small), small, 0.0))
-    share = shares[:, -1]
-    residual = jnp.abs(beside[count - 1] * share[count - 1])
-    return packed.put_back(jnp.tensordot(share, basis, 1)), squares[-1] + residual
+    values, vectors = jnp.linalg.eigh(jnp.where(jnp.isfinite(small), small, 0.0))
+    return values[-1], vectors[:, -1]
+
+
+def _largest_of_few(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The same of the first two rows, without a call that takes longer than a product with a small sheet's tangent."""
+    assert _FEW == 2
+    first, second, beside = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (diagonal[0], diagonal[1], off[0]))
+    half = 0.5 * (first - second)
+    angle = 0.5 * jnp.arctan2(beside, half)
+    vector = jnp.zeros_like(diagonal).at[0].set(jnp.cos(angle)).at[1].set(jnp.sin(angle))
+    return 0.5 * (first + second) + jnp.hypot(half, beside), vector

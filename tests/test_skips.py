@@ -16,6 +16,7 @@ from jaxform import blocks, force, membrane, packing, shapes, simulation, timest
 from jaxform.body import body
 from jaxform.scene import Sheet
 from jaxform.state import any_mode, initial_state
+from jaxform.working import worked_through
 from tests import scenes
 
 
@@ -136,13 +137,18 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
     np.testing.assert_allclose(sharp.positions, plain.positions, atol=1e-3)
 
 
+def _first_step(scene: jaxform.Scene) -> tuple[jax.Array, timestep.Limit]:
+    state = initial_state(scene)
+    working = worked_through(state, scene, body(scene))
+    return timestep.choose_step(working.taken(state), scene, working)
+
+
 def test_the_first_step_is_not_cold() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
-    sheet_body = body(scene)
-    sharp, found = timestep.choose_step(initial_state(scene), scene, sheet_body, sheet_body.whole)
+    sharp, found = _first_step(scene)
     assert found.mode is not None and 1.1 < float(found.sharpness) < 2.0
     plain = without(scene, sharp_step=False)
-    bound, plain_found = timestep.choose_step(initial_state(plain), plain, sheet_body, sheet_body.whole)
+    bound, plain_found = _first_step(plain)
     assert plain_found.mode is None
     assert 1.1 < float(sharp / bound) < 2.0
 

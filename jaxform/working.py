@@ -1,0 +1,145 @@
+"""What is worked through, in packed order: from the border where it is packed until it is packed anew.
+
+A run's state stays in this order from window to window; what does not move any more is neither looked up nor summed
+over again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.blocks import BLOCK, only_if, over_blocks, total
+from jaxform.body import Body, Mesh
+from jaxform.packing import Packed, pack
+from jaxform.pytree import pytree
+from jaxform.scene import Scene
+from jaxform.state import State, account, can_move, enclosed_volume
+
+
+@pytree
+class Working:
+    """The elements and nodes that are worked through, and what the others come to, which do not move.
+
+    Attributes:
+        packed: Their order.
+        thickness: Initial thickness of the elements (room,) [m].
+        bound: Largest eigenvalue of their shape gradients (room,) [1/m^2].
+        mass: Lumped mass of the nodes (place,) [kg].
+        compliance: Mobility over mass (3, place) [1/kg].
+        substance: Volume of the elements themselves [m^3].
+        idle_volume: Enclosed by what is not worked through [m^3].
+        idle_energy: Its strain energy [J].
+    """
+
+    packed: Packed
+    thickness: jax.Array
+    bound: jax.Array
+    mass: jax.Array
+    compliance: jax.Array
+    substance: jax.Array
+    idle_volume: jax.Array
+    idle_energy: jax.Array
+
+    def taken(self, state: State) -> State:
+        """A state in packed order; at places beyond the nodes they stick."""
+        packed = self.packed
+        return dataclasses.replace(
+            state,
+            positions=packed.taken(state.positions),
+            velocities=jnp.where(packed.exists, packed.taken(state.velocities), 0.0),
+            stuck=packed.taken(state.stuck) | ~packed.exists,
+            contact_time=packed.taken(state.contact_time),
+            wall=packed.taken(state.wall),
+            mode=None if state.mode is None else packed.taken(state.mode),
+        )
+
+    def put_back(self, state: State) -> State:
+        """A state in the mesh's order."""
+        back = self.packed.put_back
+        return dataclasses.replace(
+            state,
+            positions=back(state.positions),
+            velocities=back(state.velocities),
+            stuck=back(state.stuck),
+            contact_time=back(state.contact_time),
+            wall=back(state.wall),
+            mode=None if state.mode is None else back(state.mode),
+        )
+
+
+def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body: Body) -> Packed:
+    """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
+    if not scene.packs_moving:
+        return sheet_body.whole
+    sheet = sheet_body.sheet
+    counts = None if mesh is None else (mesh.element_count, mesh.node_count)
+    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
+
+
+def worked_through(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool = False) -> Working:
+    """What a window works through that begins with a state in the mesh's order."""
+    packed = packed_moving(state.stuck, state.mesh, scene, sheet_body)
+    return _working(packed, state.positions, scene, sheet_body, differentiable=differentiable)
+
+
+def wholly_worked_through(state: State, scene: Scene, sheet_body: Body) -> Working:
+    """All there is, in the mesh's own order."""
+    return _working(sheet_body.whole, state.positions, scene, sheet_body, differentiable=False)
+
+
+def still_worked_through(
+    state: State, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array | bool
+) -> tuple[State, Working]:
+    """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
+    elements = working.packed.elements
+
+    def work(triangles: jax.Array, area: jax.Array) -> Any:
+        return [], [can_move(state.stuck, triangles, area).astype(area.dtype)]
+
+    def anew(now: tuple[State, Working]) -> tuple[State, Working]:
+        state = now[1].put_back(now[0])
+        working = worked_through(state, scene, sheet_body)
+        return working.taken(state), working
+
+    if scene.packs_moving:
+        _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
+        stale |= moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
+    return only_if(jnp.asarray(stale), anew, (state, working))
+
+
+def idle_volume(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
+    """Volume [m^3] enclosed by what is not worked through, of positions (3, n_node) [m]; differentiable."""
+    if not scene.packs_moving:
+        return jnp.zeros((), positions.dtype)
+    return enclosed_volume(positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+
+
+def _idle(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, jax.Array]:
+    """Its strain energy [J] and the volume [m^3], not differentiable."""
+    if not scene.packs_moving:
+        return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
+    whole = sheet_body.whole
+    counted = jnp.pad(~packed.kept, (0, whole.element.size - packed.kept.size))
+    fixed = positions, whole.elements, sheet_body.thickness[whole.element], scene.material
+    return account(*jax.lax.stop_gradient(fixed), counted)
+
+
+def _working(packed: Packed, positions: jax.Array, scene: Scene, sheet_body: Body, *, differentiable: bool) -> Working:
+    thickness = sheet_body.thickness[packed.element]
+    energy, volume = _idle(positions, scene, sheet_body, packed)
+    if differentiable:
+        volume = idle_volume(positions, scene, sheet_body, packed)
+    return Working(
+        packed=packed,
+        thickness=thickness,
+        bound=sheet_body.bound[packed.element],
+        mass=packed.taken(sheet_body.mass),
+        compliance=packed.taken(sheet_body.compliance),
+        substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
+        idle_volume=volume,
+        idle_energy=energy,
+    )
