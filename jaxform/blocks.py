@@ -199,3 +199,17 @@ def _one_by_one(
     """A loop over the entries: one short function, where sums in parallel are a dozen that take long to compile."""
     start = jnp.zeros(room, jnp.int32), jnp.int32(0)
     return jax.lax.fori_loop(0, keep.size, put, start)
+
+
+def lowered(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Array) -> jax.Array:
+    """Values (n,), the first `count` of these places (k,) lowered to new ones (k,) where these are lower."""
+    if jax.default_backend() != "cpu":
+        used = jnp.arange(places.size) < count
+        return values.at[places].min(jnp.where(used, new, jnp.inf))
+
+    def lower(i: jax.Array, values: jax.Array) -> jax.Array:
+        # A scatter would keep XLA from compiling the loop around into one function.
+        least = jnp.minimum(jax.lax.optimization_barrier(values[places[i]]), new[i])
+        return jax.lax.dynamic_update_slice(values, least[None], (places[i],))
+
+    return jax.lax.fori_loop(0, count, lower, values)

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import listed
+from jaxform.blocks import listed, lowered
 from jaxform.membrane import dot, gather, minus
 from jaxform.pytree import pytree
 from jaxform.search import SearchGrid
@@ -137,15 +137,17 @@ def list_near(
     room = -(-max(_ROOM_PER_NODE * free.size, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
 
     # Where there are too many pairs the balls shrink, and the window will halt the sooner.
-    def too_many(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+    def too_many(carry: tuple[jax.Array, _Pairs, _Balls]) -> jax.Array:
         return (carry[0] == 0) | (carry[1].count > room) & (carry[0] < _MOST_HALVINGS)
 
-    def attempt(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+    def attempt(carry: tuple[jax.Array, _Pairs, _Balls]) -> tuple[jax.Array, _Pairs, _Balls]:
         balls = _balls(positions, velocities, free, duration, 0.5 ** carry[0], grid, skip_far)
-        return carry[0] + 1, _candidates(balls, room, grid)
+        return carry[0] + 1, _candidates(balls, room, grid), balls
 
-    tries, candidates = jax.lax.while_loop(too_many, attempt, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))
-    balls = _balls(positions, velocities, free, duration, 0.5 ** (tries - 1), grid, skip_far)
+    nowhere, none = jnp.zeros_like(positions[0]), jnp.zeros(free.size, jnp.int32)
+    nothing = _Balls(jnp.zeros_like(positions), nowhere, none, nowhere, jnp.zeros_like(free))
+    begun = jnp.int32(0), _no_pairs(room, _LANES * _DEPTH), nothing
+    _, candidates, balls = jax.lax.while_loop(too_many, attempt, begun)
     kept, planes, clear = _examined(candidates, positions, balls, room, grid)
     limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
     path = duration * jnp.sqrt(dot(velocities, velocities))
@@ -192,7 +194,7 @@ def cells(positions: jax.Array, grid: SearchGrid, parts: int = 1) -> jax.Array:
     """
     shape = tuple(parts * count for count in grid.shape)
     place = jnp.floor((positions - grid.corner[:, None]) * (parts / grid.width)).astype(jnp.int32)
-    i, j, k = jnp.clip(place, 0, jnp.asarray(shape)[:, None] - 1)
+    i, j, k = jnp.clip(place, 0, jnp.asarray(shape, jnp.int32)[:, None] - 1)
     return (i * shape[1] + j) * shape[2] + k
 
 
@@ -280,7 +282,7 @@ def _examined(
         place, more = listed(keep, keep.size)
         pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
         planes = jax.lax.dynamic_update_slice_in_dim(planes, frame[place, :12].T, kept.count, axis=1)
-        clear = clear.at[node].min(jnp.where(keep, jnp.maximum(free_way, 0.0), jnp.inf))
+        clear = lowered(clear, node[place], jnp.maximum(free_way, 0.0)[place], more)
         return first + TEST_BLOCK, (_Pairs(pairs, kept.count + more), planes, clear)
 
     planes = jnp.zeros((12, room + TEST_BLOCK), start.dtype)
