@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
 from jaxform import blocks, force, packing, scene
-from jaxform.materials import MooneyRivlin
+from jaxform.materials import Material, MooneyRivlin
 from jaxform.membrane import Vector, cross, metric, stress, stress_factors
 
 LAW = MooneyRivlin(jnp.asarray(C), jnp.asarray(ALPHA), jnp.asarray(1.0))
@@ -142,20 +142,20 @@ def stepper(nodal: Callable[[jax.Array], jax.Array], sheet: Sheet) -> Callable[[
     return lambda count: steps(start, compliance, jnp.int32(count))
 
 
-def own(sheet: Sheet, dtype: Any = jnp.float64, block: int | None = None) -> Callable[[int], Any]:
+def own(sheet: Sheet, dtype: Any = jnp.float64, block: int | None = None, law: Material = LAW) -> Callable[[int], Any]:
     """Runs so many steps with the force of `jaxform`, positions (3, n_node) of which come back."""
     usual = blocks.BLOCK
     blocks.BLOCK = packing.BLOCK = block or usual
     try:
-        return _own(sheet, dtype)
+        return _own(sheet, dtype, law)
     finally:
         blocks.BLOCK = packing.BLOCK = usual
 
 
-def _own(sheet: Sheet, dtype: Any) -> Callable[[int], Any]:
+def _own(sheet: Sheet, dtype: Any, law: Material) -> Callable[[int], Any]:
     cast = lambda tree: jax.tree.map(lambda a: a.astype(dtype) if a.dtype == jnp.float64 else a, tree)  # noqa: E731
     whole = cast(packed(sheet))
-    fixed = cast((whole.taken(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), LAW))
+    fixed = cast((whole.taken(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), law))
     start = whole.taken(jnp.asarray(sheet.positions.T, dtype))
     step, pressure = jnp.asarray(sheet.step, dtype), jnp.asarray(PRESSURE, dtype)
 

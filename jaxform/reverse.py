@@ -255,9 +255,10 @@ def _speeds_before(
     """
     flies, compliance = node
     half = _half(kick, now.scene.solver.damping)
+    rest = 1.0 / (1.0 - half)
 
     def taken_back(v: jax.Array, f: jax.Array, c: jax.Array) -> jax.Array:
-        before = ((1.0 + half) * v - kick * (f * c)) / (1.0 - half)
+        before = ((1.0 + half) * v - kick * (f * c)) * rest
         return jnp.where(flies, before, v)
 
     found = [taken_back(*each) for each in zip(after, nodal, compliance, strict=True)]

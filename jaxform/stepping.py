@@ -191,7 +191,8 @@ def kicked(
     if half is None:
         x, y, z = (old + gain for old, gain in zip(velocities, gains, strict=True))
     else:
-        x, y, z = (((1.0 - half) * old + gain) / (1.0 + half) for old, gain in zip(velocities, gains, strict=True))
+        kept, rest = 1.0 - half, 1.0 / (1.0 + half)  # one division, not three at every node
+        x, y, z = ((kept * old + gain) * rest for old, gain in zip(velocities, gains, strict=True))
     # Kept, since the positions and the loss would each work them, and the force, out again.
     new = jax.lax.optimization_barrier((x, y, z))
     if damping is None:

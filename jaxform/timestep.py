@@ -161,18 +161,18 @@ def _highest(state: State, scene: Scene, working: Working, thorough: jax.Array) 
         return mode / norm(mode) + _NOISE / norm(noise) * noise
 
     def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
-        corners = corner_changes(load, elements, now.vector, now.corners)
+        corners, scale = corner_changes(load, elements, now.vector, now.corners), 1.0 / now.size
 
         def multiplied(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array) -> Any:
-            new = membrane.vector(-c * f / now.size for c, f in zip(compliance, assembled(corners, own), strict=True))
-            return [new], [mass * membrane.dot(vector, new) / now.size]
+            new = membrane.vector(-scale * c * f for c, f in zip(compliance, assembled(corners, own), strict=True))
+            return [new], [scale * mass * membrane.dot(vector, new)]
 
         inputs = shares(corners, elements), working.mass, compliance, now.vector
         (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
         before = jnp.where(k > 0, now.beside[k - 1], 0.0)
 
         def orthogonal(old: Any, mass: jax.Array, vector: jax.Array) -> Any:
-            unit = vector / now.size
+            unit = scale * vector
             new = membrane.vector(x - rate * v - before * w for x, v, w in zip(old[0], unit, old[1], strict=True))
             # Both are worked out before either is written, or XLA would copy the arrays for every block.
             new, unit = jax.lax.optimization_barrier((new, unit))

@@ -15,7 +15,7 @@ from benchmarks.bench import without
 from jaxform import blocks, force, membrane, packing, shapes, simulation, timestep
 from jaxform.body import body
 from jaxform.scene import Sheet
-from jaxform.state import any_mode, initial_state
+from jaxform.state import account, any_mode, initial_state
 from jaxform.working import worked_through
 from tests import scenes
 
@@ -262,6 +262,55 @@ def test_blocks_in_use_are_worked_through_and_no_others() -> None:
         np.testing.assert_array_equal(got[0, :used], 2 * values[:used])
         assert np.all(np.asarray(got[0, used:]) == -1.0)
         assert float(total) == float(values[:used].sum())
+
+
+def test_a_block_gets_its_own_number_and_the_largest_of_all_is_found() -> None:
+    values, own = jnp.arange(512.0) % 200, jnp.asarray([3.0, 1.0, 2.0, 9.0])
+    for count, expected in ((0, 0.0), (1, 3.0 * 127), (3, 3.0 * 127), (4, 9.0 * 199)):
+        _, (total, largest, least) = blocks.over_blocks(
+            lambda x, factor: ([], [x, factor * x, -x]),
+            jnp.int32(count),
+            (values, blocks.PerBlock(own)),
+            [],
+            sums=1,
+            most=2,
+        )
+        assert float(total) == float(values[: count * blocks.BLOCK].sum())
+        assert float(largest) == expected
+        assert float(least) == 0.0
+
+
+@pytest.mark.parametrize("backend", ["cpu", "another"])
+def test_values_are_lowered_where_a_new_one_is_lower(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocks.jax, "default_backend", lambda: backend)
+    values, places = jnp.asarray([4.0, 4.0, 4.0]), jnp.asarray([2, 0, 2, 1])
+    got = blocks.lowered(values, places, jnp.asarray([3.0, 5.0, 1.0, 0.0]), jnp.int32(3))
+    np.testing.assert_array_equal(got, [4.0, 4.0, 1.0])
+
+
+def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
+    """Also from that of a sheet of which most sticks, some nodes of which have many elements."""
+    scene = scenes.cup()
+    start, sheet_body = initial_state(scene), body(scene)
+    stuck = start.stuck | (jnp.linalg.norm(start.positions, axis=0) > 0.4)
+    assert 5 < int(jnp.sum(~stuck)) < stuck.size / 2
+    velocities = jnp.where(stuck, 0.0, any_mode(start.positions))
+    state = dataclasses.replace(start, stuck=stuck, velocities=velocities, mode=any_mode(start.positions))
+    working = worked_through(state, scene, sheet_body)
+    taken = working.taken(state)
+    assert not np.array_equal(working.packed.place, np.arange(stuck.size))
+    for got, expected in zip(jax.tree.leaves(working.put_back(taken)), jax.tree.leaves(state), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    # What is not worked through makes up for what the account leaves out.
+    whole = sheet_body.whole
+    energy, volume = account(state.positions * 1.1, whole.elements, sheet_body.thickness[whole.element], scene.material)
+    moved = dataclasses.replace(state, positions=state.positions * 1.1)
+    working = worked_through(moved, scene, sheet_body)
+    elements = working.packed.elements
+    own, inside = account(working.taken(moved).positions, elements, working.thickness, scene.material)
+    assert 0.0 < float(own) < float(energy)
+    np.testing.assert_allclose(own + working.idle_energy, energy, rtol=1e-13)
+    np.testing.assert_allclose(inside + working.idle_volume, volume, rtol=1e-13, atol=1e-16)
 
 
 def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:
