@@ -51,20 +51,16 @@ def sheet(elements: int) -> Sheet:
     i, j = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
     a = (i * (side + 1) + j).ravel()
     pairs = np.stack([a, a + side + 1, a + side + 2, a, a + side + 2, a + 1], axis=1)
-    return clamped(positions, pairs.reshape(-1, 3), ~inside, 0.06 / side)
-
-
-def clamped(positions: Array, triangles: NDArray[np.integer], held: NDArray[np.bool_], step: float) -> Sheet:
-    """A sheet of any triangles of nodes (n_node, 3) [m], some of which are held."""
+    triangles = pairs.reshape(-1, 3).astype(np.int32)
     first, second, third = (positions[triangles[:, k]] for k in range(3))
     u, w = second - first, third - first
     g11, g12, g22 = (np.einsum("ij,ij->i", *pair) for pair in ((u, u), (u, w), (w, w)))
     determinant = g11 * g22 - g12**2
     area = 0.5 * np.sqrt(determinant)
     mass = np.bincount(triangles.ravel(), np.repeat(area * THICKNESS / 3, 3), len(positions))
-    compliance = np.where(held, 0.0, 1 / mass)[:, None] * np.ones(3)
+    compliance = np.where(inside, 1 / mass, 0.0)[:, None] * np.ones(3)
     metric = np.stack([g22, -g12, g11], axis=1) / determinant[:, None]
-    return Sheet(positions, np.asarray(triangles, np.int32), metric, area, compliance, step)
+    return Sheet(positions, triangles, metric, area, compliance, 0.06 / side)
 
 
 def best_seconds(run: Callable[[], Any], repeats: int = 5) -> float:
