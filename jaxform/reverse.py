@@ -36,7 +36,7 @@ from jaxform.stepping import (
     window,
     window_and_impacts,
 )
-from jaxform.working import idle_volume, packed_moving, worked_through
+from jaxform.working import idle_volume, packed_moving
 
 _SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
 _SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
@@ -73,8 +73,7 @@ class _Kept:
 
 
 def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> tuple[State, _Kept]:
-    working = worked_through(state, scene, sheet_body)
-    end, landed, impact = window_and_impacts(state, scene, working, schedule)
+    end, landed, impact = window_and_impacts(state, scene, sheet_body, schedule)
     positions, velocities = end.positions, end.velocities
     if impact is not None:
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)

@@ -254,12 +254,13 @@ def window_in_place(state: State, scene: Scene, working: Working) -> State:
 
 
 def window_and_impacts(
-    state: State, scene: Scene, working: Working, schedule: Schedule | None
+    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None
 ) -> tuple[State, jax.Array, jax.Array | None]:
     """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
 
     And its impact (6, n_node), as in `contact.Landing`; None where there is no mold.
     """
+    working = worked_through(state, scene, sheet_body)
     impacts, packed = scene.mold is not None, working.packed
     end, moving = _stepped(working.taken(state), scene, working, schedule, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.

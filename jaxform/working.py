@@ -92,9 +92,11 @@ def wholly_worked_through(state: State, scene: Scene, sheet_body: Body) -> Worki
 
 
 def still_worked_through(
-    state: State, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array | bool
+    state: State, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array
 ) -> tuple[State, Working]:
     """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
+    if not scene.packs_moving and state.mesh is None:
+        return state, working
     elements = working.packed.elements
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
@@ -108,7 +110,7 @@ def still_worked_through(
     if scene.packs_moving:
         _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
         stale |= moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
-    return only_if(jnp.asarray(stale), anew, (state, working))
+    return only_if(stale, anew, (state, working))
 
 
 def idle_volume(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
