@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +28,7 @@ from benchmarks.sheets import best_in_turns, best_seconds, whole_loop
 from jaxform import molds, simulation, stepping
 from jaxform.body import Body
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
+from jaxform.scene import SHORT_WINDOW
 from jaxform.state import State, can_move
 from jaxform.working import Working, packed_moving, worked_through
 
@@ -263,22 +263,25 @@ def show_whole_run() -> Table:
     return [row]
 
 
+def _with_windows_of(steps: int, scene: jaxform.Scene) -> jaxform.Scene:
+    return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=steps))
+
+
 def show_parts(window: int = 20) -> Table:
-    """Cost of the parts of a step and of a window's border on the dish [us], all elements moving."""
-    scene = jaxform.load("dish")
+    """Cost of the parts of a step and of a short window's border on the dish [us], all elements moving."""
+    scene = _with_windows_of(SHORT_WINDOW, jaxform.load("dish"))
     state, body, taken = simulation._begin(scene)
     state = simulation._compiled(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
     free = dataclasses.replace(scene, mold=None, tables=dataclasses.replace(scene.tables, grid=None))
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
-    def border(*arguments: Any) -> State:
-        with mock.patch.object(stepping, "STEPS_PER_WINDOW", 1):
-            return stepping.window_in_place(*arguments)
+    def border(state: State, scene: jaxform.Scene, working: Working) -> State:
+        return stepping.window_in_place(state, _with_windows_of(1, scene), working)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
-        duration = stepping.STEPS_PER_WINDOW * state.step_length
+        duration = SHORT_WINDOW * state.step_length
         return stepping.list_near(state.positions, state.velocities, ~state.stuck, duration, scene.tables.grid)
 
     def balance(state: State, scene: jaxform.Scene, working: Working) -> Any:
@@ -299,7 +302,7 @@ def show_parts(window: int = 20) -> Table:
         "and without damping and search": (border, unsearched),
     }
     sheet = sheets.sheet(2048)
-    own, steps = formulations.own(sheet), _TIMES * stepping.STEPS_PER_WINDOW
+    own, steps = formulations.own(sheet), _TIMES * SHORT_WINDOW
     runs = {name: _repeated(*part, state) for name, part in parts.items()}
     seconds = best_in_turns({"bare": lambda: own(steps)} | runs, 15)
     bare = seconds.pop("bare") * len(scene.parison.triangles) / len(sheet.triangles)

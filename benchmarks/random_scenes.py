@@ -22,6 +22,7 @@ import jaxform
 from jaxform import building, molds, search, shapes
 from jaxform.materials import Material
 from jaxform.pytree import as_real
+from jaxform.scene import LONG_WINDOW, SHORT_WINDOW
 from jaxform.shapes import Sheet
 from jaxform.store import Store
 
@@ -135,11 +136,12 @@ def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
         share = 0.9 * WINDOWS / planned
         changes = {"solver.end_time": share * np.asarray(scene.solver.end_time)}
         scene = jaxform.replace(scene, changes | {"pressure.time": share * np.asarray(scene.pressure.time)})
-        planned = building._window_count(scene.tables.bound, scene.material, scene.solver, scene.tables.grid)
-        planned = min(planned, WINDOWS)
+        planned = building._planned_windows(scene.tables.bound, scene.material, scene.solver)
+        planned = min(planned + building._spare_windows(scene.tables.grid), WINDOWS)
         tags.append("shortened")
     grid = None if scene.mold is None else _common_grid(scene)
-    tables = dataclasses.replace(scene.tables, grid=grid, window_count=WINDOWS)
+    longest = LONG_WINDOW if scene.refinement is None else SHORT_WINDOW
+    tables = dataclasses.replace(scene.tables, grid=grid, window_count=WINDOWS, longest_window=longest)
     if tables.forest is not None and tables.forest.bend is not None and scene.mold is not None and grid is not None:
         forest = dataclasses.replace(tables.forest, bend=building.bends(scene.mold, grid))
         tables = dataclasses.replace(tables, forest=forest)

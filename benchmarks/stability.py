@@ -29,7 +29,7 @@ from jaxform.body import body
 from jaxform.force import Load
 from jaxform.materials import Material
 from jaxform.result import Result, wall_statistics
-from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.shapes import Sheet
 from jaxform.state import State, finished
 
@@ -112,7 +112,7 @@ def measure_edge(scene: Scene, most: int = 60) -> Found:
         rest = float(scene.solver.end_time - before.time)
         if int(after.last_count) == 0:
             vain += 1
-        elif length < 0.999 * rest / STEPS_PER_WINDOW and int(before.retries) == 0:
+        elif length < 0.999 * rest / int(after.last_count) and int(before.retries) == 0:
             begin.append(length / (scene.solver.safety * limit))
             end.append(length / float(true_limit(after, scene)))
         stretch = max(stretch, float(np.asarray(_stretches(after, scene)).max()))
@@ -196,7 +196,7 @@ def measure_drift(steps: int, points: int = 200) -> Found:
     """What the account of energy misses over time, over the largest work."""
     scene = ringing(steps)
     state, first, taken = simulation._begin(scene)
-    rows, began, most = [], time.perf_counter(), max(1, steps // STEPS_PER_WINDOW // points)
+    rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
     while not bool(finished(state, scene)) and int(state.windows) < scene.tables.window_count:
         state, taken, _ = simulation._advance(state, scene, first, taken, jnp.int32(most))
         result = simulation._make_result(state, scene, first, taken)

@@ -19,7 +19,8 @@ from jaxform.penetration import first_crossing
 from jaxform.pytree import as_index, as_real
 from jaxform.scene import (
     DESIGNABLE,
-    STEPS_PER_WINDOW,
+    LONG_WINDOW,
+    SHORT_WINDOW,
     Forest,
     Parison,
     Pressure,
@@ -35,6 +36,7 @@ from jaxform.search import SearchGrid, build_grid
 from jaxform.store import Store
 
 _MOST_STEPS = 20_000_000
+_PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
 _BEND = 10.0  # degrees, from which two triangles of the mold make a bend
 _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 
@@ -49,6 +51,7 @@ def build_scene(
     refinement: Refinement | None = None,
     forest: bisection.Forest | None = None,
     name: str = "scene",
+    frames: int = 0,
     store: Store | None = None,
 ) -> Scene:
     """Builds a scene: validates it and does all host work.
@@ -63,6 +66,7 @@ def build_scene(
         forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
             have the mean thickness of their edges' ends.
         name: What the scene is called.
+        frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
         store: Where the mold's search structure is kept between runs; nowhere by default.
 
     Raises:
@@ -86,6 +90,7 @@ def build_scene(
         _check_room(refinement, len(triangles))
         grown = _grown(forest, refinement, sheet, mobility, mold, grid, store)
         bound = grown.bound
+    planned = _planned_windows(bound, material, solver)
     tables = Tables(
         sheet=sheet,
         assembly=make_assembly(triangles, len(positions)),
@@ -94,7 +99,8 @@ def build_scene(
         size=as_real(np.abs(positions).max()),
         grid=grid,
         forest=grown,
-        window_count=_window_count(bound, material, solver, grid),
+        window_count=planned + _spare_windows(grid),
+        longest_window=SHORT_WINDOW if refinement is not None else _longest_window(planned, frames),
     )
     return Scene(
         parison=parison,
@@ -291,11 +297,8 @@ def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store
     return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side, store)
 
 
-def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: SearchGrid | None) -> int:
-    """Enough windows for the step that the stiffest strain up to stretch 6 would ask for, and some to spare.
-
-    Among these are some that contact cuts short when nodes fly through the mold, and some that are taken anew.
-    """
+def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> int:
+    """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
     step = float(solver.safety) * float(_stiffest_step(bound, material))
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
     if not steps < _MOST_STEPS:
@@ -305,8 +308,20 @@ def _window_count(bound: jax.Array, material: Material, solver: Solver, grid: Se
             "solver.end_time",
             float(solver.end_time),
         )
-    spare = 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
-    return int(np.ceil(steps / STEPS_PER_WINDOW)) + spare
+    return int(np.ceil(steps / SHORT_WINDOW))
+
+
+def _spare_windows(grid: SearchGrid | None) -> int:
+    """For some that contact cuts short when nodes fly through the mold, and some that are taken anew."""
+    return 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
+
+
+def _longest_window(planned: int, frames: int) -> int:
+    """Steps of the longest window, so that of so many planned short ones there are enough that are taken."""
+    longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, frames)
+    while longest < LONG_WINDOW and planned * SHORT_WINDOW >= 2 * longest * enough:
+        longest *= 2
+    return longest
 
 
 @jax.jit

@@ -300,7 +300,7 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
 
     from jaxform.body import body
     from jaxform.result import SLOW_ENOUGH
-    from jaxform.scene import STEPS_PER_WINDOW
+    from jaxform.scene import SHORT_WINDOW
     from jaxform.state import initial_state
     from jaxform.timestep import choose_step
     from jaxform.working import worked_through
@@ -319,9 +319,11 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
             f"refined up to level {refinement.deepest} of {forest.depth}, looked at every {refinement.interval} steps: "
             f"{forest.bound.size} triangles bisected beforehand, room for {refinement.elements} elements at once"
         )
+    longest = scene.tables.longest_window
+    steps = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     yield (
         f"to {float(scene.solver.end_time):.4g} s, first step {step:.3g} s, at most "
-        f"{scene.tables.window_count} windows of {STEPS_PER_WINDOW} steps"
+        f"{scene.tables.window_count} windows of {steps} steps"
     )
     if scene.solver.quasi_static:
         yield f"meant to be slow: it is warned of if the wall is more than {100 * SLOW_ENOUGH:.2g} % off for haste"

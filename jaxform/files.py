@@ -136,6 +136,7 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
             ),
             mold=_mold(document),
             name=document.name,
+            frames=model.output.frames,
             store=store,
         )
 

@@ -20,7 +20,7 @@ from jaxform.membrane import Vector, dot, gather, minus
 from jaxform.near import cells
 from jaxform.newborn import born
 from jaxform.remeshing import Queue, bisected, closed, queued
-from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.state import Schedule, State, Status, account, kinetic_energy
 
 _SPARE_BLOCKS = 2
@@ -54,7 +54,7 @@ def refined(
 def looks(window: jax.Array, scene: Scene) -> jax.Array:
     """Whether it is time to look at the mesh at the border before a window, where no schedule says so."""
     assert scene.refinement is not None
-    return window % -(-scene.refinement.interval // STEPS_PER_WINDOW) == 0
+    return window % -(-scene.refinement.interval // SHORT_WINDOW) == 0
 
 
 def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:

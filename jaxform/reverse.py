@@ -26,7 +26,7 @@ from jaxform.membrane import Vector, dot, rows_of, vector
 from jaxform.mold import Mold
 from jaxform.packing import Packed
 from jaxform.pytree import pytree
-from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.state import Schedule, State
 from jaxform.stepping import (
     Timing,
@@ -36,11 +36,11 @@ from jaxform.stepping import (
     window,
     window_and_impacts,
 )
+from jaxform.timestep import LEAST_LEFT
 from jaxform.working import idle_volume, packed_moving
 
 _SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
 _SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
-_LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
 
 
 @pytree
@@ -79,7 +79,7 @@ def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: 
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
     damping = scene.solver.damping
     if damping is not None:
-        back = _can_be_taken_back(damping, Timing(state.time, state.step_length, end.last_length))
+        back = _can_be_taken_back(damping, Timing(state.time, state.step_length, end.last_length), end.last_count)
         positions, velocities = (
             jnp.where(back, late, early)
             for late, early in ((positions, state.positions), (velocities, state.velocities))
@@ -103,10 +103,10 @@ def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: 
     return end, kept
 
 
-def _can_be_taken_back(damping: jax.Array, timing: Timing) -> jax.Array:
-    """Whether the steps of a window leave enough of a velocity to find it again."""
+def _can_be_taken_back(damping: jax.Array, timing: Timing, count: jax.Array) -> jax.Array:
+    """Whether the steps of a window leave enough of a velocity to find it again: a longer one is as long as they do."""
     half = 0.5 * damping * jnp.maximum(timing.before, timing.length)
-    return 1.0 - half > _LEAST_LEFT ** (1.0 / STEPS_PER_WINDOW) * (1.0 + half)
+    return (count > SHORT_WINDOW) | (1.0 - half > LEAST_LEFT ** (1.0 / SHORT_WINDOW) * (1.0 + half))
 
 
 @jax.checkpoint
@@ -168,7 +168,7 @@ def _end_of(kept: _Kept, now: _Window) -> _End:
     velocities = jnp.where(packed.exists, packed.taken(kept.velocities), 0.0)
     if damping is None:
         return _End(begin, velocities)
-    keeps = ~_can_be_taken_back(damping, Timing(kept.time, kept.before, kept.length))
+    keeps = ~_can_be_taken_back(damping, Timing(kept.time, kept.before, kept.length), kept.count)
     places, count = now.mass.size, jnp.where(keeps, now.count, 0)
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -191,7 +191,7 @@ def _end_of(kept: _Kept, now: _Window) -> _End:
         new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
         return n + 1, *new, corners
 
-    speeds = jnp.zeros((3, (STEPS_PER_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
+    speeds = jnp.zeros((3, (SHORT_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
     carry = jnp.int32(0), begin, velocities, begin, speeds, no_corners(begin, elements)
     carry = jax.lax.while_loop(lambda carry: carry[0] < count, advance, carry)
     return _End(carry[3], carry[2], carry[4], keeps)
@@ -398,9 +398,9 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     scene, begun = kept.scene, cotangents.of[0]
     sheet_body = present_body(scene, kept.mesh, kept.first)
     packed = packed_moving(kept.stuck, kept.mesh, scene, sheet_body)
-    timing = Timing(kept.time, kept.before, kept.length)
-    (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing), scene.pressure)
-    number = jnp.arange(STEPS_PER_WINDOW)
+    timing, longest = Timing(kept.time, kept.before, kept.length), scene.tables.longest_window
+    (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
+    number = jnp.arange(longest)
     taken = number < kept.count
     held = packed.taken(kept.stuck) | ~packed.exists
     now = _Window(
@@ -411,7 +411,7 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
         compliance=packed.taken(sheet_body.compliance),
         landed=jnp.where(held, -1, packed.taken(kept.landed)),
         pressure=jnp.append(pressure, 0.0),
-        kick=jnp.append(jnp.where(taken, kicks(timing), 0.0), 0.0),
+        kick=jnp.append(jnp.where(taken, kicks(timing, longest), 0.0), 0.0),
         length=kept.length,
         count=kept.count,
     )
@@ -472,9 +472,9 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
     parameters = jax.tree.leaves(scene.material)
     wanted = [True, thickens, presses, *(varies for _ in parameters)]
     vertices = scene.mold.vertices if scene.mold is not None and cotangents.want(of[1].mold.vertices) else None
-    steps = jnp.arange(STEPS_PER_WINDOW)
-    lands = jnp.append(jnp.any(now.landed[:, None] == steps, axis=0), jnp.asarray(False))
-    at_every_step = jnp.zeros(STEPS_PER_WINDOW + 1, real)
+    at_every_step = jnp.zeros(scene.tables.longest_window + 1, real)
+    landed = jnp.where(now.landed < 0, NEVER, now.landed)
+    lands = jnp.zeros(at_every_step.size, bool).at[landed].set(True, mode="drop")
     last = _Back(
         number=now.count,
         nodes=_Nodes(

@@ -24,7 +24,7 @@ from jaxform.mold import Mold
 from jaxform.pytree import as_index, as_real, pytree, static
 from jaxform.search import SearchGrid
 
-STEPS_PER_WINDOW = 64
+SHORT_WINDOW, LONG_WINDOW = 64, 256  # steps
 _DEEPEST = 14
 _INTERPOLATIONS = ("linear", "cubic-ramp")
 _FEW_KNOTS = 256
@@ -234,6 +234,7 @@ class Tables:
         grid: Search structure of the mold, or None.
         forest: What the mesh can be refined to, or None.
         window_count: Number of windows that a run may take.
+        longest_window: Steps that a window may take at most.
     """
 
     sheet: Sheet
@@ -244,6 +245,7 @@ class Tables:
     grid: SearchGrid | None
     forest: Forest | None
     window_count: int = static()
+    longest_window: int = static(default=SHORT_WINDOW)
 
 
 @pytree

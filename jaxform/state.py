@@ -14,7 +14,7 @@ from jaxform.body import Body, Mesh, first_mesh
 from jaxform.force import Elements
 from jaxform.materials import Material
 from jaxform.pytree import as_real, pytree
-from jaxform.scene import Scene, Sheet
+from jaxform.scene import SHORT_WINDOW, Scene, Sheet
 
 
 class Status(enum.IntFlag):
@@ -75,6 +75,7 @@ class State:
         kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end
             [J].
         imbalance: Energy held and lost beyond the external work, at the last window's end [J].
+        span: Steps that the next window takes, unless it is cut short or the end is near.
         retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the
             mold.
         mode: Of the highest frequency (3, n_node); None where it is not measured.
@@ -102,6 +103,7 @@ class State:
     kinetic_peak: jax.Array
     kinetic_excess: jax.Array
     imbalance: jax.Array
+    span: jax.Array
     retries: jax.Array
     mode: jax.Array | None
     bound: jax.Array
@@ -145,6 +147,7 @@ def initial_state(scene: Scene) -> State:
         kinetic_peak=zero,
         kinetic_excess=zero,
         imbalance=zero,
+        span=jnp.int32(min(SHORT_WINDOW, scene.tables.longest_window)),
         retries=none,
         mode=any_mode(positions) if scene.solver.sharp_step else None,
         bound=zero,

@@ -21,9 +21,9 @@ from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.pytree import pytree
-from jaxform.scene import STEPS_PER_WINDOW, Pressure, Scene
+from jaxform.scene import SHORT_WINDOW, Pressure, Scene
 from jaxform.state import Schedule, State, Status, account, last_pressure
-from jaxform.timestep import RUNGS_PER_OCTAVE, Limit, choose_step, elements_bound
+from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, longest_window
 from jaxform.working import Working, worked_through
 
 _MOST_RETRIES = 12
@@ -31,6 +31,8 @@ _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a s
 _SLACK = 1e-3  # of a step: less is rounding
 _FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
+_FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
+_STEADY = 0.95  # of the last window's bound on the step: with less, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then taken anew at most so often
 
 
@@ -76,7 +78,7 @@ class _Window:
     begin: jax.Array
     length: jax.Array
     bound: jax.Array
-    most: jax.Array | int
+    most: jax.Array
     row: _Row | None
     near: Near | None
 
@@ -277,31 +279,31 @@ def _stepped(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[State, _Moving]:
-    decided = _decided(state, scene, working, schedule)
-    length = decided.length
+    (length, most, limit), row = _decided(state, scene, working, schedule)
     moving = _begun(state, working, differentiable, impacts)
     now = _Window(
         working=working,
         begin=state.time,
         length=length,
-        bound=decided.limit.bound,
-        most=decided.most,
-        row=decided.row,
-        near=_list_near(moving, scene, length),
+        bound=limit.bound,
+        most=most,
+        row=row,
+        near=_list_near(moving, scene, most * length),
     )
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
         return step(moving, pressures, scene, now), None
 
     timing = Timing(state.time, state.step_length, length)
-    steps = *pressures(scene.pressure, timing), kicks(timing)
+    longest = scene.tables.longest_window
+    steps = *pressures(scene.pressure, timing, longest), kicks(timing, longest)
     if differentiable:
-        moving, _ = jax.lax.scan(advance, moving, steps)
+        moving = _in_short_ones(advance, moving, steps)
     else:
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
-    found = dataclasses.replace(state, mode=decided.limit.mode, sharpness=decided.limit.sharpness)
+    found = dataclasses.replace(state, mode=limit.mode, sharpness=limit.sharpness)
     return _close(found, moving, scene, now), moving
 
 
@@ -313,19 +315,19 @@ class Timing(NamedTuple):
     length: jax.Array
 
 
-def pressures(pressure: Pressure, timing: Timing) -> tuple[jax.Array, jax.Array]:
-    """At the begin of each step of a window, and averaged since the begin of the step before [Pa]."""
-    index = jnp.arange(STEPS_PER_WINDOW)
+def pressures(pressure: Pressure, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
+    """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa]."""
+    index = jnp.arange(count)
     times = timing.begin + index * timing.length
     now = pressure.at(times)
     before = pressure.at(jnp.where(index == 0, timing.begin - timing.before, times - timing.length))
     return now, 0.5 * (before + now)
 
 
-def kicks(timing: Timing) -> jax.Array:
-    """The step that the velocity takes in each step of a window [s]."""
+def kicks(timing: Timing, count: int) -> jax.Array:
+    """The step that the velocity takes in each of the `count` steps of a window [s]."""
     first = 0.5 * (timing.before + timing.length)
-    return jnp.where(jnp.arange(STEPS_PER_WINDOW) == 0, first, timing.length)
+    return jnp.where(jnp.arange(count) == 0, first, timing.length)
 
 
 class _Row(NamedTuple):
@@ -336,21 +338,15 @@ class _Row(NamedTuple):
 
 
 class _Decisions(NamedTuple):
-    """What is decided at a window's border.
+    """What is decided at a window's border: the steps, and the row they belong to, where a schedule is followed."""
 
-    The step [s], what it was found with, and how many there are at most; the row they belong to, where a schedule is
-    followed.
-    """
-
-    length: jax.Array
-    limit: Limit
-    most: jax.Array | int
+    chosen: Chosen
     row: _Row | None = None
 
 
 def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        return _Decisions(*choose_step(state, scene, working), STEPS_PER_WINDOW)
+        return _Decisions(choose_step(state, scene, working))
     row = schedule.upcoming(state.row)
 
     def as_planned(state: State, scene: Scene, working: Working) -> _Decisions:
@@ -364,13 +360,12 @@ def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | 
         steps = jnp.ceil(left / length * finer - _SLACK).astype(count.dtype)
         fresh = (steps == count) & (state.row_time == 0.0)
         even = left / jnp.maximum(steps, 1)
-        most = jnp.clip(steps, 1, STEPS_PER_WINDOW)
-        limit = Limit(state.mode, bound, state.sharpness)
-        return _Decisions(jnp.where(fresh, jnp.minimum(length, even), even), limit, most, _Row(row, left))
+        chosen = jnp.where(fresh, jnp.minimum(length, even), even)
+        most = jnp.clip(steps, 1, longest_window(chosen, scene))
+        return _Decisions(Chosen(chosen, most, Limit(state.mode, bound, state.sharpness)), _Row(row, left))
 
     def beyond(*now: Any) -> _Decisions:
-        most = jnp.full_like(schedule.counts[0], STEPS_PER_WINDOW)
-        return _Decisions(*choose_step(*now), most, _Row(row, jnp.full_like(state.time, jnp.inf)))
+        return _Decisions(choose_step(*now), _Row(row, jnp.full_like(state.time, jnp.inf)))
 
     now = jax.lax.stop_gradient((state, scene, working))
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
@@ -396,20 +391,34 @@ def _begun(state: State, working: Working, differentiable: bool, impacts: bool) 
     )
 
 
-def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving, most: jax.Array | int) -> _Moving:
+def _in_short_ones(advance: Callable[..., Any], moving: _Moving, steps: tuple[jax.Array, ...]) -> _Moving:
+    """Step by step, with a derivative; of a long window as many short ones as are not over when they begin."""
+
+    def take(moving: _Moving, steps: tuple[jax.Array, ...]) -> _Moving:
+        return jax.lax.scan(advance, moving, steps)[0]
+
+    def unless_halted(moving: _Moving, steps: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
+        return jax.lax.cond(moving.halted, lambda moving, _: moving, take, moving, steps), None
+
+    if len(steps[0]) <= SHORT_WINDOW:
+        return take(moving, steps)
+    short = jax.tree.map(lambda values: values.reshape(-1, SHORT_WINDOW), steps)
+    return jax.lax.scan(unless_halted, moving, short)[0]
+
+
+def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Moving, most: jax.Array) -> _Moving:
     def going(moving: _Moving) -> jax.Array:
         return (moving.count < most) & ~moving.halted
 
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
 
-def _list_near(moving: _Moving, scene: Scene, length: jax.Array) -> Near | None:
+def _list_near(moving: _Moving, scene: Scene, duration: jax.Array) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
-    positions, velocities, grid, length = jax.lax.stop_gradient(
-        (moving.positions, moving.velocities, scene.tables.grid, length)
+    positions, velocities, grid, duration = jax.lax.stop_gradient(
+        (moving.positions, moving.velocities, scene.tables.grid, duration)
     )
-    duration = length * STEPS_PER_WINDOW
     return list_near(positions, velocities, ~moving.stuck, duration, grid, scene.solver.skip_far)
 
 
@@ -435,7 +444,7 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
         kinetic_excess=end.behind - end.kinetic,
         steps=state.steps + moving.count,
         windows=state.windows + 1,
-        shortened=state.shortened + (moving.count < STEPS_PER_WINDOW),
+        shortened=state.shortened + (moving.count < now.most),
     )
     rounding = energy_rounding(scene, now.working.substance)
     status, imbalance = _health(new, end, rounding, scene, now.working)
@@ -463,12 +472,28 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
     return dataclasses.replace(
         kept,
         status=status.astype(jnp.int32),
+        span=_next_span(state, bad | (moving.count < now.most), scene, now),
         retries=retries,
         windows=new.windows,
         shortened=shortened,
         last_length=now.length,
         last_count=jnp.where(bad, 0, moving.count),
     )
+
+
+def _next_span(state: State, cut_short: jax.Array, scene: Scene, now: _Window) -> jax.Array:
+    """Steps of the next window: more while hardly anything is near the mold and the sheet does not stiffen fast.
+
+    A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
+    stiffness.
+    """
+    if scene.tables.longest_window <= SHORT_WINDOW:
+        return state.span
+    longer = now.bound >= _STEADY * state.bound
+    if now.near is not None:
+        longer &= now.near.count <= _FEW_PAIRS * scene.tables.mobility.shape[1]
+    twice, half = jnp.minimum(2 * state.span, scene.tables.longest_window), jnp.maximum(state.span // 2, SHORT_WINDOW)
+    return jnp.where(cut_short, SHORT_WINDOW, jnp.where(longer, twice, half))
 
 
 class _End(NamedTuple):

@@ -8,6 +8,7 @@ products with the tangent do.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 from jaxform import membrane
 from jaxform.blocks import Part, only_if, over_blocks
 from jaxform.force import Load, assembled, corner_changes, no_corners, shares
-from jaxform.scene import STEPS_PER_WINDOW, Scene
+from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.state import State, any_mode, can_move
 from jaxform.working import Working
 
@@ -30,6 +31,7 @@ _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
 _UNDAMPED = 0.9  # of the step, where nothing damps: near the limit the fast modes win energy over 100 000 steps
 _REGAIN = 2.0  # how many times as long the step must be to rise again where nothing damps
+LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
 
@@ -41,10 +43,18 @@ class Limit(NamedTuple):
     sharpness: jax.Array
 
 
-def choose_step(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Limit]:
-    """The step [s] of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
+class Chosen(NamedTuple):
+    """The step of a window [s], how many there are at most, and what the next window needs to know of the limit."""
 
-    With it what the next window needs to know of the limit. The state is in packed order.
+    length: jax.Array
+    most: jax.Array
+    limit: Limit
+
+
+def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
+    """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
+
+    The state is in packed order.
     """
     state, scene, working = jax.lax.stop_gradient((state, scene, working))
     longest, limit = _limit(state, scene, working)
@@ -61,8 +71,21 @@ def choose_step(state: State, scene: Scene, working: Working) -> tuple[jax.Array
         held = (state.step_length <= rung) & (rung < _REGAIN * state.step_length)
         rung = jnp.where(held, state.step_length, rung)
     rung = rung * jnp.exp2(-state.retries)
-    rest = (scene.solver.end_time - state.time) / STEPS_PER_WINDOW
-    return jax.lax.stop_gradient((jnp.minimum(rung, rest), limit))
+    rest = scene.solver.end_time - state.time
+    most = jnp.minimum(state.span, longest_window(rung, scene))
+    most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
+    return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit))
+
+
+def longest_window(length: jax.Array, scene: Scene) -> jax.Array:
+    """How many steps [s] of such a length a window may take: no more, beyond a short one, than can be taken back."""
+    longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
+    if damping is None or scene.tables.longest_window <= SHORT_WINDOW:
+        return longest
+    half = 0.5 * jax.lax.stop_gradient(damping) * length
+    taken = jnp.log1p(half) - jnp.log1p(-jnp.minimum(half, 0.5))  # of a velocity's logarithm, in a step
+    most = -math.log(LEAST_LEFT) / jnp.maximum(taken, jnp.finfo(taken.dtype).eps)
+    return jnp.clip(most, SHORT_WINDOW, longest).astype(longest.dtype)
 
 
 def _fastest(state: State, working: Working) -> jax.Array:
@@ -98,9 +121,10 @@ def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Lim
     known = state.sharpness > 0.0
     begun = state.mode, state.sharpness, ~known, jnp.asarray(True)
     mode, sharpness, _, _ = jax.lax.while_loop(lambda found: found[3], search, begun)
-    # Growth of the stiffness so far stands for growth within the window.
-    before = state.sharpness * state.bound
-    growth = jnp.where(known, jnp.clip(sharpness * bound / before, _MOST_GROWTH, 1.0), 1.0)
+    # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
+    before, windows = state.sharpness * state.bound, state.span / jnp.maximum(state.last_count, 1)
+    growth = (sharpness * bound / before) ** jnp.where(state.last_count > 0, windows, 1.0)
+    growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
     return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness)
 
 
