@@ -19,7 +19,7 @@ import trimesh
 
 import jaxform
 from benchmarks.sheets import best_in_turns, whole_loop
-from jaxform import contact, molds, near, shapes
+from jaxform import contact, membrane, molds, near, shapes
 from jaxform.mold import Mold
 from jaxform.result import penetrated
 from jaxform.scene import Scene
@@ -93,10 +93,12 @@ def walk(
     reached = jnp.any(near.watch(end, free, near.seen(window))[0])
     none = jnp.zeros(free.size, jnp.int32)
     never, impact = jnp.full(free.size, -1.0), jnp.zeros((6, free.size))
-    flying = contact.Landing(end, end - begin, free, never, none, none, jnp.asarray(0.0), impact)
+    there = end if differentiable else membrane.rows_of(end)
+    flying = contact.Landing(there, end - begin, free, never, none, none, jnp.asarray(0.0), impact)
     one, mass = jnp.asarray(1.0), jnp.ones(free.size)
     now = contact.Step(one, one, jnp.int32(0))
     landed = contact.land(flying, now, reached, mass, window, wall, grid, differentiable=differentiable)
+    landed = landed._replace(positions=jnp.asarray(landed.positions))
     return landed, ~(window.overflow | jnp.any(near.left(end, window.center, window.limit_square)))
 
 

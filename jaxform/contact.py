@@ -8,13 +8,13 @@ its gradient is that of the time of impact.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform.blocks import only_if, rows_read
-from jaxform.membrane import Vector, columns, cross, dot, gather, minus, plus
+from jaxform.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
 from jaxform.search import SearchGrid
@@ -47,12 +47,13 @@ def _meet(before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Arr
 class Landing(NamedTuple):
     """Where the nodes are after contact.
 
-    Positions and velocities (3, n_node); stuck, contact_time, wall and the number of the step in which each landed
-    (n_node,); the kinetic energy lost so far [J]. Where it is kept, the impact (6, n_node): where each node that landed
-    was before that step [m], and the velocity that it came with [m/s].
+    Positions and velocities (3, n_node), the positions row by row where no derivative is taken; stuck, contact_time,
+    wall and the number of the step in which each landed (n_node,); the kinetic energy lost so far [J]. Where it is
+    kept, the impact (6, n_node): where each node that landed was before that step [m], and the velocity that it came
+    with [m/s].
     """
 
-    positions: jax.Array
+    positions: Any
     velocities: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
@@ -111,7 +112,7 @@ def land(
 class _Paths(NamedTuple):
     """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s]."""
 
-    after: jax.Array
+    after: Any
     velocities: jax.Array
     length: jax.Array
 
@@ -173,7 +174,7 @@ def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) ->
     """
     number = jnp.full(stuck.size, -1, jnp.int32)
     listed = jnp.zeros(stuck.size + 1, jnp.int32)
-    none = _Met(jnp.full(stuck.size, jnp.inf, paths.after.dtype), number, listed, jnp.int32(0))
+    none = _Met(jnp.full(stuck.size, jnp.inf, paths.velocities.dtype), number, listed, jnp.int32(0))
 
     def more(carry: tuple[jax.Array, _Met]) -> jax.Array:
         return carry[0] < near.count
@@ -231,15 +232,17 @@ def _landed_in_place(landing: Landing, now: Step, mass: jax.Array, near: Near, m
 
         # All is read before anything is written, or XLA would copy the arrays.
         old = jax.lax.optimization_barrier(jax.tree.map(own, landing))
-        return jax.tree.map(put, landing, landed(old, now, own(mass), mold, own(met.triangle)))
+        new = landed(old, now, own(mass), mold, own(met.triangle))
+        return jax.tree.map(put, landing, new._replace(positions=rows_of(new.positions)))
 
     return jax.lax.fori_loop(0, met.count, one, landing)
 
 
 def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
     """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
-    lands, before = chosen >= 0, landing.positions - now.length * landing.velocities
-    point, fall, beta = _landing_point(before, landing.positions, mold, jnp.maximum(chosen, 0), lands)
+    lands, after = chosen >= 0, jnp.asarray(landing.positions)
+    before = after - now.length * landing.velocities
+    point, fall, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
     kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
@@ -247,7 +250,7 @@ def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax
     if impact is not None:
         impact = jnp.where(lands, jnp.concatenate([before, landing.velocities]), impact)
     return Landing(
-        positions=jnp.where(lands, point, landing.positions),
+        positions=jnp.where(lands, point, after),
         velocities=jnp.where(lands, 0.0, landing.velocities),
         stuck=landing.stuck | lands,
         contact_time=jnp.where(lands, now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length, landing.contact_time),

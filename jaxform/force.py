@@ -75,13 +75,13 @@ class Load(NamedTuple):
     """What the force depends on smoothly.
 
     Attributes:
-        positions: (3, place) [m].
+        positions: (3, place) [m]; or its rows, where no derivative is taken.
         thickness: Initial thickness (room,) [m].
         pressure: A number [Pa].
         material: The law with its parameters.
     """
 
-    positions: jax.Array
+    positions: Any
     thickness: jax.Array
     pressure: jax.Array
     material: Material

@@ -33,8 +33,10 @@ def gather(values: jax.Array, index: jax.Array) -> jax.Array:
     return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-def columns(values: jax.Array, index: jax.Array) -> Vector:
+def columns(values: jax.Array | Vector, index: jax.Array) -> Vector:
     """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
+    if isinstance(values, tuple):
+        return vector(gather(row, index) for row in values)
     flat, size = values.reshape(-1), values.shape[1]
     x, y, z = (gather(flat, index + k * size) for k in range(3))
     return x, y, z
@@ -58,7 +60,7 @@ def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, 
     return first, minus(corner(triangles[1]), first), minus(corner(triangles[2]), first)
 
 
-def rows_of(positions: jax.Array) -> Vector:
+def rows_of(positions: jax.Array | Vector) -> Vector:
     """The rows of (3, n), taken apart once: for loops over blocks, which would do it again for each."""
     x, y, z = positions
     return x, y, z

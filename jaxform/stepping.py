@@ -40,11 +40,12 @@ _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which 
 class _Moving:
     """What changes from step to step inside a window, in packed order.
 
+    Positions (3, place) [m] are three rows where no derivative is taken: else they would be taken apart in every step.
     `landed` is the step in which a node landed, NEVER where it has not in this window, and the impact that of
     `contact.Landing`, None where it is not kept; the room is None where derivatives are taken.
     """
 
-    positions: jax.Array
+    positions: Any
     velocities: jax.Array
     stuck: jax.Array
     contact_time: jax.Array
@@ -129,7 +130,7 @@ class _Taken(NamedTuple):
     With them whether a node has gone far enough to touch the mold, and whether one may soon leave its ball.
     """
 
-    positions: jax.Array
+    positions: jax.Array | membrane.Vector
     velocities: jax.Array
     volume: jax.Array
     loss: jax.Array | float
@@ -162,21 +163,23 @@ def _taken_in_blocks(
     near = None if now.near is None else seen(now.near)
 
     def work(old: Any, own: Any, nodes: Any, near: Any) -> Any:
-        positions, velocities = old
+        (x,), (y,), (z,), velocities = old
         nodal = assembled(corners, own)
         velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
-        new = [x + length * v for x, v in zip(positions, velocities, strict=True)]
+        new = [x + length * v for x, v in zip((x, y, z), velocities, strict=True)]
         sums = [] if losses is None else [losses]
         if near is not None:
             sums += watch(new, nodes[0], near)
-        return [new, velocities], sums
+        return [*([x] for x in new), velocities], sums
 
-    inputs, into = (shares(corners, elements), nodes, near), [moving.positions, moving.velocities]
+    inputs = shares(corners, elements), nodes, near
+    into = [*(x[None] for x in moving.positions), moving.velocities]
     count = (scene.solver.damping is not None) + 2 * (near is not None)
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=2)
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=4)
     loss = sums.pop(0) if scene.solver.damping is not None else 0.0
     reached, leaving = (sums[0] > 0, sums[1] > 0) if sums else (False, False)
-    return _Taken(new[0], new[1], volume, loss, reached, leaving, corners)
+    positions = membrane.vector(row for (row,) in new[:3])
+    return _Taken(positions, new[3], volume, loss, reached, leaving, corners)
 
 
 def kicked(
@@ -300,9 +303,11 @@ def _stepped(
     if differentiable:
         moving = _in_short_ones(advance, moving, steps)
     else:
+        moving = dataclasses.replace(moving, positions=membrane.rows_of(state.positions))
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
         )
+        moving = dataclasses.replace(moving, positions=jnp.stack(moving.positions))
     found = dataclasses.replace(state, mode=limit.mode, sharpness=limit.sharpness)
     return _close(found, moving, scene, now), moving
 
