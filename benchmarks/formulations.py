@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
 from jaxform import blocks, force, packing, scene
 from jaxform.materials import Material, MooneyRivlin
-from jaxform.membrane import Vector, cross, metric, stress, stress_factors
+from jaxform.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
 
 LAW = MooneyRivlin(jnp.asarray(C), jnp.asarray(ALPHA), jnp.asarray(1.0))
 
@@ -167,12 +167,12 @@ def _own(sheet: Sheet, dtype: Any, law: Material) -> Callable[[int], Any]:
             load = force.Load(x, thickness, pressure, law)
             corners, volume = force.corner_forces(load, whole.elements, corners)
             nodal = force.assembled(corners, _shares(whole.elements))
-            v = v + step * jnp.stack(nodal) * compliance
-            return x + step * v, v, corners, volume
+            v = [w + step * f * c for w, f, c in zip(v, nodal, compliance, strict=True)]
+            return vector(a + step * w for a, w in zip(x, v, strict=True)), v, corners, volume
 
         room = force.no_corners(x, whole.elements)
-        state = x, jnp.zeros_like(x), room, jnp.zeros((), dtype)
-        return whole.put_back(jax.lax.fori_loop(0, count, advance, state)[0])
+        state = rows_of(x), list(jnp.zeros_like(x)), room, jnp.zeros((), dtype)
+        return whole.put_back(jnp.stack(jax.lax.fori_loop(0, count, advance, state)[0]))
 
     compiled = jax.jit(steps).lower(start, whole, fixed, jnp.int32(1)).compile()
     return lambda count: compiled(start, whole, fixed, jnp.int32(count))
