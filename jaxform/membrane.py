@@ -112,7 +112,8 @@ def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
     r = inverse_reference
     trace = r[0] * g[0] + 2.0 * r[1] * g[1] + r[2] * g[2]
     determinant = _determinant(g) * (r[0] * r[2] - r[1] * r[1])
-    return Invariants(trace, determinant, trace + 1.0 / determinant, determinant + trace / determinant)
+    flexibility = 1.0 / determinant  # the only division
+    return Invariants(trace, determinant, trace + flexibility, determinant + trace * flexibility)
 
 
 def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Material) -> tuple[jax.Array, jax.Array]:
