@@ -263,13 +263,13 @@ def show_whole_run() -> Table:
     return [row]
 
 
-def _with_windows_of(steps: int, scene: jaxform.Scene) -> jaxform.Scene:
+def with_windows_of(steps: int, scene: jaxform.Scene) -> jaxform.Scene:
     return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=steps))
 
 
 def show_parts(window: int = 20) -> Table:
     """Cost of the parts of a step and of a short window's border on the dish [us], all elements moving."""
-    scene = _with_windows_of(SHORT_WINDOW, jaxform.load("dish"))
+    scene = with_windows_of(SHORT_WINDOW, jaxform.load("dish"))
     state, body, taken = simulation._begin(scene)
     state = simulation._compiled(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
     free = dataclasses.replace(scene, mold=None, tables=dataclasses.replace(scene.tables, grid=None))
@@ -277,7 +277,7 @@ def show_parts(window: int = 20) -> Table:
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
     def border(state: State, scene: jaxform.Scene, working: Working) -> State:
-        return stepping.window_in_place(state, _with_windows_of(1, scene), working)
+        return stepping.window_in_place(state, with_windows_of(1, scene), working)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None

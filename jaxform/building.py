@@ -100,7 +100,7 @@ def build_scene(
         grid=grid,
         forest=grown,
         window_count=planned + _spare_windows(grid),
-        longest_window=SHORT_WINDOW if refinement is not None else _longest_window(planned, frames),
+        longest_window=SHORT_WINDOW if refinement is not None else longest_window(planned, frames),
     )
     return Scene(
         parison=parison,
@@ -316,7 +316,7 @@ def _spare_windows(grid: SearchGrid | None) -> int:
     return 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
 
 
-def _longest_window(planned: int, frames: int) -> int:
+def longest_window(planned: int, frames: int) -> int:
     """Steps of the longest window, so that of so many planned short ones there are enough that are taken."""
     longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, frames)
     while longest < LONG_WINDOW and planned * SHORT_WINDOW >= 2 * longest * enough:

@@ -291,7 +291,7 @@ def _stepped(
         bound=limit.bound,
         most=most,
         row=row,
-        near=_list_near(moving, scene, most * length),
+        near=_list_near(moving, scene, length * (most if row is None else _span_of(most))),
     )
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
@@ -416,6 +416,11 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
         return (moving.count < most) & ~moving.halted
 
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
+
+
+def _span_of(count: jax.Array) -> jax.Array:
+    """Steps that a recorded window was meant to take, of which it took `count`: smaller balls would halt it sooner."""
+    return SHORT_WINDOW * jnp.exp2(jnp.ceil(jnp.log2(jnp.maximum(count / SHORT_WINDOW, 1.0)) - _SLACK))
 
 
 def _list_near(moving: _Moving, scene: Scene, duration: jax.Array) -> Near | None:

@@ -1,0 +1,129 @@
+"""Windows become longer while nothing happens; what a run comes to, and its derivative, stay the same."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from benchmarks.bench import with_windows_of, without
+from jaxform import building, shapes, timestep
+from jaxform.scene import LONG_WINDOW, SHORT_WINDOW
+from tests import scenes
+
+
+def _counts(result: jaxform.Result) -> list[int]:
+    assert result.schedule is not None
+    counts = np.asarray(result.schedule.counts)
+    return [int(count) for count in counts[counts > 0]]
+
+
+@pytest.fixture(scope="module")
+def cup() -> jaxform.Scene:
+    # Without the search for the highest mode there is half as much to compile.
+    return with_windows_of(LONG_WINDOW, without(scenes.cup(), sharp_step=False))
+
+
+@pytest.fixture(scope="module")
+def landed(cup: jaxform.Scene) -> jaxform.Result:
+    return jaxform.run(cup)
+
+
+def test_the_wall_is_that_of_short_windows(cup: jaxform.Scene, landed: jaxform.Result) -> None:
+    short = jaxform.run(with_windows_of(SHORT_WINDOW, cup))
+    assert jaxform.explain(landed) == jaxform.explain(short) == "ok"
+    assert max(_counts(short)) <= SHORT_WINDOW < max(_counts(landed))
+    assert int(landed.windows) < int(short.windows)
+    # Other windows are halted and other steps taken, as with larger balls.
+    np.testing.assert_allclose(landed.positions, short.positions, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(landed.thickness, short.thickness, rtol=4e-3)
+    np.testing.assert_allclose(landed.energy.external_work, short.energy.external_work, rtol=1e-3)
+    np.testing.assert_array_equal(landed.stuck, short.stuck)
+
+
+def test_after_one_that_was_cut_short_comes_a_short_one(landed: jaxform.Result) -> None:
+    counts = _counts(landed)
+    cut = [k for k in range(len(counts) - 1) if counts[k] < SHORT_WINDOW]
+    assert cut
+    assert all(counts[k + 1] <= SHORT_WINDOW for k in cut)
+    assert counts[0] <= SHORT_WINDOW
+
+
+def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform.Scene) -> None:
+    def longest(damping: float | None, length: float = 0.05) -> int:
+        scene = dataclasses.replace(cup, solver=jaxform.make_solver(end_time=20.0, damping=damping))
+        return int(timestep.longest_window(jnp.asarray(length), scene))
+
+    assert longest(None) == longest(0.0) == longest(0.1) == LONG_WINDOW
+    assert longest(50.0) == longest(1e6) == SHORT_WINDOW
+    for damping in (0.8, 1.0, 1.3):
+        assert SHORT_WINDOW < longest(damping) < LONG_WINDOW
+        half = 0.5 * damping * 0.05
+        left = ((1.0 - half) / (1.0 + half)) ** np.array([longest(damping), longest(damping) + 1])
+        assert left[1] < timestep.LEAST_LEFT <= left[0]
+
+
+def test_windows_become_shorter_where_the_sheet_stiffens_or_is_taken_anew() -> None:
+    """Blown up evenly, and nearly at once."""
+    law = jaxform.ModifiedMooneyRivlin(scenes.real(1.0), scenes.real(0.05), scenes.real(1.0))
+    scene = with_windows_of(LONG_WINDOW, without(scenes.free_disc(60, 2.0, law), sharp_step=False))
+    stiffened = anew = 0
+    for pressure in ([0.0, 0.15, 0.3], [0.0, 0.01, 0.3]):
+        at = [0.0, 20.0, 40.0] if pressure[1] > 0.1 else [0.0, 20.0, 22.0]
+        run = jaxform.run(dataclasses.replace(scene, pressure=jaxform.make_pressure(at, pressure)))
+        assert jaxform.explain(run) == "ok"
+        assert run.schedule is not None
+        last = int(run.windows) - 2
+        counts, bounds = np.asarray(run.schedule.counts), np.asarray(run.schedule.bounds)
+        for k in range(1, last):
+            if counts[k] == 0:
+                anew += 1
+                assert counts[k + 1] <= SHORT_WINDOW
+            elif bounds[k] < 0.95 * bounds[k - 1]:
+                stiffened += counts[k] > SHORT_WINDOW
+                assert counts[k + 1] < counts[k] or counts[k + 1] <= SHORT_WINDOW
+            elif counts[k + 1] > 0 and bounds[k] > 0.951 * bounds[k - 1]:
+                # As far as damping lets it.
+                assert counts[k + 1] >= min(2 * counts[k], 160)
+    assert stiffened > 2
+    assert anew > 0
+
+
+def test_every_loop_takes_the_same_windows(cup: jaxform.Scene, landed: jaxform.Result) -> None:
+    """The host's loop, the one that can be differentiated, and the one that follows the decisions of a run."""
+    for result in (jaxform.simulate(cup), jaxform.simulate(cup, schedule=landed.schedule)):
+        assert _counts(result) == _counts(landed)
+        np.testing.assert_allclose(result.positions, landed.positions, rtol=0, atol=1e-12)
+
+
+def test_forward_and_reverse_derivative_agree(cup: jaxform.Scene) -> None:
+    """Forward mode takes a long window as several short ones; the reverse one goes back over all of it."""
+
+    def wall(thickness: jax.Array, pressure: jax.Array) -> jax.Array:
+        changed = jaxform.replace(cup, {"parison.thickness": thickness, "pressure.value": pressure})
+        return jnp.mean(jnp.square(jaxform.simulate(changed).thickness)) * 1e4
+
+    values = cup.parison.thickness, cup.pressure.value
+    ways = tuple(value * jnp.cos(jnp.arange(value.size)) for value in values)
+    along = jax.jit(lambda: jax.jvp(wall, values, ways)[1])()
+    slopes = jax.jit(jax.grad(wall, argnums=(0, 1)))(*values)
+    expected = sum(float(jnp.vdot(slope, way)) for slope, way in zip(slopes, ways, strict=True))
+    np.testing.assert_allclose(along, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("short_ones", "frames", "longest"),
+    [(60, 0, 64), (130, 0, 128), (260, 0, 256), (9000, 0, 256), (260, 30, 128), (260, 100, 64)],
+)
+def test_there_are_enough_windows_to_look_at_a_run(short_ones: int, frames: int, longest: int) -> None:
+    """A built scene knows how many short windows it may take; a run takes a quarter of them, or more."""
+    assert building.longest_window(short_ones, frames) == longest
+
+
+def test_with_refinement_all_windows_are_short() -> None:
+    sheet = shapes.rectangle(size=(1.0, 1.0), elements=8)
+    assert scenes.refinable(sheet, 256).tables.longest_window == SHORT_WINDOW
