@@ -29,7 +29,7 @@ from jaxform.body import body
 from jaxform.force import Load
 from jaxform.materials import Material
 from jaxform.result import Result, wall_statistics
-from jaxform.scene import SHORT_WINDOW, Scene
+from jaxform.scene import LONG_WINDOW, SHORT_WINDOW, Scene
 from jaxform.shapes import Sheet
 from jaxform.state import State, finished
 
@@ -103,7 +103,8 @@ def windows(scene: Scene, most: int = 10_000) -> Iterator[tuple[State, State]]:
 
 def measure_edge(scene: Scene, most: int = 60) -> Found:
     """Step taken over the true limit at each window's begin, over safety; and over the limit at its end."""
-    scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, window_count=4096))
+    tables = dataclasses.replace(scene.tables, window_count=4096, longest_window=LONG_WINDOW)
+    scene = dataclasses.replace(scene, tables=tables)
     begin, end, stretch, vain = [], [], 1.0, 0
     limit = float("nan")
     for before, after in windows(scene, most):

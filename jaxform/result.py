@@ -132,7 +132,7 @@ class Result:
 
 
 def make_result(
-    state: State, scene: Scene, first: Body, taken: tuple[jax.Array, jax.Array, jax.Array] | None = None
+    state: State, scene: Scene, first: Body, taken: tuple[jax.Array, jax.Array, jax.Array, jax.Array] | None = None
 ) -> Result:
     """The result of a state; pure, so it can be traced.
 

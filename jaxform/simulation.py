@@ -94,7 +94,7 @@ def _recomputed_windows(count: int) -> Rule:
         return state, tuple(ShapedArray((count,), leaf.dtype) for leaf in _latest(state))
 
     def smooth(result: tuple[State, Taken]) -> Any:
-        return carries(result[0]), (False, False, False)
+        return carries(result[0]), jax.tree.map(lambda _: False, result[1])
 
     return recomputed(functools.partial(_windows, count=count), like, smooth)
 
@@ -220,7 +220,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
 _make_result = jax.jit(make_result)
 
 
-Taken = tuple[jax.Array, jax.Array, jax.Array]  # as in `Schedule`, of each window (n_window,)
+Taken = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # as in `Schedule`, of each window (n_window,)
 
 
 @jax.jit
@@ -228,7 +228,7 @@ def _begin(scene: Scene) -> tuple[State, Body, Taken]:
     count = scene.tables.window_count
     state = initial_state(scene)
     none = jnp.zeros(count, state.time.dtype)
-    return state, body(scene), (none, jnp.zeros(count, jnp.int32), none)
+    return state, body(scene), (none, jnp.zeros(count, jnp.int32), none, none)
 
 
 @jax.jit
@@ -271,7 +271,7 @@ class _Going(NamedTuple):
 
 def _latest(state: State) -> Taken:
     """Of the last window."""
-    return state.last_length, state.last_count, state.bound
+    return state.last_length, state.last_count, state.bound, state.last_duration
 
 
 def _unless_full(state: State, scene: Scene, take: Callable[[State], State], *, differentiable: bool = True) -> State:

@@ -39,12 +39,14 @@ class Schedule:
         lengths: Of the steps of each window (n_window,) [s].
         counts: Steps of each window (n_window,); 0 for windows that were not taken, or tried in vain.
         bounds: The elements' bound on the step at their begin (n_window,) [s].
+        durations: What they were to last (n_window,) [s], before contact cut them short: where nodes were expected.
         split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
     """
 
     lengths: jax.Array
     counts: jax.Array
     bounds: jax.Array
+    durations: jax.Array
     split_at: jax.Array | None
 
     def upcoming(self, row: jax.Array) -> jax.Array:
@@ -83,6 +85,7 @@ class State:
         mesh: Which triangles of the forest there are; None without refinement.
         refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was tried in vain.
+        last_duration: What it was to last [s].
         row, row_time: Of a schedule that is followed: whose steps come next, and how much of their time is over [s].
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
@@ -112,6 +115,7 @@ class State:
     refinement_loss: jax.Array
     last_length: jax.Array
     last_count: jax.Array
+    last_duration: jax.Array
     row: jax.Array
     row_time: jax.Array
     steps: jax.Array
@@ -156,6 +160,7 @@ def initial_state(scene: Scene) -> State:
         refinement_loss=zero,
         last_length=zero,
         last_count=none,
+        last_duration=zero,
         row=none,
         row_time=zero,
         steps=none,

@@ -32,7 +32,7 @@ _SLACK = 1e-3  # of a step: less is rounding
 _FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
-_STEADY = 0.95  # of the last window's bound on the step: with less, they become shorter
+_STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then taken anew at most so often
 
 
@@ -72,6 +72,7 @@ class _Window:
         bound: The elements' bound on it [s].
         most: How many steps it takes, unless it is cut short.
         row: Of a schedule that is followed; None where none is.
+        duration: What it is to last [s].
         near: The list of nodes near the mold; None where there is no mold.
     """
 
@@ -81,6 +82,7 @@ class _Window:
     bound: jax.Array
     most: jax.Array
     row: _Row | None
+    duration: jax.Array
     near: Near | None
 
 
@@ -282,7 +284,7 @@ def _stepped(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[State, _Moving]:
-    (length, most, limit), row = _decided(state, scene, working, schedule)
+    (length, most, limit), duration, row = _decided(state, scene, working, schedule)
     moving = _begun(state, working, differentiable, impacts)
     now = _Window(
         working=working,
@@ -291,7 +293,8 @@ def _stepped(
         bound=limit.bound,
         most=most,
         row=row,
-        near=_list_near(moving, scene, length * (most if row is None else _span_of(most))),
+        duration=duration,
+        near=_list_near(moving, scene, duration),
     )
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
@@ -343,15 +346,21 @@ class _Row(NamedTuple):
 
 
 class _Decisions(NamedTuple):
-    """What is decided at a window's border: the steps, and the row they belong to, where a schedule is followed."""
+    """What is decided at a window's border.
+
+    The steps, and how long they or those of the schedule were to last [s]; the row they belong to, where one is
+    followed.
+    """
 
     chosen: Chosen
+    duration: jax.Array
     row: _Row | None = None
 
 
 def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        return _Decisions(choose_step(state, scene, working))
+        chosen = choose_step(state, scene, working)
+        return _Decisions(chosen, chosen.most * chosen.length)
     row = schedule.upcoming(state.row)
 
     def as_planned(state: State, scene: Scene, working: Working) -> _Decisions:
@@ -367,10 +376,12 @@ def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | 
         even = left / jnp.maximum(steps, 1)
         chosen = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, longest_window(chosen, scene))
-        return _Decisions(Chosen(chosen, most, Limit(state.mode, bound, state.sharpness)), _Row(row, left))
+        limit = Limit(state.mode, bound, state.sharpness)
+        return _Decisions(Chosen(chosen, most, limit), schedule.durations[row], _Row(row, left))
 
     def beyond(*now: Any) -> _Decisions:
-        return _Decisions(choose_step(*now), _Row(row, jnp.full_like(state.time, jnp.inf)))
+        chosen = choose_step(*now)
+        return _Decisions(chosen, chosen.most * chosen.length, _Row(row, jnp.full_like(state.time, jnp.inf)))
 
     now = jax.lax.stop_gradient((state, scene, working))
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
@@ -416,11 +427,6 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
         return (moving.count < most) & ~moving.halted
 
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
-
-
-def _span_of(count: jax.Array) -> jax.Array:
-    """Steps that a recorded window was meant to take, of which it took `count`: smaller balls would halt it sooner."""
-    return SHORT_WINDOW * jnp.exp2(jnp.ceil(jnp.log2(jnp.maximum(count / SHORT_WINDOW, 1.0)) - _SLACK))
 
 
 def _list_near(moving: _Moving, scene: Scene, duration: jax.Array) -> Near | None:
@@ -488,18 +494,19 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
         shortened=shortened,
         last_length=now.length,
         last_count=jnp.where(bad, 0, moving.count),
+        last_duration=now.duration,
     )
 
 
 def _next_span(state: State, cut_short: jax.Array, scene: Scene, now: _Window) -> jax.Array:
-    """Steps of the next window: more while hardly anything is near the mold and the sheet does not stiffen fast.
+    """Steps of the next window: more while hardly anything is near the mold and the sheet's stiffness is steady.
 
     A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
     stiffness.
     """
     if scene.tables.longest_window <= SHORT_WINDOW:
         return state.span
-    longer = now.bound >= _STEADY * state.bound
+    longer = jnp.abs(now.bound - state.bound) <= _STEADY * state.bound
     if now.near is not None:
         longer &= now.near.count <= _FEW_PAIRS * scene.tables.mobility.shape[1]
     twice, half = jnp.minimum(2 * state.span, scene.tables.longest_window), jnp.maximum(state.span // 2, SHORT_WINDOW)

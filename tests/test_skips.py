@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.bench import with_windows_of, without
+from benchmarks.bench import without
 from jaxform import blocks, force, membrane, packing, shapes, simulation, timestep
 from jaxform.body import body
-from jaxform.scene import SHORT_WINDOW, Sheet
+from jaxform.scene import Sheet
 from jaxform.state import account, any_mode, initial_state
 from jaxform.working import worked_through
 from tests import scenes
@@ -171,7 +171,6 @@ def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> N
     """With every step kept it is JAX's; of everything that a design may change, and of the mold."""
     # Without the search for the highest mode there is half as much to compile, and nothing less to differentiate.
     scene = dataclasses.replace(without(scenes.cup(), sharp_step=False), material=scenes.mooney(0.1))
-    scene = with_windows_of(2 * SHORT_WINDOW, scene)
     assert scene.mold is not None and scene.solver.damping is not None
     leaves = {
         "parison.thickness": scene.parison.thickness,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +25,11 @@ def _counts(result: jaxform.Result) -> list[int]:
 
 @pytest.fixture(scope="module")
 def cup() -> jaxform.Scene:
-    # Without the search for the highest mode there is half as much to compile.
-    return with_windows_of(LONG_WINDOW, without(scenes.cup(), sharp_step=False))
+    """Formed so slowly that a window changes little; without the search for the highest mode, which compiles long."""
+    scene = without(scenes.cup(), sharp_step=False)
+    slow = {"pressure.time": 5.0 * np.asarray(scene.pressure.time), "solver.end_time": 100.0, "solver.damping": 1.0}
+    tables = dataclasses.replace(scene.tables, window_count=40, longest_window=LONG_WINDOW)
+    return dataclasses.replace(jaxform.replace(scene, slow), tables=tables)
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +49,15 @@ def test_the_wall_is_that_of_short_windows(cup: jaxform.Scene, landed: jaxform.R
     np.testing.assert_array_equal(landed.stuck, short.stuck)
 
 
-def test_after_one_that_was_cut_short_comes_a_short_one(landed: jaxform.Result) -> None:
-    counts = _counts(landed)
-    cut = [k for k in range(len(counts) - 1) if counts[k] < SHORT_WINDOW]
-    assert cut
+def test_after_one_that_was_cut_short_comes_a_short_one() -> None:
+    """In a cup that is formed fast."""
+    schedule = jaxform.run(with_windows_of(LONG_WINDOW, without(scenes.cup(), sharp_step=False))).schedule
+    assert schedule is not None
+    counts = np.asarray(schedule.counts)
+    lasted = np.asarray(schedule.lengths * schedule.counts)
+    cut = np.flatnonzero(lasted < (1 - 1e-6) * np.asarray(schedule.durations))
+    assert len(cut)
     assert all(counts[k + 1] <= SHORT_WINDOW for k in cut)
-    assert counts[0] <= SHORT_WINDOW
 
 
 def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform.Scene) -> None:
@@ -67,11 +74,11 @@ def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform
         assert left[1] < timestep.LEAST_LEFT <= left[0]
 
 
-def test_windows_become_shorter_where_the_sheet_stiffens_or_is_taken_anew() -> None:
+def test_windows_become_shorter_where_the_stiffness_changes_or_one_is_taken_anew() -> None:
     """Blown up evenly, and nearly at once."""
     law = jaxform.ModifiedMooneyRivlin(scenes.real(1.0), scenes.real(0.05), scenes.real(1.0))
     scene = with_windows_of(LONG_WINDOW, without(scenes.free_disc(60, 2.0, law), sharp_step=False))
-    stiffened = anew = 0
+    changing = anew = 0
     for pressure in ([0.0, 0.15, 0.3], [0.0, 0.01, 0.3]):
         at = [0.0, 20.0, 40.0] if pressure[1] > 0.1 else [0.0, 20.0, 22.0]
         run = jaxform.run(dataclasses.replace(scene, pressure=jaxform.make_pressure(at, pressure)))
@@ -83,13 +90,13 @@ def test_windows_become_shorter_where_the_sheet_stiffens_or_is_taken_anew() -> N
             if counts[k] == 0:
                 anew += 1
                 assert counts[k + 1] <= SHORT_WINDOW
-            elif bounds[k] < 0.95 * bounds[k - 1]:
-                stiffened += counts[k] > SHORT_WINDOW
+            elif abs(bounds[k] / bounds[k - 1] - 1.0) > 0.05:
+                changing += counts[k] > SHORT_WINDOW
                 assert counts[k + 1] < counts[k] or counts[k + 1] <= SHORT_WINDOW
-            elif counts[k + 1] > 0 and bounds[k] > 0.951 * bounds[k - 1]:
+            elif counts[k + 1] > 0:
                 # As far as damping lets it.
-                assert counts[k + 1] >= min(2 * counts[k], 160)
-    assert stiffened > 2
+                assert counts[k + 1] >= min(2 * counts[k], 140)
+    assert changing > 2
     assert anew > 0
 
 
@@ -100,19 +107,27 @@ def test_every_loop_takes_the_same_windows(cup: jaxform.Scene, landed: jaxform.R
         np.testing.assert_allclose(result.positions, landed.positions, rtol=0, atol=1e-12)
 
 
-def test_forward_and_reverse_derivative_agree(cup: jaxform.Scene) -> None:
-    """Forward mode takes a long window as several short ones; the reverse one goes back over all of it."""
+def test_the_derivatives_of_long_windows_agree(cup: jaxform.Scene) -> None:
+    """By hand all steps are taken back; JAX takes a long window as several short ones, in forward mode as well."""
 
-    def wall(thickness: jax.Array, pressure: jax.Array) -> jax.Array:
-        changed = jaxform.replace(cup, {"parison.thickness": thickness, "pressure.value": pressure})
-        return jnp.mean(jnp.square(jaxform.simulate(changed).thickness)) * 1e4
+    def figure(thickness: jax.Array, pressure: jax.Array, damping: jax.Array, every: int = 1) -> jax.Array:
+        values = {"parison.thickness": thickness, "pressure.value": pressure, "solver.damping": damping}
+        result = jaxform.simulate(jaxform.replace(cup, values), windows_per_checkpoint=every)
+        energies = sum(jax.tree.leaves(result.energy))
+        return 1e4 * jnp.mean(jnp.square(result.thickness)) + energies + 1e-3 * jnp.mean(result.contact_time)
 
-    values = cup.parison.thickness, cup.pressure.value
-    ways = tuple(value * jnp.cos(jnp.arange(value.size)) for value in values)
-    along = jax.jit(lambda: jax.jvp(wall, values, ways)[1])()
-    slopes = jax.jit(jax.grad(wall, argnums=(0, 1)))(*values)
-    expected = sum(float(jnp.vdot(slope, way)) for slope, way in zip(slopes, ways, strict=True))
-    np.testing.assert_allclose(along, expected, rtol=1e-9)
+    assert cup.solver.damping is not None
+    values = cup.parison.thickness, cup.pressure.value, cup.solver.damping
+    slopes = [
+        jax.jit(jax.grad(functools.partial(figure, every=every), argnums=(0, 1, 2)))(*values) for every in (1, 0, 3)
+    ]
+    for other in slopes[1:]:
+        for slope, expected in zip(slopes[0], other, strict=True):
+            assert jnp.abs(expected).max() > 1e-6
+            np.testing.assert_allclose(slope, expected, rtol=1e-9, atol=1e-10 * float(jnp.abs(expected).max()))
+    ways = tuple(value * jnp.cos(jnp.arange(value.size)).reshape(value.shape) for value in values)
+    along = jax.jit(lambda: jax.jvp(figure, values, ways)[1])()
+    np.testing.assert_allclose(along, sum(map(jnp.vdot, slopes[0], ways)), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
