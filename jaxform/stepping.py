@@ -33,6 +33,7 @@ _FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
 _STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
+_QUIET = 1e-3  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then taken anew at most so often
 
 
@@ -466,8 +467,8 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
     status, imbalance = _health(new, end, rounding, scene, now.working)
     new = dataclasses.replace(new, imbalance=imbalance)
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
-    jump = jnp.abs(imbalance - state.imbalance) > _JUMP_TOLERANCE * new.peak_work + rounding
-    unsure = jump & (state.retries < _RETRIES_FOR_ENERGY)
+    jump = jnp.abs(imbalance - state.imbalance) - rounding
+    unsure = (jump > _JUMP_TOLERANCE * new.peak_work) & (state.retries < _RETRIES_FOR_ENERGY)
     # What blew up, and what may have missed the mold since a node flew out of its ball, is taken anew with half the
     # step: the sheet may have stiffened within the window.
     status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
@@ -488,7 +489,7 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
     return dataclasses.replace(
         kept,
         status=status.astype(jnp.int32),
-        span=_next_span(state, bad | (moving.count < now.most), scene, now),
+        span=_next_span(state, bad | (moving.count < now.most), jump <= _QUIET * new.peak_work, scene, now),
         retries=retries,
         windows=new.windows,
         shortened=shortened,
@@ -498,15 +499,15 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
     )
 
 
-def _next_span(state: State, cut_short: jax.Array, scene: Scene, now: _Window) -> jax.Array:
-    """Steps of the next window: more while hardly anything is near the mold and the sheet's stiffness is steady.
+def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scene, now: _Window) -> jax.Array:
+    """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
 
     A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
     stiffness.
     """
     if scene.tables.longest_window <= SHORT_WINDOW:
         return state.span
-    longer = jnp.abs(now.bound - state.bound) <= _STEADY * state.bound
+    longer = quiet & (jnp.abs(now.bound - state.bound) <= _STEADY * state.bound)
     if now.near is not None:
         longer &= now.near.count <= _FEW_PAIRS * scene.tables.mobility.shape[1]
     twice, half = jnp.minimum(2 * state.span, scene.tables.longest_window), jnp.maximum(state.span // 2, SHORT_WINDOW)
