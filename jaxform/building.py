@@ -318,7 +318,8 @@ def _spare_windows(grid: SearchGrid | None) -> int:
 
 def longest_window(planned: int, frames: int) -> int:
     """Steps of the longest window, so that of so many planned short ones there are enough that are taken."""
-    longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, frames)
+    # Steps are not all alike, so there are twice as many windows as frames.
+    longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, 2 * frames)
     while longest < LONG_WINDOW and planned * SHORT_WINDOW >= 2 * longest * enough:
         longest *= 2
     return longest
