@@ -264,6 +264,7 @@ def show_whole_run() -> Table:
 
 
 def with_windows_of(steps: int, scene: jaxform.Scene) -> jaxform.Scene:
+    """A scene whose windows take no more steps."""
     return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=steps))
 
 

@@ -53,10 +53,11 @@ def _edge(found: Found, folder: Path) -> str:
             f"| {row['stretch']:.2f} | {len(row['begin'])} | {_range(row['begin'])} | {_range(row['end'])} "
             f"| {row['vain']} |"
         )
+    why = ": another mode has become the highest, and the search has not seen it yet; the safety bears that"
+    missed = why if begin.max() > 1 else ""
     lines += [
         "",
-        f"At the begin {_share(begin > 1)} of the windows are above 1, the largest is {begin.max():.3f}: another mode "
-        "has become the highest, and the search has not seen it yet; the safety bears that. "
+        f"At the begin {_share(begin > 1)} of the windows are above 1, the largest is {begin.max():.3f}{missed}. "
         f"{_share(begin < 0.9)} are below 0.9, most of them since the sheet is about to stiffen: over the lower of the "
         f"limits at begin and end, times the safety, {_share(lower < 0.9)} of the steps are below 0.9. "
         f"{_share(end > 1)} of the windows end above the true limit, the worst at {end.max():.3f}: a sheet that snaps "

@@ -15,7 +15,7 @@ from jaxform.penetration import Penetration, penetration
 from jaxform.pytree import pytree
 from jaxform.recovery import nodal_ratio
 from jaxform.scene import Scene
-from jaxform.state import Schedule, State, Status, kinetic_energy, last_work, strain_energy
+from jaxform.state import Schedule, State, Status, Taken, kinetic_energy, last_work, strain_energy
 
 _DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
@@ -131,9 +131,7 @@ class Result:
     seconds: Seconds | None = None
 
 
-def make_result(
-    state: State, scene: Scene, first: Body, taken: tuple[jax.Array, jax.Array, jax.Array, jax.Array] | None = None
-) -> Result:
+def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = None) -> Result:
     """The result of a state; pure, so it can be traced.
 
     Args:

@@ -25,7 +25,7 @@ from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
 from jaxform.scene import Scene, replace
-from jaxform.state import Schedule, State, Status, finished, initial_state
+from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
 from jaxform.stepping import energy_rounding, window, window_in_place
 from jaxform.store import Store
 from jaxform.working import Working, still_worked_through, wholly_worked_through
@@ -218,9 +218,6 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
 
 
 _make_result = jax.jit(make_result)
-
-
-Taken = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # as in `Schedule`, of each window (n_window,)
 
 
 @jax.jit

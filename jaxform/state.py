@@ -31,6 +31,9 @@ class Status(enum.IntFlag):
     UNBALANCED = 256
 
 
+Taken = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)
+
+
 @pytree
 class Schedule:
     """The decisions of a run, taken at its windows' borders; given to another run, they are taken as they are.

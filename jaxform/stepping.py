@@ -23,7 +23,7 @@ from jaxform.near import Near, left, list_near, seen, watch
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Pressure, Scene
 from jaxform.state import Schedule, State, Status, account, last_pressure
-from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, longest_window
+from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps
 from jaxform.working import Working, worked_through
 
 _MOST_RETRIES = 12
@@ -360,8 +360,7 @@ class _Decisions(NamedTuple):
 
 def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        chosen = choose_step(state, scene, working)
-        return _Decisions(chosen, chosen.most * chosen.length)
+        return _decided_freely(state, scene, working)
     row = schedule.upcoming(state.row)
 
     def as_planned(state: State, scene: Scene, working: Working) -> _Decisions:
@@ -375,17 +374,21 @@ def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | 
         steps = jnp.ceil(left / length * finer - _SLACK).astype(count.dtype)
         fresh = (steps == count) & (state.row_time == 0.0)
         even = left / jnp.maximum(steps, 1)
-        chosen = jnp.where(fresh, jnp.minimum(length, even), even)
-        most = jnp.clip(steps, 1, longest_window(chosen, scene))
+        own = jnp.where(fresh, jnp.minimum(length, even), even)
+        most = jnp.clip(steps, 1, most_steps(own, scene))
         limit = Limit(state.mode, bound, state.sharpness)
-        return _Decisions(Chosen(chosen, most, limit), schedule.durations[row], _Row(row, left))
+        return _Decisions(Chosen(own, most, limit), schedule.durations[row], _Row(row, left))
 
     def beyond(*now: Any) -> _Decisions:
-        chosen = choose_step(*now)
-        return _Decisions(chosen, chosen.most * chosen.length, _Row(row, jnp.full_like(state.time, jnp.inf)))
+        return _decided_freely(*now)._replace(row=_Row(row, jnp.full_like(state.time, jnp.inf)))
 
     now = jax.lax.stop_gradient((state, scene, working))
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
+
+
+def _decided_freely(state: State, scene: Scene, working: Working) -> _Decisions:
+    chosen = choose_step(state, scene, working)
+    return _Decisions(chosen, chosen.most * chosen.length)
 
 
 def _begun(state: State, working: Working, differentiable: bool, impacts: bool) -> _Moving:

@@ -72,13 +72,13 @@ def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
         rung = jnp.where(held, state.step_length, rung)
     rung = rung * jnp.exp2(-state.retries)
     rest = scene.solver.end_time - state.time
-    most = jnp.minimum(state.span, longest_window(rung, scene))
+    most = jnp.minimum(state.span, most_steps(rung, scene))
     most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
     return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit))
 
 
-def longest_window(length: jax.Array, scene: Scene) -> jax.Array:
-    """How many steps [s] of such a length a window may take: no more, beyond a short one, than can be taken back."""
+def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
+    """How many steps of a length [s] a window may take: no more, beyond a short one, than can be taken back."""
     longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
     if damping is None or scene.tables.longest_window <= SHORT_WINDOW:
         return longest

@@ -63,7 +63,7 @@ def test_after_one_that_was_cut_short_comes_a_short_one() -> None:
 def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform.Scene) -> None:
     def longest(damping: float | None, length: float = 0.05) -> int:
         scene = dataclasses.replace(cup, solver=jaxform.make_solver(end_time=20.0, damping=damping))
-        return int(timestep.longest_window(jnp.asarray(length), scene))
+        return int(timestep.most_steps(jnp.asarray(length), scene))
 
     assert longest(None) == longest(0.0) == longest(0.1) == LONG_WINDOW
     assert longest(50.0) == longest(1e6) == SHORT_WINDOW
