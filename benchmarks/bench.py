@@ -30,6 +30,7 @@ from jaxform.body import Body
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.scene import SHORT_WINDOW
 from jaxform.state import State, can_move
+from jaxform.watch import LOOK_EVERY
 from jaxform.working import Working, packed_moving, worked_through
 
 SIZES = (128, 512, 2048, 8192, 32768, 131072)
@@ -282,8 +283,14 @@ def show_parts(window: int = 20) -> Table:
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
-        duration = SHORT_WINDOW * state.step_length
-        return stepping.list_near(state.positions, state.velocities, ~state.stuck, duration, scene.tables.grid)
+        return stepping.list_near(
+            state.positions,
+            state.velocities,
+            ~state.stuck,
+            SHORT_WINDOW * state.step_length,
+            LOOK_EVERY * state.step_length,
+            scene.tables.grid,
+        )
 
     def balance(state: State, scene: jaxform.Scene, working: Working) -> Any:
         return stepping.account(state.positions, working.packed.elements, working.thickness, scene.material)

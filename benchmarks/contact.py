@@ -19,7 +19,8 @@ import trimesh
 
 import jaxform
 from benchmarks.sheets import best_in_turns, whole_loop
-from jaxform import contact, membrane, molds, near, shapes
+from jaxform import contact, membrane, molds, near, shapes, watch
+from jaxform.blocks import BLOCK
 from jaxform.mold import Mold
 from jaxform.result import penetrated
 from jaxform.scene import Scene
@@ -88,18 +89,20 @@ def walk(
     begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid, *, differentiable: bool = False
 ) -> tuple[contact.Landing, jax.Array]:
     """One step of all nodes from begin to end (3, n), as a simulation takes it: the landing; is all well?"""
-    free = jnp.zeros(begin.shape[1], bool)
-    window = near.list_near(begin, end - begin, ~free, jnp.asarray(1.0), grid)
-    reached = jnp.any(near.watch(end, free, near.seen(window))[0])
-    none = jnp.zeros(free.size, jnp.int32)
-    never, impact = jnp.full(free.size, -1.0), jnp.zeros((6, free.size))
+    count = begin.shape[1]
+    begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
+    stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
+    window = near.list_near(begin, way, ~stuck, once, once, grid)
+    due = watch.touching(end, stuck, window, jnp.int32(stuck.size // BLOCK))
+    none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     there = end if differentiable else membrane.rows_of(end)
-    flying = contact.Landing(there, end - begin, free, never, none, none, jnp.asarray(0.0), impact)
-    one, mass = jnp.asarray(1.0), jnp.ones(free.size)
-    now = contact.Step(one, one, jnp.int32(0))
-    landed = contact.land(flying, now, reached, mass, window, wall, grid, differentiable=differentiable)
+    flying = contact.Landing(there, way, stuck, -mass, none, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
+    now = contact.Step(once, once, jnp.int32(0))
+    landed = contact.land(flying, now, due, mass, window, wall, grid, differentiable=differentiable)
     landed = landed._replace(positions=jnp.asarray(landed.positions))
-    return landed, ~(window.overflow | jnp.any(near.left(end, window.center, window.limit_square)))
+    balls = window.start, window.clear_square, window.center, window.limit_square
+    well = ~(window.overflow | jnp.any(watch.missed(end, stuck, balls, watch.unseen())))
+    return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
 
 
 @jax.jit

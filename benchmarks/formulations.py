@@ -109,7 +109,7 @@ def packed(sheet: Sheet) -> packing.Packed:
 
 
 def _shares(elements: force.Elements) -> force.Shares:
-    return force.Shares(elements.slots, jnp.max(elements.row_count), None)
+    return force.Shares(elements.slots, jnp.max(elements.row_count))
 
 
 def _weight(sheet: Sheet) -> jax.Array:

@@ -1,7 +1,7 @@
 """Sticking contact: which nodes cross which triangle of the mold in a step, and where they land (paper, 3.2).
 
-Until a node has gone far enough since the window's border to touch anything, a step costs one distance per node; from
-then on the pairs that the border listed are tested, and no others. The choice of the triangle carries no gradient;
+Every few steps it is looked which nodes can touch anything until the next look; in between the pairs that the border
+listed for them are tested, and no others. The choice of the triangle carries no gradient;
 the landing point is then computed differentiably from it, and since it is the point where the path meets the triangle,
 its gradient is that of the time of impact.
 """
@@ -18,6 +18,7 @@ from jaxform.membrane import Vector, columns, cross, dot, gather, minus, plus, r
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
 from jaxform.search import SearchGrid
+from jaxform.watch import Due
 
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 
@@ -74,7 +75,7 @@ class Step(NamedTuple):
 def land(
     landing: Landing,
     now: Step,
-    reached: jax.Array,
+    due: Due,
     mass: jax.Array,
     near: Near,
     mold: Mold,
@@ -88,7 +89,7 @@ def land(
         landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
         now: The step. Before it, a node was its length at its velocity away. Kept nowhere, the positions before
             need not be copied.
-        reached: Whether any node is far enough from the border's position to touch.
+        due: The blocks of the window's list with nodes that can touch in this step.
         mass: (n_node,) [kg].
         near: The window's list.
         mold: The mold.
@@ -98,14 +99,16 @@ def land(
     touch = touch_distance(grid)
 
     if not differentiable:
-        return only_if(reached, lambda landing: _landed_in_place(landing, now, mass, near, mold, touch), landing)
+        return only_if(
+            due.count > 0, lambda landing: _landed_in_place(landing, now, mass, near, due, mold, touch), landing
+        )
 
     def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
         paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
-        return landed(landing, now, mass, mold, _first_met(paths, landing.stuck, near, touch).triangle)
+        return landed(landing, now, mass, mold, _first_met(paths, landing.stuck, near, due, touch).triangle)
 
     paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
-    met = _any_meets(paths, landing.stuck, reached, near, touch)
+    met = _any_meets(paths, landing.stuck, near, due, touch)
     return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold)
 
 
@@ -126,31 +129,29 @@ class _Paths(NamedTuple):
 
 
 def _block(
-    first: jax.Array, paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array
+    number: jax.Array, paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Node, triangle, beta and whether they meet, (block,) each, of the pairs from `first` on."""
+    """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
+    first = number * TEST_BLOCK
 
     def cut(values: jax.Array) -> jax.Array:
         return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
 
     node, planes = cut(near.node), rows_read(near.planes.reshape(-1), len(near.planes), first, TEST_BLOCK)
-    beta, meets = _meet(*paths.ends(node), planes, touch)
+    # What is looked up is no part of the arithmetic, which XLA would else not vectorize.
+    beta, meets = jax.lax.optimization_barrier(_meet(*paths.ends(node), planes, touch))
     used = first + jnp.arange(TEST_BLOCK) < near.count
     return node, cut(near.triangle), beta, meets & used & ~gather(stuck, node)
 
 
-def _any_meets(paths: _Paths, stuck: jax.Array, reached: jax.Array, near: Near, touch: jax.Array) -> jax.Array:
-    """Whether any listed pair meets in this step; looks no further than the first block where one does.
-
-    It does not look at all where no node has `reached` far enough to touch.
-    """
-    count = jnp.where(reached, near.count, 0)
+def _any_meets(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array) -> jax.Array:
+    """Whether any pair that is due meets in this step; looks no further than the first block where one does."""
 
     def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return (carry[0] < count) & ~carry[1]
+        return (carry[0] < due.count) & ~carry[1]
 
     def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return carry[0] + TEST_BLOCK, jnp.any(_block(carry[0], paths, stuck, near, touch)[3])
+        return carry[0] + 1, jnp.any(_block(due.block[carry[0]], paths, stuck, near, touch)[3])
 
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
@@ -167,7 +168,7 @@ class _Met(NamedTuple):
     count: jax.Array
 
 
-def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) -> _Met:
+def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array) -> _Met:
     """The triangle that each node meets first in this step.
 
     Of two that are met at once the one with the higher number counts, every time.
@@ -177,12 +178,12 @@ def _first_met(paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array) ->
     none = _Met(jnp.full(stuck.size, jnp.inf, paths.velocities.dtype), number, listed, jnp.int32(0))
 
     def more(carry: tuple[jax.Array, _Met]) -> jax.Array:
-        return carry[0] < near.count
+        return carry[0] < due.count
 
     def choose(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
-        first, found = carry
-        block = _block(first, paths, stuck, near, touch)
-        return first + TEST_BLOCK, _taken_up(found, jax.lax.optimization_barrier(block))
+        k, found = carry
+        block = _block(due.block[k], paths, stuck, near, touch)
+        return k + 1, _taken_up(found, jax.lax.optimization_barrier(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
 
@@ -217,9 +218,11 @@ def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arr
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 
 
-def _landed_in_place(landing: Landing, now: Step, mass: jax.Array, near: Near, mold: Mold, touch: jax.Array) -> Landing:
+def _landed_in_place(
+    landing: Landing, now: Step, mass: jax.Array, near: Near, due: Due, mold: Mold, touch: jax.Array
+) -> Landing:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    met = _first_met(_Paths(landing.positions, landing.velocities, now.length), landing.stuck, near, touch)
+    met = _first_met(_Paths(landing.positions, landing.velocities, now.length), landing.stuck, near, due, touch)
 
     def one(k: jax.Array, landing: Landing) -> Landing:
         node = met.listed[k]

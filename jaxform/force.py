@@ -54,7 +54,9 @@ class Elements:
         area: Initial area (room,) [m^2].
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
         slots: Where the corners' shares of each node are (depth, place): corner times room plus element.
-        spill_node, spill_slot: Further shares (k,), of nodes with more elements than `slots` is deep.
+        spill, spill_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares of
+            these nodes that they are added to.
+        spill_count: How many of them are in use.
         block_count, node_block_count: Blocks of elements, and of nodes, in use.
         row_count: Rows of `slots` in use, of each block of nodes (n_node_block,).
     """
@@ -64,8 +66,9 @@ class Elements:
     area: jax.Array
     origin: jax.Array
     slots: jax.Array
-    spill_node: jax.Array
-    spill_slot: jax.Array
+    spill: jax.Array
+    spill_into: jax.Array
+    spill_count: jax.Array
     block_count: jax.Array
     node_block_count: jax.Array
     row_count: jax.Array
@@ -132,30 +135,43 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         return _shares(push, pull2, pull3), [_used(area) * dot(arm, normal)]
 
     corners, (volume,) = _over(work, elements, (load.thickness,), into)
-    return corners, volume / 6.0
+    return _with_spill(corners, elements), volume / 6.0
 
 
 class Shares(NamedTuple):
     """Where nodes find what is theirs of what corners get, for `over_blocks`.
 
-    As in `Elements`; and the shares (3, place) that `slots` has no room for, None where it has room for all.
+    As in `Elements`.
     """
 
     slots: jax.Array
     row_count: Any
-    spill: jax.Array | None
 
 
-def shares(corners: Corners, elements: Elements) -> Shares:
+def shares(elements: Elements) -> Shares:
     """The nodes' shares of what corners get."""
-    return Shares(elements.slots, PerBlock(elements.row_count), _spilled(corners, elements))
+    return Shares(elements.slots, PerBlock(elements.row_count))
 
 
-def _spilled(corners: Corners, elements: Elements) -> jax.Array | None:
-    if elements.spill_node.size == 0:
-        return None
-    beyond = jnp.stack([corner.reshape(-1)[elements.spill_slot] for corner in corners])
-    return jnp.zeros((3, elements.slots.shape[1]), beyond.dtype).at[:, elements.spill_node].add(beyond)
+def _with_spill(corners: Corners, elements: Elements) -> Corners:
+    """What corners get, and with it the shares that `slots` has no room for: added to others of the same nodes."""
+    if elements.spill.size == 0:
+        return corners
+    flat = [corner.reshape(-1) for corner in corners]
+
+    def add(k: jax.Array, flat: Corners) -> Corners:
+        share, into = elements.spill[k], elements.spill_into[k]
+        # All is read before anything is written, or XLA would copy the arrays for every share.
+        sums = _once([corner[share] + corner[into] for corner in flat])
+        return [
+            jax.lax.dynamic_update_slice(corner, sum_[None], (into,)) for corner, sum_ in zip(flat, sums, strict=True)
+        ]
+
+    if jax.default_backend() == "cpu":
+        flat = jax.lax.fori_loop(0, elements.spill_count, add, flat)
+    else:
+        flat = [corner.at[elements.spill_into].add(corner[elements.spill]) for corner in flat]
+    return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
 
 
 def assembled(corners: Corners, own: Shares) -> Vector:
@@ -172,7 +188,7 @@ def assembled(corners: Corners, own: Shares) -> Vector:
     if len(slots) > USUAL_ROWS:
         # Few nodes have more, and they are packed together.
         total = jax.lax.fori_loop(USUAL_ROWS, own.row_count, lambda k, total: add(total, slots[k]), total)
-    return total if own.spill is None else plus(total, rows_of(own.spill))
+    return total
 
 
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:
@@ -182,7 +198,7 @@ def _nodal(corners: Corners, elements: Elements) -> jax.Array:
         return [assembled(corners, own)], []
 
     into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
-    (nodal,), _ = over_blocks(work, elements.node_block_count, (shares(corners, elements),), into)
+    (nodal,), _ = over_blocks(work, elements.node_block_count, (shares(elements),), into)
     return nodal
 
 
@@ -313,7 +329,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         return _shares(push, pull2, pull3), [volume]
 
     corners, (volume,) = _over(work, elements, (load.thickness, *thickened), into)
-    return corners, volume / 6.0
+    return _with_spill(corners, elements), volume / 6.0
 
 
 def _along_parameter(
@@ -415,7 +431,8 @@ def corner_cotangents(
     inputs = elements.triangles, elements.inverse_metric, elements.area, load.thickness
     room = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
-    return arrays[len(summed) :], arrays[: len(summed)], sums
+    corners = [array for k in range(len(summed), len(arrays), 3) for array in _with_spill(arrays[k : k + 3], elements)]
+    return corners, arrays[: len(summed)], sums
 
 
 def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:

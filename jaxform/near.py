@@ -7,13 +7,11 @@ node that is about to leave its ball halts the window: the next border gives it 
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 
 from jaxform.blocks import listed, lowered
-from jaxform.membrane import dot, gather, minus
+from jaxform.membrane import dot, gather
 from jaxform.pytree import pytree
 from jaxform.search import SearchGrid
 
@@ -23,8 +21,7 @@ TEST_BLOCK = 128
 _LANES, _DEPTH = 64, 8  # nodes, and triangles of each, that are looked at together
 _ROOM_PER_NODE, _LEAST_ROOM = 2, 4096  # pairs that a window can hold
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
-# How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
-_GLANCE, _ALARM = 0.05, 0.1
+_ALARM = 0.1  # of the ball's radius: so far before a node leaves its ball the window halts
 _MOST_HALVINGS = 10  # of the balls, until the pairs find room
 
 
@@ -38,10 +35,10 @@ class Near:
         count: How many pairs there are.
         start: Positions (3, n_node) [m] at the border.
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
+        near_square: The same less what any node goes between two looks.
         center: Of the balls (3, n_node) [m].
         limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
-        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts: a few steps
-            before the limit.
+        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
         overflow: Whether pairs were lost, so that the window must not be trusted.
     """
 
@@ -51,6 +48,7 @@ class Near:
     count: jax.Array
     start: jax.Array
     clear_square: jax.Array
+    near_square: jax.Array
     center: jax.Array
     limit_square: jax.Array
     alarm_square: jax.Array
@@ -89,38 +87,12 @@ def _written(block: jax.Array, rows: jax.Array, count: jax.Array) -> jax.Array:
     return jax.lax.dynamic_update_slice_in_dim(rows, block, count, axis=0)
 
 
-Seen = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-
-
-def seen(near: Near) -> Seen:
-    """What `watch` needs of the list, node by node."""
-    return near.start, near.clear_square, near.center, near.alarm_square
-
-
-def watch(positions: Any, stuck: jax.Array, seen: Seen) -> tuple[jax.Array, jax.Array]:
-    """Which free nodes (n,) have gone far enough to touch a listed triangle, and which may soon leave their ball.
-
-    Args:
-        positions: After a step, (3, n) or three times (n,) [m].
-        stuck: Nodes (n,) that do not move any more.
-        seen: What is `seen` of the window's list at these nodes.
-    """
-    start, clear_square, center, alarm_square = seen
-    way, gap = minus(positions, start), minus(positions, center)
-    return ~stuck & (dot(way, way) >= clear_square), ~stuck & (dot(gap, gap) > alarm_square)
-
-
-def left(positions: Any, center: jax.Array, limit_square: jax.Array) -> jax.Array:
-    """Which nodes (n,) have left their ball, so that they may have missed the mold."""
-    gap = minus(positions, center)
-    return dot(gap, gap) > limit_square
-
-
 def list_near(
     positions: jax.Array,
     velocities: jax.Array,
     free: jax.Array,
     duration: jax.Array,
+    till_look: jax.Array,
     grid: SearchGrid,
     skip_far: bool = True,
 ) -> Near:
@@ -131,6 +103,7 @@ def list_near(
         velocities: (3, n_node) [m/s].
         free: Nodes (n_node,) that can still move.
         duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
+        till_look: Time between two looks at the nodes [s].
         grid: Its search structure.
         skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
     """
@@ -150,8 +123,8 @@ def list_near(
     _, candidates, balls = jax.lax.while_loop(too_many, attempt, begun)
     kept, planes, clear = _examined(candidates, positions, balls, room, grid)
     limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
-    path = duration * jnp.sqrt(dot(velocities, velocities))
-    alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * balls.radius), 0.0)
+    alarm = jnp.maximum(limit - _ALARM * balls.radius, 0.0)
+    way = _slip(velocities, till_look)
     return Near(
         node=kept.pairs[:, 0],
         triangle=kept.pairs[:, 1],
@@ -159,11 +132,17 @@ def list_near(
         count=jnp.minimum(kept.count, room),
         start=positions,
         clear_square=jnp.where(balls.near, jnp.square(clear), jnp.inf),
+        near_square=jnp.where(balls.near, jnp.square(jnp.maximum(clear - way, 0.0)), jnp.inf),
         center=balls.center,
         limit_square=jnp.square(limit),
         alarm_square=jnp.square(alarm),
         overflow=candidates.count > room,
     )
+
+
+def _slip(velocities: jax.Array, till_look: jax.Array) -> jax.Array:
+    """How far [m] the fastest node goes between two looks: a slow one may become so fast meanwhile."""
+    return till_look * jnp.sqrt(jnp.max(dot(velocities, velocities)))
 
 
 def _balls(

@@ -81,7 +81,7 @@ def _depth(count: np.ndarray) -> int:
     beyond = np.array([np.maximum(count - depth, 0).sum() for depth in depths])
     blocks = np.array([-(-np.count_nonzero(count >= depth) // BLOCK) for depth in depths])
     looked_up = np.cumsum(np.where(depths <= USUAL_ROWS, len(count), BLOCK * blocks))
-    return int(depths[np.argmin(3 * looked_up + (beyond > 0) * (10_000 + len(count) + 60 * beyond))])
+    return int(depths[np.argmin(2 * looked_up + (depths > USUAL_ROWS) * len(count) + 12 * beyond)])
 
 
 def pack(
@@ -116,20 +116,27 @@ def pack(
         owner = jnp.maximum(code, 0) >> 2
         return jnp.where(there & (code >= 0) & kept[owner], (code & 3) * room + rank[owner], count).astype(jnp.int32)
 
+    spill = spill_into = assembly.spill
+    table, spill_count = assembly.table, jnp.int32(0)
+    if assembly.spill.size > 0:
+        home, added, table = _homes(assembly, kept)
+        order, spill_count = listed(added, spill.size)
+        spill, spill_into = (slots(code[order], jnp.asarray(True)) for code in (spill, home))
     block_count, node_block_count = count // BLOCK + 1, -(-node_total // BLOCK)
     triangles, inverse_metric, area = _columns(sheet, place, element, block_count)
     shares = jnp.zeros((assembly.table.shape[0], places), jnp.int32)
     row_count = jnp.zeros(places // BLOCK, jnp.int32)
     if stepped:
-        shares, row_count = _shares(slots, assembly, node, exists, node_block_count)
+        shares, row_count = _shares(slots, table, node, exists, node_block_count)
     elements = Elements(
         triangles=triangles,
         inverse_metric=inverse_metric,
         area=jnp.where(jnp.arange(room) < count, area, 0.0),
         origin=sheet.origin,
         slots=shares,
-        spill_node=place[assembly.spill_node].astype(jnp.int32),
-        spill_slot=slots(assembly.spill, jnp.asarray(True)),
+        spill=spill,
+        spill_into=spill_into,
+        spill_count=spill_count,
         block_count=block_count,
         node_block_count=node_block_count,
         row_count=row_count,
@@ -154,7 +161,7 @@ def _columns(
 
 def _shares(
     slots: Callable[[jax.Array, jax.Array], jax.Array],
-    assembly: Assembly,
+    table: jax.Array,
     node: jax.Array,
     exists: jax.Array,
     node_block_count: jax.Array,
@@ -162,14 +169,31 @@ def _shares(
     """Where the shares of the nodes in use are (depth, place), and how many rows each block of nodes uses of it."""
 
     def work(node: jax.Array, exists: jax.Array) -> Any:
-        codes = [row[node] for row in assembly.table]
+        codes = [row[node] for row in table]
         count = sum((code >= 0).astype(jnp.int32) for code in codes)
         return [[slots(code, exists) for code in codes], [jnp.where(exists, count, 0)]], []
 
-    depth = assembly.table.shape[0]
+    depth = table.shape[0]
     into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]
     (found, count), _ = over_blocks(work, node_block_count, (node, exists), into)
     return found, jnp.max(count.reshape(-1, BLOCK), axis=1)
+
+
+def _homes(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where nodes with surplus shares have them added: to the first of their shares that are worked through.
+
+    Returns:
+        That share of the node of each surplus one (k,); which of these are added to it; and the table with a surplus
+        share in its first row where a node has none else: one that sticks, and whose position has a derivative.
+    """
+    node, table = assembly.spill_node, assembly.table
+    rows, own = table[:, node], kept[assembly.spill >> 2]
+    worked = (rows >= 0) & kept[jnp.maximum(rows, 0) >> 2]
+    usual = jnp.any(worked, axis=0)
+    first = jnp.take_along_axis(rows, jnp.argmax(worked, axis=0)[None], axis=0)[0]
+    home = jnp.where(usual, first, jnp.where(own, assembly.spill, -1))
+    home = jnp.full(table.shape[1], -1, home.dtype).at[node].max(home)[node]
+    return home, own & (home != assembly.spill), table.at[0, node].set(jnp.where(usual, rows[0], home))
 
 
 def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:

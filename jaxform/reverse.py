@@ -186,7 +186,7 @@ def _end_of(kept: _Kept, now: _Window) -> _End:
             moved = [jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways]
             return [moved, new, before, new], []
 
-        inputs = shares(corners, elements), now.landed, now.mass, now.compliance, end
+        inputs = shares(elements), now.landed, now.mass, now.compliance, end
         into = [positions, velocities, before, Part(speeds, (n + 1) * places, places)]
         new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
         return n + 1, *new, corners
@@ -294,7 +294,7 @@ def _with_loss(
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
     kept = end.speeds_of(turn.number + 1)
-    inputs = shares(forces, elements), now.landed, now.mass, now.compliance, nodes.speeds, kept
+    inputs = shares(elements), now.landed, now.mass, now.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
     return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
@@ -312,7 +312,7 @@ def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end:
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > turn.number
-        pulled, nodal = (assembled(part, its) for part, its in zip(both, own, strict=True))
+        pulled, nodal = (assembled(part, own) for part in both)
         before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = jax.lax.optimization_barrier((before, position))
@@ -332,7 +332,7 @@ def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end:
         return [at, before, position, velocity, power, *more, force], sums
 
     kept = end.speeds_of(turn.number + 1)
-    inputs = [shares(part, elements) for part in both], now.landed, now.mass, now.compliance, kept
+    inputs = shares(elements), now.landed, now.mass, now.compliance, kept
     updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
     count = int(damping is not None)

@@ -19,11 +19,12 @@ from jaxform import contact, membrane
 from jaxform.blocks import only_if, over_blocks, total
 from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
-from jaxform.near import Near, left, list_near, seen, watch
+from jaxform.near import Near, list_near
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Pressure, Scene
 from jaxform.state import Schedule, State, Status, account, last_pressure
 from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps
+from jaxform.watch import LOOK_EVERY, Due, Seen, every_block, look, missed, touching, unseen
 from jaxform.working import Working, worked_through
 
 _MOST_RETRIES = 12
@@ -43,7 +44,8 @@ class _Moving:
 
     Positions (3, place) [m] are three rows where no derivative is taken: else they would be taken apart in every step.
     `landed` is the step in which a node landed, NEVER where it has not in this window, and the impact that of
-    `contact.Landing`, None where it is not kept; the room is None where derivatives are taken.
+    `contact.Landing`, None where it is not kept. What was seen last of the mold is None where there is none, the room
+    where derivatives are taken.
     """
 
     positions: Any
@@ -59,6 +61,7 @@ class _Moving:
     contact_loss: jax.Array
     count: jax.Array
     halted: jax.Array
+    seen: Seen | None
     room: Corners | None
 
 
@@ -75,6 +78,7 @@ class _Window:
         row: Of a schedule that is followed; None where none is.
         duration: What it is to last [s].
         near: The list of nodes near the mold; None where there is no mold.
+        wary: Whether no look at the nodes is trusted, since the last window was not taken.
     """
 
     working: Working
@@ -85,6 +89,7 @@ class _Window:
     row: _Row | None
     duration: jax.Array
     near: Near | None
+    wary: jax.Array
 
 
 def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _Window) -> _Moving:
@@ -99,6 +104,8 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     """
     pressure, mean_pressure, kick = pressures
     length = now.length
+    if now.near is not None:
+        moving = _looked(moving, now)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
@@ -118,7 +125,20 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     )
     if now.near is None:
         return moved if moving.room is not None else dataclasses.replace(moved, halted=_flown(moved, scene, now))
-    return _touch(moved, taken, length, scene, now)
+    return _touch(moved, length, scene, now)
+
+
+def _due(moved: _Moving, every: Due, now: _Window) -> Due:
+    """The listed pairs that are tested in this step; none while none is near."""
+
+    def narrowed(_: Due) -> Due:
+        assert now.near is not None
+        state = jax.lax.stop_gradient((moved.positions, moved.stuck, now.near))
+        return touching(*state, now.working.packed.elements.node_block_count)
+
+    assert moved.seen is not None
+    none = every._replace(count=jnp.int32(0))
+    return only_if(moved.seen.near, narrowed, none, differentiable=moved.room is None)
 
 
 def _flown(moved: _Moving, scene: Scene, now: _Window) -> jax.Array:
@@ -128,17 +148,12 @@ def _flown(moved: _Moving, scene: Scene, now: _Window) -> jax.Array:
 
 
 class _Taken(NamedTuple):
-    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
-
-    With them whether a node has gone far enough to touch the mold, and whether one may soon leave its ball.
-    """
+    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J]."""
 
     positions: jax.Array | membrane.Vector
     velocities: jax.Array
     volume: jax.Array
     loss: jax.Array | float
-    reached: jax.Array | bool
-    leaving: jax.Array | bool
     room: Corners | None
 
 
@@ -147,12 +162,8 @@ def _taken(load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scen
     nodes = moving.stuck, now.working.mass, now.working.compliance
     velocities, losses = kicked(nodal, moving.velocities, nodes, kick, scene.solver.damping)
     positions = moving.positions + length * jnp.stack(velocities)
-    reached = leaving = False
-    if now.near is not None:
-        found = watch(jax.lax.stop_gradient(positions), moving.stuck, seen(now.near))
-        reached, leaving = (jnp.any(flag) for flag in found)
     loss = total(losses) if losses is not None else 0.0
-    return _Taken(positions, jnp.stack(velocities), volume, loss, reached, leaving, None)
+    return _Taken(positions, jnp.stack(velocities), volume, loss, None)
 
 
 def _taken_in_blocks(
@@ -163,26 +174,20 @@ def _taken_in_blocks(
     assert room is not None
     corners, volume = corner_forces(load, elements, room)
     nodes = moving.stuck, now.working.mass, now.working.compliance
-    near = None if now.near is None else seen(now.near)
 
-    def work(old: Any, own: Any, nodes: Any, near: Any) -> Any:
+    def work(old: Any, own: Any, nodes: Any) -> Any:
         (x,), (y,), (z,), velocities = old
         nodal = assembled(corners, own)
         velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
         new = [x + length * v for x, v in zip((x, y, z), velocities, strict=True)]
-        sums = [] if losses is None else [losses]
-        if near is not None:
-            sums += watch(new, nodes[0], near)
-        return [*([x] for x in new), velocities], sums
+        return [*([x] for x in new), velocities], [] if losses is None else [losses]
 
-    inputs = shares(corners, elements), nodes, near
+    inputs = shares(elements), nodes
     into = [*(x[None] for x in moving.positions), moving.velocities]
-    count = (scene.solver.damping is not None) + 2 * (near is not None)
-    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=count, update=4)
-    loss = sums.pop(0) if scene.solver.damping is not None else 0.0
-    reached, leaving = (sums[0] > 0, sums[1] > 0) if sums else (False, False)
+    damped = scene.solver.damping is not None
+    new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4)
     positions = membrane.vector(row for (row,) in new[:3])
-    return _Taken(positions, new[3], volume, loss, reached, leaving, corners)
+    return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners)
 
 
 def kicked(
@@ -209,9 +214,31 @@ def kicked(
     return new, 0.25 * kick * damping * mass * membrane.dot(mean, mean)
 
 
-def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: _Window) -> _Moving:
+def _looked(moving: _Moving, now: _Window) -> _Moving:
+    """Every few steps a look at where the nodes are, and where they will be at the next one.
+
+    What it says of the mold holds until then, unless a node has become so much faster that it may have touched unseen:
+    that shows in the next look, or at the window's end.
+    """
+
+    def again(last: Seen) -> Seen:
+        assert now.near is not None
+        till_next = jnp.minimum(LOOK_EVERY, now.most - moving.count) * now.length
+        state = jax.lax.stop_gradient((moving.positions, moving.velocities, moving.stuck, till_next, now.near))
+        new = look(*state, last, now.working.packed.elements.node_block_count)
+        return new._replace(near=new.near | now.wary)
+
+    assert moving.seen is not None
+    due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0)
+    seen = only_if(due, again, moving.seen, differentiable=moving.room is None)
+    # In this order, or XLA would keep a copy of the positions for the look, at every step.
+    seen, positions, velocities = jax.lax.optimization_barrier((seen, moving.positions, moving.velocities))
+    return dataclasses.replace(moving, seen=seen, positions=positions, velocities=velocities)
+
+
+def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
-    assert scene.mold is not None and scene.tables.grid is not None and now.near is not None
+    assert scene.mold is not None and scene.tables.grid is not None and now.near is not None and moved.seen is not None
     landing = contact.Landing(
         moved.positions,
         moved.velocities,
@@ -222,11 +249,13 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         moved.contact_loss,
         moved.impact,
     )
-    reached = jnp.asarray(taken.reached) if scene.solver.skip_far else jnp.asarray(True)
+    due = every_block(now.near)
+    if scene.solver.skip_far:
+        due = _due(moved, due, now)
     this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
     differentiable = moved.room is None
     landing = contact.land(
-        landing, this, reached, now.working.mass, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
+        landing, this, due, now.working.mass, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
     )
     return dataclasses.replace(
         moved,
@@ -238,7 +267,7 @@ def _touch(moved: _Moving, taken: _Taken, length: jax.Array, scene: Scene, now: 
         landed=landing.step,
         impact=landing.impact,
         contact_loss=landing.loss,
-        halted=moved.halted | taken.leaving | (moved.count >= now.most),
+        halted=moved.halted | moved.seen.leaving | moved.seen.missed | (moved.count >= now.most),
     )
 
 
@@ -286,7 +315,6 @@ def _stepped(
     impacts: bool = False,
 ) -> tuple[State, _Moving]:
     (length, most, limit), duration, row = _decided(state, scene, working, schedule)
-    moving = _begun(state, working, differentiable, impacts)
     now = _Window(
         working=working,
         begin=state.time,
@@ -295,8 +323,10 @@ def _stepped(
         most=most,
         row=row,
         duration=duration,
-        near=_list_near(moving, scene, duration),
+        near=_list_near(state, scene, duration, length),
+        wary=state.last_count == 0,
     )
+    moving = _begun(state, now, differentiable, impacts)
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
         return step(moving, pressures, scene, now), None
@@ -391,7 +421,8 @@ def _decided_freely(state: State, scene: Scene, working: Working) -> _Decisions:
     return _Decisions(chosen, chosen.most * chosen.length)
 
 
-def _begun(state: State, working: Working, differentiable: bool, impacts: bool) -> _Moving:
+def _begun(state: State, now: _Window, differentiable: bool, impacts: bool) -> _Moving:
+    working = now.working
     places, positions = working.mass.size, state.positions
     return _Moving(
         positions=positions,
@@ -407,6 +438,7 @@ def _begun(state: State, working: Working, differentiable: bool, impacts: bool) 
         contact_loss=state.contact_loss,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
+        seen=None if now.near is None else unseen(),
         room=None if differentiable else no_corners(positions, working.packed.elements),
     )
 
@@ -433,13 +465,13 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
 
-def _list_near(moving: _Moving, scene: Scene, duration: jax.Array) -> Near | None:
+def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Array) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
     positions, velocities, grid, duration = jax.lax.stop_gradient(
-        (moving.positions, moving.velocities, scene.tables.grid, duration)
+        (state.positions, state.velocities, scene.tables.grid, duration)
     )
-    return list_near(positions, velocities, ~moving.stuck, duration, grid, scene.solver.skip_far)
+    return list_near(positions, velocities, ~state.stuck, duration, LOOK_EVERY * length, grid, scene.solver.skip_far)
 
 
 def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
@@ -472,8 +504,8 @@ def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.imbalance) - rounding
     unsure = (jump > _JUMP_TOLERANCE * new.peak_work) & (state.retries < _RETRIES_FOR_ENERGY)
-    # What blew up, and what may have missed the mold since a node flew out of its ball, is taken anew with half the
-    # step: the sheet may have stiffened within the window.
+    # What blew up, and what may have missed the mold since a node flew out of its ball or faster than it looked, is
+    # taken anew with half the step: the sheet may have stiffened within the window.
     status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
@@ -521,7 +553,7 @@ class _End(NamedTuple):
     """What a window's end comes to.
 
     Kinetic energy [J], and that of the velocities, which are half a step behind; the largest coordinate [m], not finite
-    where any position is not; whether a node has left its ball.
+    where any position is not; whether a node may have missed the mold.
     """
 
     kinetic: jax.Array
@@ -543,18 +575,20 @@ def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> _End:
     room = no_corners(moving.positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any, ball: Any) -> Any:
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, balls: Any) -> Any:
         ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
         size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
-        return [], [*energies, size] if ball is None else [*energies, size, left(positions, *ball)]
+        if moving.seen is None:
+            return [], [*energies, size]
+        return [], [*energies, size, missed(positions, nodes[0], balls, moving.seen)]
 
-    nodes = moving.stuck, working.mass, working.compliance
-    ball = None if now.near is None else (now.near.center, now.near.limit_square)
-    inputs = shares(corners, elements), nodes, moving.positions, moving.velocities, ball
-    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
-    return _End(*found[:3], missed=found[3] > 0.0 if ball is not None else False)
+    nodes, near = (moving.stuck, working.mass, working.compliance), now.near
+    balls = None if near is None else (near.start, near.clear_square, near.center, near.limit_square)
+    inputs = shares(elements), nodes, moving.positions, moving.velocities, balls
+    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (balls is not None))
+    return _End(*found[:3], missed=False if moving.seen is None else moving.seen.missed | (found[3] > 0.0))
 
 
 def _health(

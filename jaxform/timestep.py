@@ -191,7 +191,7 @@ def _highest(state: State, scene: Scene, working: Working, thorough: jax.Array) 
             new = membrane.vector(-scale * c * f for c, f in zip(compliance, assembled(corners, own), strict=True))
             return [new], [scale * mass * membrane.dot(vector, new)]
 
-        inputs = shares(corners, elements), working.mass, compliance, now.vector
+        inputs = shares(elements), working.mass, compliance, now.vector
         (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
         before = jnp.where(k > 0, now.beside[k - 1], 0.0)
 

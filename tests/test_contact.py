@@ -12,7 +12,7 @@ import trimesh
 
 import jaxform
 from benchmarks import contact as figures
-from jaxform import building, molds, shapes, simulation, stepping
+from jaxform import building, molds, shapes, simulation, stepping, watch
 from jaxform import near as nearness
 from jaxform.mold import Mold
 from jaxform.penetration import penetration, point_triangle_distance
@@ -210,7 +210,6 @@ def test_inverted_copied_and_open_triangles_make_the_same_part() -> None:
 
 def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scenes.cup()
-    watch = nearness.watch
 
     def windows() -> State:
         state, body, _ = simulation._begin(scene)
@@ -219,12 +218,34 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
             state = advance(state)
         return state
 
-    skipping = windows()
-    monkeypatch.setattr(stepping, "watch", lambda *args: (jnp.asarray(True), watch(*args)[1]))
+    skipping, look = windows(), watch.look
+    monkeypatch.setattr(stepping, "touching", lambda *args: watch.every_block(args[2]))
+    monkeypatch.setattr(stepping, "look", lambda *args: look(*args)._replace(near=jnp.asarray(True)))
     always = windows()
     assert 0 < int((skipping.wall != 0).sum())
     np.testing.assert_array_equal(skipping.positions, always.positions)
     np.testing.assert_array_equal(skipping.wall, always.wall)
+
+
+def _taken_anew(result: jaxform.Result) -> int:
+    assert result.schedule is not None
+    return int(np.sum((np.asarray(result.schedule.counts) == 0) & (np.asarray(result.schedule.lengths) > 0)))
+
+
+def test_what_touches_between_two_looks_unseen_is_taken_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a look does not look ahead, the first nodes to touch are always seen too late."""
+    scene = scenes.cup()
+    seen = jaxform.run(scene)
+    monkeypatch.setattr(watch, "_AHEAD", 0.0)
+    monkeypatch.setattr(stepping, "LOOK_EVERY", 16)
+    monkeypatch.setattr(nearness, "_slip", lambda velocities, till_look: jnp.zeros(()))
+    jax.clear_caches()
+    blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
+    jax.clear_caches()
+    assert jaxform.explain(blind) == "ok"
+    assert _taken_anew(seen) < _taken_anew(blind)
+    assert penetrated(blind, scene).nodes < 1e-12
+    np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
 
 def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(

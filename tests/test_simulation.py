@@ -220,7 +220,14 @@ def test_the_run_ends_when_nothing_can_move() -> None:
 
 @pytest.mark.parametrize(
     ("room", "part"),
-    [(stepping, "list_near"), (stepping, "watch"), (stepping, "left"), (working, "pack"), (stepping, "_touch")],
+    [
+        (stepping, "list_near"),
+        (stepping, "look"),
+        (stepping, "touching"),
+        (stepping, "missed"),
+        (working, "pack"),
+        (stepping, "_touch"),
+    ],
 )
 def test_no_mold_no_contact_code(room: ModuleType, part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def used(*_: object, **__: object) -> None:
