@@ -139,10 +139,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
 
 
 class Shares(NamedTuple):
-    """Where nodes find what is theirs of what corners get, for `over_blocks`.
-
-    As in `Elements`.
-    """
+    """Where nodes find what is theirs of what corners get, for `over_blocks`; as in `Elements`."""
 
     slots: jax.Array
     row_count: Any
@@ -170,7 +167,8 @@ def _with_spill(corners: Corners, elements: Elements) -> Corners:
     if jax.default_backend() == "cpu":
         flat = jax.lax.fori_loop(0, elements.spill_count, add, flat)
     else:
-        flat = [corner.at[elements.spill_into].add(corner[elements.spill]) for corner in flat]
+        used = jnp.arange(elements.spill.size) < elements.spill_count
+        flat = [corner.at[elements.spill_into].add(jnp.where(used, corner[elements.spill], 0.0)) for corner in flat]
     return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
 
 

@@ -63,7 +63,8 @@ def test_what_sticks_is_packed_away() -> None:
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 
 
-def test_a_node_of_many_elements_hands_its_surplus_to_a_list() -> None:
+@pytest.mark.parametrize("backend", ["cpu", "another"])
+def test_a_node_of_many_elements_hands_its_surplus_to_a_list(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A fan of 40 triangles around one node, beside a sheet that makes a deep table dear."""
     sheet = shapes.rectangle(size=(1.0, 1.0), elements=900)
     angle = np.linspace(0, 2 * np.pi, 41)[:-1]
@@ -82,6 +83,7 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list() -> None:
     def energy(x: jax.Array, kept: np.ndarray) -> jax.Array:
         return membrane.strain_energy(x, jnp.asarray(triangles.T), inverse, 0.01 * area * kept, law)
 
+    monkeypatch.setattr(blocks.jax, "default_backend", lambda: backend)
     # Also where the hub's first elements, in its row of the table, or all but the last few, are packed away.
     everything, tabled = np.ones(len(triangles), bool), assembly.table.shape[0]
     for packed_away in (0, 1, tabled, tabled + 3):
