@@ -229,7 +229,7 @@ def _looked(moving: _Moving, now: _Window) -> _Moving:
         return new._replace(near=new.near | now.wary)
 
     assert moving.seen is not None
-    due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0)
+    due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
     seen = only_if(due, again, moving.seen, differentiable=moving.room is None)
     # In this order, or XLA would keep a copy of the positions for the look, at every step.
     seen, positions, velocities = jax.lax.optimization_barrier((seen, moving.positions, moving.velocities))
