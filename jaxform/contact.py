@@ -132,7 +132,8 @@ def _block(
     number: jax.Array, paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
-    first = number * TEST_BLOCK
+    # Once: else every loop over the block looks the number up for every entry.
+    first = jax.lax.optimization_barrier(number * TEST_BLOCK)
 
     def cut(values: jax.Array) -> jax.Array:
         return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
