@@ -93,15 +93,14 @@ def walk(
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
     window = near.list_near(begin, way, ~stuck, once, once, grid)
-    due = watch.touching(end, stuck, window, jnp.int32(stuck.size // BLOCK))
+    due = watch.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     there = end if differentiable else membrane.rows_of(end)
     flying = contact.Landing(there, way, stuck, -mass, none, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
     now = contact.Step(once, once, jnp.int32(0))
     landed = contact.land(flying, now, due, mass, window, wall, grid, differentiable=differentiable)
     landed = landed._replace(positions=jnp.asarray(landed.positions))
-    balls = window.start, window.clear_square, window.center, window.limit_square
-    well = ~(window.overflow | jnp.any(watch.missed(end, stuck, balls, watch.unseen())))
+    well = ~(window.overflow | jnp.any(watch.missed(end, stuck, watch.balls(window), watch.unseen())))
     return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
 
 

@@ -1,9 +1,8 @@
 """Sticking contact: which nodes cross which triangle of the mold in a step, and where they land (paper, 3.2).
 
-Every few steps it is looked which nodes can touch anything until the next look; in between the pairs that the border
-listed for them are tested, and no others. The choice of the triangle carries no gradient;
-the landing point is then computed differentiably from it, and since it is the point where the path meets the triangle,
-its gradient is that of the time of impact.
+Only those of the pairs that the border listed are tested that the watch says. The choice of the triangle carries no
+gradient; the landing point is then computed differentiably from it, and since it is the point where the path meets the
+triangle, its gradient is that of the time of impact.
 """
 
 from __future__ import annotations
@@ -139,8 +138,7 @@ def _block(
         return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
 
     node, planes = cut(near.node), rows_read(near.planes.reshape(-1), len(near.planes), first, TEST_BLOCK)
-    # What is looked up is no part of the arithmetic, which XLA would else not vectorize.
-    beta, meets = jax.lax.optimization_barrier(_meet(*paths.ends(node), planes, touch))
+    beta, meets = _meet(*paths.ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < near.count
     return node, cut(near.triangle), beta, meets & used & ~gather(stuck, node)
 

@@ -21,7 +21,8 @@ TEST_BLOCK = 128
 _LANES, _DEPTH = 64, 8  # nodes, and triangles of each, that are looked at together
 _ROOM_PER_NODE, _LEAST_ROOM = 2, 4096  # pairs that a window can hold
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
-_ALARM = 0.1  # of the ball's radius: so far before a node leaves its ball the window halts
+# How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
+_GLANCE, _ALARM = 0.05, 0.1
 _MOST_HALVINGS = 10  # of the balls, until the pairs find room
 
 
@@ -123,7 +124,8 @@ def list_near(
     _, candidates, balls = jax.lax.while_loop(too_many, attempt, begun)
     kept, planes, clear = _examined(candidates, positions, balls, room, grid)
     limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
-    alarm = jnp.maximum(limit - _ALARM * balls.radius, 0.0)
+    path = duration * jnp.sqrt(dot(velocities, velocities))
+    alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * balls.radius), 0.0)
     way = _slip(velocities, till_look)
     return Near(
         node=kept.pairs[:, 0],

@@ -24,7 +24,7 @@ from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Pressure, Scene
 from jaxform.state import Schedule, State, Status, account, last_pressure
 from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps
-from jaxform.watch import LOOK_EVERY, Due, Seen, every_block, look, missed, touching, unseen
+from jaxform.watch import LOOK_EVERY, Seen, Watched, balls, every_block, look, missed, unseen, unwatched, watch
 from jaxform.working import Working, worked_through
 
 _MOST_RETRIES = 12
@@ -128,17 +128,18 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     return _touch(moved, length, scene, now)
 
 
-def _due(moved: _Moving, every: Due, now: _Window) -> Due:
-    """The listed pairs that are tested in this step; none while none is near."""
-
-    def narrowed(_: Due) -> Due:
-        assert now.near is not None
-        state = jax.lax.stop_gradient((moved.positions, moved.stuck, now.near))
-        return touching(*state, now.working.packed.elements.node_block_count)
-
-    assert moved.seen is not None
-    none = every._replace(count=jnp.int32(0))
-    return only_if(moved.seen.near, narrowed, none, differentiable=moved.room is None)
+def _watched(moved: _Moving, scene: Scene, now: _Window) -> Watched:
+    """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
+    assert now.near is not None and moved.seen is not None
+    state = jax.lax.stop_gradient((moved.positions, moved.stuck, now.near))
+    blocks = now.working.packed.elements.node_block_count
+    found = only_if(
+        moved.seen.close,
+        lambda _: watch(*state, blocks),
+        unwatched(now.near),
+        differentiable=moved.room is None,
+    )
+    return found if scene.solver.skip_far else found._replace(due=every_block(now.near))
 
 
 def _flown(moved: _Moving, scene: Scene, now: _Window) -> jax.Array:
@@ -226,7 +227,7 @@ def _looked(moving: _Moving, now: _Window) -> _Moving:
         till_next = jnp.minimum(LOOK_EVERY, now.most - moving.count) * now.length
         state = jax.lax.stop_gradient((moving.positions, moving.velocities, moving.stuck, till_next, now.near))
         new = look(*state, last, now.working.packed.elements.node_block_count)
-        return new._replace(near=new.near | now.wary)
+        return new._replace(close=new.close | now.wary)
 
     assert moving.seen is not None
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
@@ -249,9 +250,7 @@ def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Mo
         moved.contact_loss,
         moved.impact,
     )
-    due = every_block(now.near)
-    if scene.solver.skip_far:
-        due = _due(moved, due, now)
+    due, leaving = _watched(moved, scene, now)
     this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
     differentiable = moved.room is None
     landing = contact.land(
@@ -267,7 +266,7 @@ def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Mo
         landed=landing.step,
         impact=landing.impact,
         contact_loss=landing.loss,
-        halted=moved.halted | moved.seen.leaving | moved.seen.missed | (moved.count >= now.most),
+        halted=moved.halted | leaving | moved.seen.missed | (moved.count >= now.most),
     )
 
 
@@ -575,19 +574,19 @@ def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> _End:
     room = no_corners(moving.positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any, balls: Any) -> Any:
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, ball: Any) -> Any:
         ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
         size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
         if moving.seen is None:
             return [], [*energies, size]
-        return [], [*energies, size, missed(positions, nodes[0], balls, moving.seen)]
+        return [], [*energies, size, missed(positions, nodes[0], ball, moving.seen)]
 
-    nodes, near = (moving.stuck, working.mass, working.compliance), now.near
-    balls = None if near is None else (near.start, near.clear_square, near.center, near.limit_square)
-    inputs = shares(elements), nodes, moving.positions, moving.velocities, balls
-    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (balls is not None))
+    nodes = moving.stuck, working.mass, working.compliance
+    ball = None if now.near is None else balls(now.near)
+    inputs = shares(elements), nodes, moving.positions, moving.velocities, ball
+    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
     return _End(*found[:3], missed=False if moving.seen is None else moving.seen.missed | (found[3] > 0.0))
 
 

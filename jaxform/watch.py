@@ -1,9 +1,10 @@
 """Which of the listed pairs are tested in a step: the watch over the nodes between two borders.
 
-Every few steps a look at all nodes says whether any can touch the mold before the next look. While none can, nothing is
-tested; else those pairs are in every step whose nodes have gone far enough from where the window began. A look trusts
-the velocities; where one was wrong, so that a node may have touched unseen, the next one sees that it was, or the
-window's end does, and the window is taken anew without trust in any look.
+Every few steps a look at all nodes says whether any can touch the mold, or leave its ball, before the next look. While
+none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from where
+the window began, and the window halts where a node is about to leave its ball. A look trusts the velocities; where one
+was wrong, so that a node may have touched unseen, the next one sees that it was, or the window's end does, and the
+window is taken anew without trust in any look.
 """
 
 from __future__ import annotations
@@ -24,12 +25,11 @@ _AHEAD = 2.0  # times as far as a node goes at its speed until the next look: wh
 class Seen(NamedTuple):
     """What a look at the nodes finds.
 
-    Whether any can touch a listed triangle before the next look; whether any may leave its ball till then; and whether
-    one may have touched unseen before this one.
+    Whether any can touch a listed triangle, or leave its ball, before the next look, so that every step watches till
+    then; and whether one may have touched unseen before this one.
     """
 
-    near: jax.Array
-    leaving: jax.Array
+    close: jax.Array
     missed: jax.Array
 
 
@@ -40,9 +40,21 @@ class Due(NamedTuple):
     count: jax.Array
 
 
+class Watched(NamedTuple):
+    """What is found in a step that watches: the pairs that are tested, and whether a node may soon leave its ball."""
+
+    due: Due
+    leaving: jax.Array
+
+
 def unseen() -> Seen:
-    """Before the first look at the nodes: any may touch."""
-    return Seen(jnp.asarray(True), jnp.asarray(False), jnp.asarray(False))
+    """Before the first look at the nodes: every step watches."""
+    return Seen(jnp.asarray(True), jnp.asarray(False))
+
+
+def unwatched(near: Near) -> Watched:
+    """Of a step that does not watch: nothing."""
+    return Watched(every_block(near)._replace(count=jnp.int32(0)), jnp.asarray(False))
 
 
 def look(
@@ -71,15 +83,19 @@ def look(
         there, beyond = (
             [x + ahead * till_next * v for x, v in zip(positions, velocities, strict=True)] for ahead in (1.0, _AHEAD)
         )
-        comes_near = _gone(positions, start, near_square) | _gone(beyond, start, near_square)
-        leaves = _gone(positions, center, alarm_square) | _gone(there, center, alarm_square)
-        return [], [~stuck & found for found in (comes_near, leaves, _gone(positions, start, clear_square))]
+        close = _gone(positions, start, near_square) | _gone(beyond, start, near_square)
+        close |= _gone(positions, center, alarm_square) | _gone(there, center, alarm_square)
+        return [], [~stuck & close, ~stuck & _gone(positions, start, clear_square)]
 
     balls = near.start, near.clear_square, near.near_square, near.center, near.alarm_square
     inputs = stuck, positions, velocities, balls
-    _, found = over_blocks(work, node_block_count, inputs, [], sums=3)
-    comes_near, leaves, touches = (count > 0 for count in found)
-    return Seen(comes_near, leaves, last.missed | touches & ~last.near)
+    _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)
+    return Seen(close > 0, (touching > 0) & ~last.close)
+
+
+def balls(near: Near) -> tuple[jax.Array, ...]:
+    """What `missed` needs of the window's list, node by node."""
+    return near.start, near.clear_square, near.center, near.limit_square
 
 
 def missed(positions: Any, stuck: jax.Array, balls: Any, last: Seen) -> jax.Array:
@@ -88,11 +104,11 @@ def missed(positions: Any, stuck: jax.Array, balls: Any, last: Seen) -> jax.Arra
     Args:
         positions: (3, n) [m].
         stuck: Nodes (n,) that do not move any more.
-        balls: Of the window's list start, clear_square, center and limit_square at these nodes.
+        balls: What are `balls` of the window's list at these nodes.
         last: What the last look found.
     """
     start, clear_square, center, limit_square = balls
-    return ~stuck & (~last.near & _gone(positions, start, clear_square) | _gone(positions, center, limit_square))
+    return ~stuck & (~last.close & _gone(positions, start, clear_square) | _gone(positions, center, limit_square))
 
 
 def every_block(near: Near) -> Due:
@@ -100,12 +116,20 @@ def every_block(near: Near) -> Due:
     return Due(jnp.arange(near.node.size // TEST_BLOCK, dtype=jnp.int32), -(-near.count // TEST_BLOCK))
 
 
-def touching(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Array) -> Due:
-    """The blocks of pairs with any free node far enough from where the window began to touch; else as in `look`."""
+def watch(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Array) -> Watched:
+    """Which free nodes have gone far enough from where the window began to touch, and whether one is about to leave.
 
-    def work(stuck: Any, positions: Any, start: Any, clear_square: Any) -> Any:
-        touches = ~stuck & _gone(positions, start, clear_square)
-        return [[touches]], [touches]
+    Args:
+        positions: After the step, (3, n_node) or three times (n_node,) [m].
+        stuck: Nodes (n_node,) that do not move any more.
+        near: The window's list.
+        node_block_count: How many blocks of nodes are in use.
+    """
+
+    def work(stuck: Any, positions: Any, balls: Any) -> Any:
+        start, clear_square, center, alarm_square = balls
+        touching = ~stuck & _gone(positions, start, clear_square)
+        return [[touching]], [touching, ~stuck & _gone(positions, center, alarm_square)]
 
     def put(block: jax.Array, due: Due) -> Due:
         first = block * TEST_BLOCK
@@ -113,12 +137,13 @@ def touching(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax
         used = first + jnp.arange(TEST_BLOCK) < near.count
         # What is not due is written over by the next one.
         blocks = jax.lax.dynamic_update_slice(due.block, block[None], (due.count,))
-        return Due(blocks, due.count + jnp.any(used & gather(touches[0], node)))
+        return Due(blocks, due.count + jnp.any(used & gather(touching[0], node)))
 
-    inputs, none = (stuck, positions, near.start, near.clear_square), jnp.zeros((1, stuck.size), bool)
-    (touches,), (count,) = over_blocks(work, node_block_count, inputs, [none], sums=1)
-    every = every_block(near)
-    return jax.lax.fori_loop(0, jnp.where(count > 0, every.count, 0), put, Due(every.block, jnp.int32(0)))
+    inputs = stuck, positions, (near.start, near.clear_square, near.center, near.alarm_square)
+    into = [jnp.zeros((1, stuck.size), bool)]
+    (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
+    blocks, none = jnp.where(count > 0, every_block(near).count, 0), unwatched(near).due
+    return Watched(jax.lax.fori_loop(0, blocks, put, none), leaving > 0)
 
 
 def _gone(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:

@@ -218,9 +218,9 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
             state = advance(state)
         return state
 
-    skipping, look = windows(), watch.look
-    monkeypatch.setattr(stepping, "touching", lambda *args: watch.every_block(args[2]))
-    monkeypatch.setattr(stepping, "look", lambda *args: look(*args)._replace(near=jnp.asarray(True)))
+    skipping = windows()
+    monkeypatch.setattr(stepping, "watch", lambda *args: watch.watch(*args)._replace(due=watch.every_block(args[2])))
+    monkeypatch.setattr(stepping, "look", lambda *args: watch.look(*args)._replace(close=jnp.asarray(True)))
     always = windows()
     assert 0 < int((skipping.wall != 0).sum())
     np.testing.assert_array_equal(skipping.positions, always.positions)

@@ -223,7 +223,7 @@ def test_the_run_ends_when_nothing_can_move() -> None:
     [
         (stepping, "list_near"),
         (stepping, "look"),
-        (stepping, "touching"),
+        (stepping, "watch"),
         (stepping, "missed"),
         (working, "pack"),
         (stepping, "_touch"),
