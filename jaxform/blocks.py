@@ -103,7 +103,22 @@ def over_blocks(
 def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
     """Entries (size,) from `first` on of each of the `count` rows that lie one after the other in `flat`."""
     room = flat.size // count
-    return [jax.lax.dynamic_slice(flat, (k * room + first,), (size,)) for k in range(count)]
+    return [cut(flat, k * room + first, size) for k in range(count)]
+
+
+def cut(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
+    """Entries (..., size) of an array (..., n) from `begin` on, which is not looked at for being negative."""
+    return jax.lax.dynamic_slice_in_dim(array, begin, size, axis=array.ndim - 1, allow_negative_indices=False)
+
+
+def put(array: jax.Array, new: jax.Array, begin: jax.Array | int) -> jax.Array:
+    """The array (..., n) with new entries (..., size) from `begin` on, which is not looked at for being negative."""
+    return jax.lax.dynamic_update_slice_in_dim(array, new, begin, axis=array.ndim - 1, allow_negative_indices=False)
+
+
+def entry(array: jax.Array, place: jax.Array) -> jax.Array:
+    """The entry (...) of an array (..., n) at a place, which is not looked at for being negative."""
+    return jax.lax.dynamic_index_in_dim(array, place, array.ndim - 1, keepdims=False, allow_negative_indices=False)
 
 
 def only_if[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differentiable: bool = False) -> T:
@@ -122,27 +137,23 @@ def total(values: jax.Array) -> jax.Array:
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))
 
 
-def _cut(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
-    return jax.lax.dynamic_slice_in_dim(array, begin, size, axis=array.ndim - 1)
-
-
 def _whole(inputs: Any) -> Any:
     def all_of(value: Any) -> jax.Array:
         if isinstance(value, PerBlock):
             return jnp.max(value.array)
-        return _cut(*value) if isinstance(value, Part) else value
+        return cut(*value) if isinstance(value, Part) else value
 
     return jax.tree.map(all_of, inputs, is_leaf=_is_special)
 
 
 def _block(inputs: Any, i: jax.Array) -> Any:
-    def cut(value: Any) -> jax.Array:
+    def own(value: Any) -> jax.Array:
         if isinstance(value, PerBlock):
-            return value.array[i]
+            return entry(value.array, i)
         array, begin = (value.array, value.begin) if isinstance(value, Part) else (value, 0)
-        return _cut(array, begin + i * BLOCK, BLOCK)
+        return cut(array, begin + i * BLOCK, BLOCK)
 
-    return jax.tree.map(cut, inputs, is_leaf=_is_special)
+    return jax.tree.map(own, inputs, is_leaf=_is_special)
 
 
 def _is_special(value: Any) -> bool:
@@ -151,7 +162,7 @@ def _is_special(value: Any) -> bool:
 
 def _put(into: jax.Array | Part, new: jax.Array) -> jax.Array:
     if isinstance(into, Part):
-        return jax.lax.dynamic_update_slice_in_dim(into.array, new, into.begin, axis=1)
+        return put(into.array, new, into.begin)
     return new
 
 
@@ -159,7 +170,7 @@ def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
     """Row by row: stacked first they would be one loop with a branch in it, which is not vectorized."""
     room = flat.size // len(rows)
     for k, row in enumerate(rows):
-        flat = jax.lax.dynamic_update_slice(flat, row.astype(flat.dtype), (k * room + first,))
+        flat = put(flat, row.astype(flat.dtype), k * room + first)
     return flat
 
 
@@ -170,13 +181,13 @@ def listed(keep: jax.Array, room: int) -> tuple[jax.Array, jax.Array]:
         place = jnp.searchsorted(running, jnp.arange(1, room + 1, dtype=jnp.int32))
         return jnp.minimum(place, keep.size - 1).astype(jnp.int32), running[-1]
 
-    def put(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def add(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         # What is not kept is written over by the next one.
         places, count = carry
-        return jax.lax.dynamic_update_slice(places, i.astype(jnp.int32)[None], (count,)), count + keep[i]
+        return put(places, i.astype(jnp.int32)[None], count), count + entry(keep, i)
 
     # One more, for what finds no room.
-    places, count = _one_by_one(keep, put, room + 1)
+    places, count = _one_by_one(keep, add, room + 1)
     return places[:room], count
 
 
@@ -185,20 +196,20 @@ def running_count(keep: jax.Array) -> jax.Array:
     if jax.default_backend() != "cpu":
         return jnp.cumsum(keep, dtype=jnp.int32)
 
-    def put(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def add(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         counts, count = carry
-        count = count + keep[i]
-        return jax.lax.dynamic_update_slice(counts, count[None], (i,)), count
+        count = count + entry(keep, i)
+        return put(counts, count[None], i), count
 
-    return _one_by_one(keep, put, keep.size)[0]
+    return _one_by_one(keep, add, keep.size)[0]
 
 
 def _one_by_one(
-    keep: jax.Array, put: Callable[..., tuple[jax.Array, jax.Array]], room: int
+    keep: jax.Array, add: Callable[..., tuple[jax.Array, jax.Array]], room: int
 ) -> tuple[jax.Array, jax.Array]:
     """A loop over the entries: one short function, where sums in parallel are a dozen that take long to compile."""
     start = jnp.zeros(room, jnp.int32), jnp.int32(0)
-    return jax.lax.fori_loop(0, keep.size, put, start)
+    return jax.lax.fori_loop(0, keep.size, add, start)
 
 
 def lowered(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Array) -> jax.Array:
@@ -209,7 +220,8 @@ def lowered(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Arr
 
     def lower(i: jax.Array, values: jax.Array) -> jax.Array:
         # A scatter would keep XLA from compiling the loop around into one function.
-        least = jnp.minimum(jax.lax.optimization_barrier(values[places[i]]), new[i])
-        return jax.lax.dynamic_update_slice(values, least[None], (places[i],))
+        place = entry(places, i)
+        least = jnp.minimum(jax.lax.optimization_barrier(entry(values, place)), entry(new, i))
+        return put(values, least[None], place)
 
     return jax.lax.fori_loop(0, count, lower, values)

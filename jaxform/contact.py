@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import only_if, rows_read
+from jaxform.blocks import cut, entry, only_if, put, rows_read
 from jaxform.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
@@ -134,13 +134,11 @@ def _block(
     # Once: else every loop over the block looks the number up for every entry.
     first = jax.lax.optimization_barrier(number * TEST_BLOCK)
 
-    def cut(values: jax.Array) -> jax.Array:
-        return jax.lax.dynamic_slice_in_dim(values, first, TEST_BLOCK)
-
-    node, planes = cut(near.node), rows_read(near.planes.reshape(-1), len(near.planes), first, TEST_BLOCK)
+    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (near.node, near.triangle))
+    planes = rows_read(near.planes.reshape(-1), len(near.planes), first, TEST_BLOCK)
     beta, meets = _meet(*paths.ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < near.count
-    return node, cut(near.triangle), beta, meets & used & ~gather(stuck, node)
+    return node, triangle, beta, meets & used & ~gather(stuck, node)
 
 
 def _any_meets(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array) -> jax.Array:
@@ -150,7 +148,7 @@ def _any_meets(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax
         return (carry[0] < due.count) & ~carry[1]
 
     def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return carry[0] + 1, jnp.any(_block(due.block[carry[0]], paths, stuck, near, touch)[3])
+        return carry[0] + 1, jnp.any(_block(entry(due.block, carry[0]), paths, stuck, near, touch)[3])
 
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
@@ -181,7 +179,7 @@ def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax
 
     def choose(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
         k, found = carry
-        block = _block(due.block[k], paths, stuck, near, touch)
+        block = _block(entry(due.block, k), paths, stuck, near, touch)
         return k + 1, _taken_up(found, jax.lax.optimization_barrier(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
@@ -203,15 +201,15 @@ def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arr
 
     def take(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
         k, (best, chosen, nodes, count) = carry
-        here = node[k]
+        here = entry(node, k)
         # All is read before anything is written, or XLA would copy the lists for every pair.
-        pair = k, here, beta[k], triangle[k], best[here], chosen[here]
+        pair = k, here, entry(beta, k), entry(triangle, k), entry(best, here), entry(chosen, here)
         k, here, own, number, least, last = jax.lax.optimization_barrier(pair)
         better = (own < least) | (own == least) & (number > last)
         # What is listed already is written over by the next one.
-        nodes = nodes.at[count].set(here)
-        best = best.at[here].set(jnp.where(better, own, least))
-        chosen = chosen.at[here].set(jnp.where(better, number, last))
+        nodes = put(nodes, here[None], count)
+        best = put(best, jnp.where(better, own, least)[None], here)
+        chosen = put(chosen, jnp.where(better, number, last)[None], here)
         return next_one(k), _Met(best, chosen, nodes, count + (last < 0))
 
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
@@ -224,18 +222,18 @@ def _landed_in_place(
     met = _first_met(_Paths(landing.positions, landing.velocities, now.length), landing.stuck, near, due, touch)
 
     def one(k: jax.Array, landing: Landing) -> Landing:
-        node = met.listed[k]
+        node = entry(met.listed, k)
 
         def own(values: jax.Array) -> jax.Array:
-            return values if values.ndim == 0 else jax.lax.dynamic_slice_in_dim(values, node, 1, axis=values.ndim - 1)
+            return values if values.ndim == 0 else cut(values, node, 1)
 
-        def put(values: jax.Array, new: jax.Array) -> jax.Array:
-            return new if values.ndim == 0 else jax.lax.dynamic_update_slice_in_dim(values, new, node, values.ndim - 1)
+        def put_back(values: jax.Array, new: jax.Array) -> jax.Array:
+            return new if values.ndim == 0 else put(values, new, node)
 
         # All is read before anything is written, or XLA would copy the arrays.
         old = jax.lax.optimization_barrier(jax.tree.map(own, landing))
         new = landed(old, now, own(mass), mold, own(met.triangle))
-        return jax.tree.map(put, landing, new._replace(positions=rows_of(new.positions)))
+        return jax.tree.map(put_back, landing, new._replace(positions=rows_of(new.positions)))
 
     return jax.lax.fori_loop(0, met.count, one, landing)
 

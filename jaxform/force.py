@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxform.blocks import PerBlock, over_blocks
+from jaxform.blocks import PerBlock, entry, over_blocks, put
 from jaxform.materials import Material
 from jaxform.membrane import (
     Metric,
@@ -124,15 +124,15 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     rows = rows_of(load.positions)
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
-        first, edge1, edge2, normal = _geometry(rows, triangles)
+        first, edge1, edge2, normal = _geometry(rows, triangles, area)
         g = metric(edge1, edge2)
         factors = stress_factors(g, inverse, load.material)
         factors = _once((area * thickness * factors[0], area * thickness * factors[1]))
         s = _once(stress(g, inverse, factors))
-        push = _scaled(_pressure_share(load.pressure, area), normal)
+        push = _scaled(load.pressure / 6.0, normal)
         pull2, pull3 = _pulls(s, edge1, edge2)
         arm = minus(first, elements.origin)
-        return _shares(push, pull2, pull3), [_used(area) * dot(arm, normal)]
+        return _shares(push, pull2, pull3), [dot(arm, normal)]
 
     corners, (volume,) = _over(work, elements, (load.thickness,), into)
     return _with_spill(corners, elements), volume / 6.0
@@ -157,12 +157,10 @@ def _with_spill(corners: Corners, elements: Elements) -> Corners:
     flat = [corner.reshape(-1) for corner in corners]
 
     def add(k: jax.Array, flat: Corners) -> Corners:
-        share, into = elements.spill[k], elements.spill_into[k]
+        share, into = entry(elements.spill, k), entry(elements.spill_into, k)
         # All is read before anything is written, or XLA would copy the arrays for every share.
-        sums = _once([corner[share] + corner[into] for corner in flat])
-        return [
-            jax.lax.dynamic_update_slice(corner, sum_[None], (into,)) for corner, sum_ in zip(flat, sums, strict=True)
-        ]
+        sums = _once([entry(corner, share) + entry(corner, into) for corner in flat])
+        return [put(corner, sum_[None], into) for corner, sum_ in zip(flat, sums, strict=True)]
 
     if jax.default_backend() == "cpu":
         flat = jax.lax.fori_loop(0, elements.spill_count, add, flat)
@@ -217,11 +215,15 @@ def _once[T](values: T) -> T:
     return jax.lax.optimization_barrier(values)
 
 
-def _geometry(positions: Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
-    """First node, edges and normal (twice the current area) of elements, each three times (n,)."""
+def _geometry(positions: Vector, triangles: jax.Array, area: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
+    """First node, edges and normal of elements, each three times (n,).
+
+    The normal is twice the current area long, and nothing where the place is not in use.
+    """
     first, edge1, edge2 = edges(positions, triangles)
     edge1, edge2 = _once((edge1, edge2))
-    return first, edge1, edge2, _once(cross(edge1, edge2))
+    x, y, z = (jnp.where(area > 0.0, component, 0.0) for component in cross(edge1, edge2))
+    return first, edge1, edge2, _once((x, y, z))
 
 
 def _used(area: jax.Array) -> jax.Array:
@@ -297,7 +299,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
     varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array, *more: jax.Array) -> Any:
-        first, edge1, edge2, normal = _geometry(rows, triangles)
+        first, edge1, edge2, normal = _geometry(rows, triangles, area)
         g, weight, share = metric(edge1, edge2), area * thickness, _pressure_share(load.pressure, area)
         changes: list[Metric] = []
         pull2 = pull3 = push = _scaled(jnp.zeros_like(area), normal)
@@ -322,7 +324,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
             more2, more3 = _pulls(_once(total), edge1, edge2)
             pull2, pull3 = plus(pull2, more2), plus(pull3, more3)
         if change.pressure is not None:
-            push = plus(push, _scaled(_pressure_share(change.pressure, area), normal))
+            push = plus(push, _scaled(change.pressure / 6.0, normal))
         pull2, pull3, push = _once((pull2, pull3, push))
         return _shares(push, pull2, pull3), [volume]
 
@@ -379,7 +381,7 @@ def corner_cotangents(
 
     def work(*blocks: Any) -> Any:
         old, (triangles, inverse, area, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
-        first, edge1, edge2, normal = _geometry(rows, triangles)
+        first, edge1, edge2, normal = _geometry(rows, triangles, area)
         weight, pressure = area * thickness, _pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
         own_shares: list[Vector] = []
@@ -392,7 +394,7 @@ def corner_cotangents(
             g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
             s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)
             if forces:
-                own_shares = _shares(_scaled(pressure, normal), *_pulls(s, edge1, edge2))
+                own_shares = _shares(_scaled(load.pressure / 6.0, normal), *_pulls(s, edge1, edge2))
             if moves:
                 pull1, pull2 = _pulls(ds, edge1, edge2)
                 more1, more2 = _pulls(s, w1, w2)
@@ -404,7 +406,7 @@ def corner_cotangents(
             if thickens:
                 old[0] = [old[0][0] + dot(halves, s)]
             if presses:
-                sums.append(_used(area) * dot(normal, total) / 6.0)
+                sums.append(dot(normal, total) / 6.0)
             if varies:
                 spread = [jnp.broadcast_to(p, area.shape) for p in parameters]
                 pull = jax.vjp(
@@ -414,9 +416,9 @@ def corner_cotangents(
         if volume is not None and moves:
             share = _used(area) * (volume / 6.0)
             turn = plus(turn, _scaled(share, minus(first, elements.origin)))
-            own = _scaled(share, normal)
+            own = _scaled(volume / 6.0, normal)
         if forces:
-            sums.append(_used(area) * dot(minus(first, elements.origin), normal) / 6.0)
+            sums.append(dot(minus(first, elements.origin), normal) / 6.0)
         if not moves:
             return old, sums
         turn = _once(turn)

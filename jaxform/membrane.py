@@ -129,6 +129,8 @@ def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: M
     scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
     if slope2 is None:
         return 2.0 * slope1 * jnp.ones_like(trace), -scale * jnp.square(flexibility) * slope1
+    if slope2.ndim > 0:
+        slope2 = jax.lax.optimization_barrier(slope2)  # both factors would work it out again
     pull = slope1 + slope2 * trace
     return 2.0 * (slope1 + slope2 * flexibility), scale * (slope2 - jnp.square(flexibility) * pull)
 

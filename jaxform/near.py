@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import listed, lowered
+from jaxform.blocks import cut, listed, lowered, put
 from jaxform.membrane import dot, gather
 from jaxform.pytree import pytree
 from jaxform.search import SearchGrid
@@ -196,7 +196,7 @@ def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
 
     def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
         first, found = carry
-        node = jax.lax.dynamic_slice_in_dim(member, first, _LANES)
+        node = cut(member, first, _LANES)
         center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
         begin = grid.start[cell]
         end = jnp.where(radius <= 0.25 * grid.reach, grid.middle[cell], grid.start[cell + 1])
@@ -262,7 +262,7 @@ def _examined(
         keep, free_way = jax.lax.optimization_barrier((keep, free_way))
         place, more = listed(keep, keep.size)
         pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
-        planes = jax.lax.dynamic_update_slice_in_dim(planes, frame[place, :12].T, kept.count, axis=1)
+        planes = put(planes, frame[place, :12].T, kept.count)
         clear = lowered(clear, node[place], jnp.maximum(free_way, 0.0)[place], more)
         return first + TEST_BLOCK, (_Pairs(pairs, kept.count + more), planes, clear)
 

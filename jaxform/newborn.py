@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import near
-from jaxform.blocks import BLOCK, listed, only_if
+from jaxform.blocks import BLOCK, cut, listed, only_if, put
 from jaxform.body import Mesh
 from jaxform.membrane import cross, dot
 from jaxform.mold import Mold
@@ -60,12 +60,11 @@ class _Births(NamedTuple):
 
     def own(self, values: jax.Array) -> jax.Array:
         """The block of values (..., n_place)."""
-        return jax.lax.dynamic_slice_in_dim(values, self.begin, self.new.size, axis=values.ndim - 1)
+        return cut(values, self.begin, self.new.size)
 
     def put(self, values: jax.Array, own: jax.Array) -> jax.Array:
         """The values with others at the new nodes' places."""
-        own = jnp.where(self.new, own, self.own(values))
-        return jax.lax.dynamic_update_slice_in_dim(values, own, self.begin, axis=values.ndim - 1)
+        return put(values, jnp.where(self.new, own, self.own(values)), self.begin)
 
     def chained(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
         """What is joined from the values (..., n) at both ends of the edges: those outside, at new nodes its own."""
@@ -112,7 +111,7 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differen
         begin = jnp.minimum(nominal, mesh.node.size - size)
         place = begin + jnp.arange(size)
         new = (place >= nominal) & (place < mesh.node_count)
-        node = jax.lax.dynamic_slice_in_dim(mesh.node, begin, size)
+        node = cut(mesh.node, begin, size)
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
         return _Births(begin, new, node, (first, second), differentiable)
 
@@ -245,7 +244,7 @@ def _nearest(positions: jax.Array, wanted: jax.Array, grid: SearchGrid) -> _Near
 
     def look(carry: tuple[jax.Array, _Nearest]) -> tuple[jax.Array, _Nearest]:
         first, found = carry
-        lane = jax.lax.dynamic_slice_in_dim(node, first, _LANES)
+        lane = cut(node, first, _LANES)
         point, cell = positions[:, lane], cells[lane]
         begin = grid.start[cell]
         length = jnp.where(first + jnp.arange(_LANES) < total, grid.start[cell + 1] - begin, 0)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform import contact
+from jaxform import blocks, contact
 from jaxform.blocks import Part, listed, only_if, over_blocks
 from jaxform.body import NEVER, Body, Mesh, present_body
 from jaxform.derivatives import Cotangents, Rule
@@ -353,13 +353,13 @@ def _landings(nodes: _Nodes, before: jax.Array, kept: _Kept, turn: _Turn, now: _
     places, count = listed(now.landed == number, now.landed.size)
 
     def one(k: jax.Array, nodes: _Nodes) -> _Nodes:
-        place = places[k]
+        place = blocks.entry(places, k)
 
         def own(values: jax.Array) -> jax.Array:
-            return jax.lax.dynamic_slice_in_dim(values, place, 1, axis=values.ndim - 1)
+            return blocks.cut(values, place, 1)
 
         def put(values: jax.Array, new: jax.Array) -> jax.Array:
-            return jax.lax.dynamic_update_slice_in_dim(values, new, place, values.ndim - 1)
+            return blocks.put(values, new, place)
 
         def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
             free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.blocks import only_if, over_blocks, total
+from jaxform.blocks import entry, only_if, over_blocks, total
 from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.near import Near, list_near
@@ -338,7 +338,7 @@ def _stepped(
     else:
         moving = dataclasses.replace(moving, positions=membrane.rows_of(state.positions))
         moving = _until_halted(
-            lambda moving, taken: advance(moving, jax.tree.map(lambda x: x[taken], steps))[0], moving, now.most
+            lambda moving, taken: advance(moving, jax.tree.map(lambda x: entry(x, taken), steps))[0], moving, now.most
         )
         moving = dataclasses.replace(moving, positions=jnp.stack(moving.positions))
     found = dataclasses.replace(state, mode=limit.mode, sharpness=limit.sharpness)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import over_blocks
+from jaxform.blocks import cut, over_blocks, put
 from jaxform.membrane import dot, gather, minus
 from jaxform.near import TEST_BLOCK, Near
 
@@ -131,19 +131,19 @@ def watch(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Ar
         touching = ~stuck & _gone(positions, start, clear_square)
         return [[touching]], [touching, ~stuck & _gone(positions, center, alarm_square)]
 
-    def put(block: jax.Array, due: Due) -> Due:
+    def add(block: jax.Array, due: Due) -> Due:
         first = block * TEST_BLOCK
-        node = jax.lax.dynamic_slice_in_dim(near.node, first, TEST_BLOCK)
+        node = cut(near.node, first, TEST_BLOCK)
         used = first + jnp.arange(TEST_BLOCK) < near.count
         # What is not due is written over by the next one.
-        blocks = jax.lax.dynamic_update_slice(due.block, block[None], (due.count,))
+        blocks = put(due.block, block[None], due.count)
         return Due(blocks, due.count + jnp.any(used & gather(touching[0], node)))
 
     inputs = stuck, positions, (near.start, near.clear_square, near.center, near.alarm_square)
     into = [jnp.zeros((1, stuck.size), bool)]
     (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
     blocks, none = jnp.where(count > 0, every_block(near).count, 0), unwatched(near).due
-    return Watched(jax.lax.fori_loop(0, blocks, put, none), leaving > 0)
+    return Watched(jax.lax.fori_loop(0, blocks, add, none), leaving > 0)
 
 
 def _gone(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:
