@@ -278,7 +278,7 @@ def show_parts(window: int = 20) -> Table:
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
-    def border(state: State, scene: jaxform.Scene, working: Working) -> State:
+    def border(state: State, scene: jaxform.Scene, working: Working) -> Any:
         return stepping.window_in_place(state, with_windows_of(1, scene), working)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:

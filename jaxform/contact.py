@@ -134,8 +134,8 @@ def _block(
     # Once: else every loop over the block looks the number up for every entry.
     first = jax.lax.optimization_barrier(number * TEST_BLOCK)
 
-    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (near.node, near.triangle))
-    planes = rows_read(near.planes.reshape(-1), len(near.planes), first, TEST_BLOCK)
+    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (near.lists.node, near.lists.triangle))
+    planes = rows_read(near.lists.planes.reshape(-1), len(near.lists.planes), first, TEST_BLOCK)
     beta, meets = _meet(*paths.ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < near.count
     return node, triangle, beta, meets & used & ~gather(stuck, node)

@@ -7,6 +7,8 @@ node that is about to leave its ball halts the window: the next border gives it 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -27,13 +29,28 @@ _MOST_HALVINGS = 10  # of the balls, until the pairs find room
 
 
 @pytree
-class Near:
-    """What a window knows of the mold.
+class Lists:
+    """What a list is written into: all of it is written before it is read.
 
     Attributes:
         node, triangle: The pairs (room,) that can meet.
         planes: Geometry of the pairs' triangles (12, room).
-        count: How many pairs there are.
+        candidates: The pairs (room,) that these were chosen from, and others.
+    """
+
+    node: jax.Array
+    triangle: jax.Array
+    planes: jax.Array
+    candidates: tuple[jax.Array, jax.Array]
+
+
+@pytree
+class Near:
+    """What a window knows of the mold.
+
+    Attributes:
+        lists: The pairs of node and triangle that can meet.
+        count: How many they are.
         start: Positions (3, n_node) [m] at the border.
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
         near_square: The same less what any node goes between two looks.
@@ -43,9 +60,7 @@ class Near:
         overflow: Whether pairs were lost, so that the window must not be trusted.
     """
 
-    node: jax.Array
-    triangle: jax.Array
-    planes: jax.Array
+    lists: Lists
     count: jax.Array
     start: jax.Array
     clear_square: jax.Array
@@ -70,22 +85,29 @@ class _Balls:
     near: jax.Array
 
 
-@pytree
-class _Pairs:
-    """Pairs of node and triangle (room + block, 2), and how many there are; beyond the room they are only counted."""
+class _Pairs(NamedTuple):
+    """Pairs of node and triangle, each (room + block,), and how many; beyond the room they are only counted."""
 
-    pairs: jax.Array
+    node: jax.Array
+    triangle: jax.Array
     count: jax.Array
 
 
-def _no_pairs(room: int, block: int) -> _Pairs:
-    """An empty list; whole blocks are written, so it has a margin."""
-    return _Pairs(jnp.zeros((room + block, 2), jnp.int32), jnp.int32(0))
+def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) -> _Pairs:
+    """With a block of pairs (n,) after those found, of which the first `more` count; what finds no room is lost."""
+    return _Pairs(put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more)
 
 
-def _written(block: jax.Array, rows: jax.Array, count: jax.Array) -> jax.Array:
-    """The rows (room + n, k) with a block (n, k) after the first `count`; what finds no room is lost."""
-    return jax.lax.dynamic_update_slice_in_dim(rows, block, count, axis=0)
+def no_lists(node_count: int, real: jnp.dtype) -> Lists:
+    """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
+    room = _room(node_count)
+    candidates = jnp.zeros(room + _LANES * _DEPTH, jnp.int32)
+    pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
+    return Lists(pairs, pairs, jnp.zeros((12, room + TEST_BLOCK), real), (candidates, candidates))
+
+
+def _room(node_count: int) -> int:
+    return -(-max(_ROOM_PER_NODE * node_count, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
 
 
 def list_near(
@@ -96,6 +118,7 @@ def list_near(
     till_look: jax.Array,
     grid: SearchGrid,
     skip_far: bool = True,
+    into: Lists | None = None,
 ) -> Near:
     """Lists the pairs of free nodes and triangles that may meet.
 
@@ -107,8 +130,9 @@ def list_near(
         till_look: Time between two looks at the nodes [s].
         grid: Its search structure.
         skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
+        into: What is written over, such as an old list's; a new one by default.
     """
-    room = -(-max(_ROOM_PER_NODE * free.size, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
+    room, into = _room(free.size), into or no_lists(free.size, positions.dtype)
 
     # Where there are too many pairs the balls shrink, and the window will halt the sooner.
     def too_many(carry: tuple[jax.Array, _Pairs, _Balls]) -> jax.Array:
@@ -116,21 +140,19 @@ def list_near(
 
     def attempt(carry: tuple[jax.Array, _Pairs, _Balls]) -> tuple[jax.Array, _Pairs, _Balls]:
         balls = _balls(positions, velocities, free, duration, 0.5 ** carry[0], grid, skip_far)
-        return carry[0] + 1, _candidates(balls, room, grid), balls
+        return carry[0] + 1, _candidates(balls, grid, carry[1]), balls
 
     nowhere, none = jnp.zeros_like(positions[0]), jnp.zeros(free.size, jnp.int32)
     nothing = _Balls(jnp.zeros_like(positions), nowhere, none, nowhere, jnp.zeros_like(free))
-    begun = jnp.int32(0), _no_pairs(room, _LANES * _DEPTH), nothing
+    begun = jnp.int32(0), _Pairs(*into.candidates, jnp.int32(0)), nothing
     _, candidates, balls = jax.lax.while_loop(too_many, attempt, begun)
-    kept, planes, clear = _examined(candidates, positions, balls, room, grid)
+    kept, planes, clear = _examined(candidates, positions, balls, room, grid, into)
     limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
     path = duration * jnp.sqrt(dot(velocities, velocities))
     alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * balls.radius), 0.0)
     way = _slip(velocities, till_look)
     return Near(
-        node=kept.pairs[:, 0],
-        triangle=kept.pairs[:, 1],
-        planes=planes,
+        lists=Lists(kept.node, kept.triangle, planes, (candidates.node, candidates.triangle)),
         count=jnp.minimum(kept.count, room),
         start=positions,
         clear_square=jnp.where(balls.near, jnp.square(clear), jnp.inf),
@@ -187,7 +209,7 @@ def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.A
     return cell, jnp.maximum(grid.bound[cell], grid.width * jnp.sqrt(dot(outside, outside)))
 
 
-def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
+def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs) -> _Pairs:
     """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
     member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES)
 
@@ -213,14 +235,14 @@ def _candidates(balls: _Balls, room: int, grid: SearchGrid) -> _Pairs:
             triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot, 0))
             keep = used & (_distance_bound(center, triangle, grid) <= radius[:, None])
             # The barrier keeps the distances from being worked out again for each use of what they decide.
-            keep, new = jax.lax.optimization_barrier((keep.ravel(), jnp.stack([nodes, triangle.ravel()], axis=1)))
+            keep, triangle = jax.lax.optimization_barrier((keep.ravel(), triangle.ravel()))
             place, more = listed(keep, keep.size)
-            return level + _DEPTH, _Pairs(_written(new[place], found.pairs, found.count), found.count + more)
+            return level + _DEPTH, _with(found, gather(nodes, place), gather(triangle, place), more)
 
         _, found = jax.lax.while_loop(more_triangles, list_triangles, (jnp.int32(0), found))
         return first + _LANES, found
 
-    return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), _no_pairs(room, _LANES * _DEPTH)))[1]
+    return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), into._replace(count=jnp.int32(0))))[1]
 
 
 def _rows(table: jax.Array, triangle: jax.Array) -> jax.Array:
@@ -240,7 +262,7 @@ def _distance_bound(points: jax.Array, triangle: jax.Array, grid: SearchGrid) ->
 
 
 def _examined(
-    candidates: _Pairs, start: jax.Array, balls: _Balls, room: int, grid: SearchGrid
+    candidates: _Pairs, start: jax.Array, balls: _Balls, room: int, grid: SearchGrid, into: Lists
 ) -> tuple[_Pairs, jax.Array, jax.Array]:
     """Those of the candidates that truly cut the balls, their planes (12, room), and the nodes' clear distance."""
     last, touch = jnp.minimum(candidates.count, room), touch_distance(grid)
@@ -252,7 +274,7 @@ def _examined(
         carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]],
     ) -> tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]:
         first, (kept, planes, clear) = carry
-        node, triangle = jax.lax.dynamic_slice_in_dim(candidates.pairs, first, TEST_BLOCK).T
+        node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (candidates.node, candidates.triangle))
         # The barriers keep things from being worked out, and fetched from afar, again for each use.
         frame = jax.lax.optimization_barrier(_rows(grid.frames, triangle))
         used = first + jnp.arange(TEST_BLOCK) < last
@@ -261,13 +283,13 @@ def _examined(
         free_way = distance(gather(start, node), frame) - 2 * touch
         keep, free_way = jax.lax.optimization_barrier((keep, free_way))
         place, more = listed(keep, keep.size)
-        pairs = _written(jnp.stack([node, grid.number[triangle]], axis=1)[place], kept.pairs, kept.count)
         planes = put(planes, frame[place, :12].T, kept.count)
         clear = lowered(clear, node[place], jnp.maximum(free_way, 0.0)[place], more)
-        return first + TEST_BLOCK, (_Pairs(pairs, kept.count + more), planes, clear)
+        kept = _with(kept, gather(node, place), gather(grid.number, gather(triangle, place)), more)
+        return first + TEST_BLOCK, (kept, planes, clear)
 
-    planes = jnp.zeros((12, room + TEST_BLOCK), start.dtype)
-    nothing = _no_pairs(room, TEST_BLOCK), planes, jnp.full(balls.near.shape, jnp.inf, start.dtype)
+    clear = jnp.full(balls.near.shape, jnp.inf, start.dtype)
+    nothing = _Pairs(into.node, into.triangle, jnp.int32(0)), into.planes, clear
     return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]
 
 

@@ -26,7 +26,7 @@ from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
-from jaxform.stepping import energy_rounding, window, window_in_place
+from jaxform.stepping import energy_rounding, window, window_in_place, with_room
 from jaxform.store import Store
 from jaxform.working import Working, still_worked_through, wholly_worked_through
 
@@ -76,7 +76,7 @@ def _windows(
                 return window(state, scene, now, schedule)
             return differentiable_window(state, scene, now, first, schedule)
 
-        return _unless_full(state, scene, whole)
+        return _unless_full(state.status, scene, whole, state)
 
     def unless_finished(state: State, _: None) -> tuple[State, Taken]:
         done = finished(state, scene) | (state.windows >= scene.tables.window_count)
@@ -243,14 +243,14 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
             stale |= whole.mesh.element_count != state.mesh.element_count
             state = carry.working.taken(whole)
         state, working = still_worked_through(state, scene, now, carry.working, stale)
-        whole_window = functools.partial(window_in_place, scene=scene, working=working)
-        after = _unless_full(state, scene, whole_window, differentiable=False)
+        whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
+        after, working = _unless_full(state.status, scene, whole_window, (state, working), differentiable=False)
         at = state.windows
         taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, _latest(after))
         return _Going(after, now, working, taken, carry.count + 1)
 
     now = present_body(scene, state.mesh, first)
-    working = wholly_worked_through(state, scene, now)
+    working = with_room(wholly_worked_through(state, scene, now), scene)
     begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
     return gone.working.put_back(gone.state), gone.taken, finished(gone.state, scene)
@@ -271,11 +271,13 @@ def _latest(state: State) -> Taken:
     return state.last_length, state.last_count, state.bound, state.last_duration
 
 
-def _unless_full(state: State, scene: Scene, take: Callable[[State], State], *, differentiable: bool = True) -> State:
+def _unless_full[T](
+    status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, *, differentiable: bool = True
+) -> T:
     """A window, unless refinement found no room at its border: then the state is left for a run with more."""
     if scene.refinement is None:
-        return take(state)
-    return only_if(state.status == 0, take, state, differentiable=differentiable)
+        return take(now)
+    return only_if(status == 0, take, now, differentiable=differentiable)
 
 
 def _programs(

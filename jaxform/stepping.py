@@ -19,13 +19,13 @@ from jaxform import contact, membrane
 from jaxform.blocks import entry, only_if, over_blocks, total
 from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
-from jaxform.near import Near, list_near
+from jaxform.near import Near, list_near, no_lists
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Pressure, Scene
 from jaxform.state import Schedule, State, Status, account, last_pressure
-from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps
+from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
 from jaxform.watch import LOOK_EVERY, Seen, Watched, balls, every_block, look, missed, unseen, unwatched, watch
-from jaxform.working import Working, worked_through
+from jaxform.working import Room, Working, worked_through
 
 _MOST_RETRIES = 12
 _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
@@ -284,9 +284,18 @@ def window(
     return working.put_back(end)
 
 
-def window_in_place(state: State, scene: Scene, working: Working) -> State:
-    """As `window`, not differentiable, of a state in packed order."""
-    return _stepped(state, scene, working, None, differentiable=False)[0]
+def window_in_place(state: State, scene: Scene, working: Working) -> tuple[State, Working]:
+    """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
+    state, _, room = _stepped(state, scene, working, None, differentiable=False)
+    return state, dataclasses.replace(working, room=room)
+
+
+def with_room(working: Working, scene: Scene) -> Working:
+    """With room for what is worked out in every window."""
+    places, elements = working.compliance, working.packed.elements
+    basis = no_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
+    lists = None if scene.mold is None else no_lists(places.shape[1], places.dtype)
+    return dataclasses.replace(working, room=Room(no_corners(places, elements), basis, lists))
 
 
 def window_and_impacts(
@@ -298,7 +307,7 @@ def window_and_impacts(
     """
     working = worked_through(state, scene, sheet_body)
     impacts, packed = scene.mold is not None, working.packed
-    end, moving = _stepped(working.taken(state), scene, working, schedule, differentiable=False, impacts=impacts)
+    end, moving, _ = _stepped(working.taken(state), scene, working, schedule, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.
     landed = jnp.where(end.last_count > 0, packed.put_back(moving.landed), NEVER)
     return working.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
@@ -312,8 +321,8 @@ def _stepped(
     *,
     differentiable: bool,
     impacts: bool = False,
-) -> tuple[State, _Moving]:
-    (length, most, limit), duration, row = _decided(state, scene, working, schedule)
+) -> tuple[State, _Moving, Room | None]:
+    (length, most, limit, room), duration, row = _decided(state, scene, working, schedule)
     now = _Window(
         working=working,
         begin=state.time,
@@ -322,10 +331,11 @@ def _stepped(
         most=most,
         row=row,
         duration=duration,
-        near=_list_near(state, scene, duration, length),
+        near=_list_near(state, scene, duration, length, room),
         wary=state.last_count == 0,
     )
-    moving = _begun(state, now, differentiable, impacts)
+    corners = None if differentiable else no_corners(state.positions, working.packed.elements)
+    moving = _begun(state, now, corners if room is None else room.corners, impacts)
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
         return step(moving, pressures, scene, now), None
@@ -342,7 +352,9 @@ def _stepped(
         )
         moving = dataclasses.replace(moving, positions=jnp.stack(moving.positions))
     found = dataclasses.replace(state, mode=limit.mode, sharpness=limit.sharpness)
-    return _close(found, moving, scene, now), moving
+    if room is not None and moving.room is not None:
+        room = Room(moving.room, room.basis, None if now.near is None else now.near.lists)
+    return _close(found, moving, scene, now), moving, room
 
 
 class Timing(NamedTuple):
@@ -420,7 +432,7 @@ def _decided_freely(state: State, scene: Scene, working: Working) -> _Decisions:
     return _Decisions(chosen, chosen.most * chosen.length)
 
 
-def _begun(state: State, now: _Window, differentiable: bool, impacts: bool) -> _Moving:
+def _begun(state: State, now: _Window, room: Corners | None, impacts: bool) -> _Moving:
     working = now.working
     places, positions = working.mass.size, state.positions
     return _Moving(
@@ -438,7 +450,7 @@ def _begun(state: State, now: _Window, differentiable: bool, impacts: bool) -> _
         count=jnp.int32(0),
         halted=jnp.asarray(False),
         seen=None if now.near is None else unseen(),
-        room=None if differentiable else no_corners(positions, working.packed.elements),
+        room=room,
     )
 
 
@@ -464,13 +476,15 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
 
-def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Array) -> Near | None:
+def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Array, room: Room | None) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
     positions, velocities, grid, duration = jax.lax.stop_gradient(
         (state.positions, state.velocities, scene.tables.grid, duration)
     )
-    return list_near(positions, velocities, ~state.stuck, duration, LOOK_EVERY * length, grid, scene.solver.skip_far)
+    into = None if room is None else room.lists
+    till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
+    return list_near(positions, velocities, ~state.stuck, duration, till_look, grid, skip_far, into)
 
 
 def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:

@@ -8,6 +8,7 @@ products with the tangent do.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -17,10 +18,10 @@ import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import Part, only_if, over_blocks
-from jaxform.force import Load, assembled, corner_changes, no_corners, shares
+from jaxform.force import Corners, Load, assembled, corner_changes, no_corners, shares
 from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.state import State, any_mode, can_move
-from jaxform.working import Working
+from jaxform.working import Room, Working
 
 RUNGS_PER_OCTAVE = 16
 _RANGE_PER_STEP = 0.1  # of the search grid's reach
@@ -44,11 +45,15 @@ class Limit(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The step of a window [s], how many there are at most, and what the next window needs to know of the limit."""
+    """The step of a window [s], how many there are at most, and what the next window needs to know of the limit.
+
+    And the room that was written in, where there is some that is kept.
+    """
 
     length: jax.Array
     most: jax.Array
     limit: Limit
+    room: Room | None = None
 
 
 def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
@@ -57,7 +62,7 @@ def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
     The state is in packed order.
     """
     state, scene, working = jax.lax.stop_gradient((state, scene, working))
-    longest, limit = _limit(state, scene, working)
+    longest, limit, room = _limit(state, scene, working)
     longest = scene.solver.safety * longest
     if scene.solver.damping is None:
         longest = _UNDAMPED * longest
@@ -74,7 +79,7 @@ def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
     rest = scene.solver.end_time - state.time
     most = jnp.minimum(state.span, most_steps(rung, scene))
     most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
-    return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit))
+    return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit, room))
 
 
 def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
@@ -98,8 +103,8 @@ def _fastest(state: State, working: Working) -> jax.Array:
     return jnp.sqrt(square)
 
 
-def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Limit]:
-    """The longest stable step [s], and how it was found.
+def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Limit, Room | None]:
+    """The longest stable step [s], how it was found, and the room that was written in.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
     begins with the last window's mode may miss another that has become the highest, and finds a step that is too long:
@@ -108,24 +113,30 @@ def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Lim
     """
     bound = elements_bound(state, scene, working)
     if state.mode is None:
-        return bound, Limit(None, bound, state.sharpness)
+        return bound, Limit(None, bound, state.sharpness), working.room
 
-    def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> Any:
+    def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
-        mode, square = _highest(state, scene, working, thorough)
+        mode, square, own = _highest(state, scene, working, thorough, found[4])
         sharpness = jnp.clip(_MARGIN * 2.0 / (bound * jnp.sqrt(square)), 1.0, _MOST_SHARPENING)
         lost = ~thorough & (sharpness > _RISE * state.sharpness)
         sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.sharpness))
-        return mode, sharpness, lost, lost
+        return mode, sharpness, lost, lost, own
 
     known = state.sharpness > 0.0
-    begun = state.mode, state.sharpness, ~known, jnp.asarray(True)
-    mode, sharpness, _, _ = jax.lax.while_loop(lambda found: found[3], search, begun)
+    room, elements = working.room, working.packed.elements
+    if room is None or room.basis is None:
+        own = no_corners(state.positions, elements), no_basis(state.mode.shape[1], state.mode.dtype)
+    else:
+        own = room.corners, room.basis
+    begun = state.mode, state.sharpness, ~known, jnp.asarray(True), own
+    mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, begun)
     # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
     before, windows = state.sharpness * state.bound, state.span / jnp.maximum(state.last_count, 1)
     growth = (sharpness * bound / before) ** jnp.where(state.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
-    return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness)
+    room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
+    return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness), room
 
 
 def elements_bound(state: State, scene: Scene, working: Working) -> jax.Array:
@@ -162,10 +173,18 @@ class _Lanczos(NamedTuple):
     corners: list[jax.Array]
 
 
-def _highest(state: State, scene: Scene, working: Working, thorough: jax.Array) -> tuple[jax.Array, jax.Array]:
+def no_basis(places: int, real: jnp.dtype) -> jax.Array:
+    """Room for the vectors of a search, one after the other (3, several places)."""
+    return jnp.zeros((3, _MANY * places), real)
+
+
+def _highest(
+    state: State, scene: Scene, working: Working, thorough: jax.Array, room: tuple[Corners, jax.Array]
+) -> tuple[jax.Array, jax.Array, tuple[Corners, jax.Array]]:
     """The mode (3, place), and its squared frequency with the residual [1/s^2], by Lanczos' method.
 
-    The residual makes up for what is missing: the frequency is approached from below.
+    The residual makes up for what is missing: the frequency is approached from below. The room is for corners and
+    vectors, and is given back.
     """
     assert state.mode is not None
     elements, places = working.packed.elements, working.mass.size
@@ -219,8 +238,8 @@ def _highest(state: State, scene: Scene, working: Working, thorough: jax.Array) 
     start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, state.mode, 0.0))
     none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
-    basis = jnp.zeros((3, _MANY * places), start.dtype)
-    begun = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, no_corners(state.positions, elements))
+    corners, basis = room
+    begun = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, corners)
     done = jax.lax.fori_loop(0, count, multiply, begun)
     off = jnp.where(jnp.arange(1, _MANY) < count, done.beside[:-1], 0.0)
     square, share = _largest_of_few(done.diagonal, off)
@@ -233,7 +252,7 @@ def _highest(state: State, scene: Scene, working: Working, thorough: jax.Array) 
         return over_nodes(work, (Part(done.basis, k * places, places),), [mode], update=1)[0][0]
 
     mode = jax.lax.fori_loop(0, count, add, nowhere)
-    return mode, square + jnp.abs(done.beside[count - 1] * share[count - 1])
+    return mode, square + jnp.abs(done.beside[count - 1] * share[count - 1]), (done.corners, done.basis)
 
 
 def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:

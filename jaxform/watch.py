@@ -113,7 +113,7 @@ def missed(positions: Any, stuck: jax.Array, balls: Any, last: Seen) -> jax.Arra
 
 def every_block(near: Near) -> Due:
     """All listed pairs."""
-    return Due(jnp.arange(near.node.size // TEST_BLOCK, dtype=jnp.int32), -(-near.count // TEST_BLOCK))
+    return Due(jnp.arange(near.lists.node.size // TEST_BLOCK, dtype=jnp.int32), -(-near.count // TEST_BLOCK))
 
 
 def watch(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Array) -> Watched:
@@ -133,7 +133,7 @@ def watch(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Ar
 
     def add(block: jax.Array, due: Due) -> Due:
         first = block * TEST_BLOCK
-        node = cut(near.node, first, TEST_BLOCK)
+        node = cut(near.lists.node, first, TEST_BLOCK)
         used = first + jnp.arange(TEST_BLOCK) < near.count
         # What is not due is written over by the next one.
         blocks = put(due.block, block[None], due.count)

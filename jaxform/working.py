@@ -14,10 +14,27 @@ import jax.numpy as jnp
 
 from jaxform.blocks import BLOCK, only_if, over_blocks, total
 from jaxform.body import Body, Mesh
+from jaxform.force import Corners
+from jaxform.near import Lists
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import Scene
 from jaxform.state import State, account, can_move, enclosed_volume
+
+
+@pytree
+class Room:
+    """Arrays that are written before they are read: kept from window to window, they need not be cleared.
+
+    Attributes:
+        corners: For what elements' corners get.
+        basis: For the search for the stable step; None where it is not made.
+        lists: For what is near the mold; None where there is none.
+    """
+
+    corners: Corners
+    basis: jax.Array | None
+    lists: Lists | None
 
 
 @pytree
@@ -33,6 +50,7 @@ class Working:
         substance: Volume of the elements themselves [m^3].
         idle_volume: Enclosed by what is not worked through [m^3].
         idle_energy: Its strain energy [J].
+        room: Kept from the last window; None where each window has its own.
     """
 
     packed: Packed
@@ -43,6 +61,7 @@ class Working:
     substance: jax.Array
     idle_volume: jax.Array
     idle_energy: jax.Array
+    room: Room | None = None
 
     def taken(self, state: State) -> State:
         """A state in packed order; at places beyond the nodes they stick."""
@@ -104,8 +123,8 @@ def still_worked_through(
 
     def anew(now: tuple[State, Working]) -> tuple[State, Working]:
         state = now[1].put_back(now[0])
-        working = worked_through(state, scene, sheet_body)
-        return working.taken(state), working
+        new = dataclasses.replace(worked_through(state, scene, sheet_body), room=working.room)
+        return new.taken(state), new
 
     if scene.packs_moving:
         _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
