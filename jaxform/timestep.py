@@ -214,24 +214,24 @@ def _highest(
         (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
         before = jnp.where(k > 0, now.beside[k - 1], 0.0)
 
-        def orthogonal(old: Any, mass: jax.Array, vector: jax.Array) -> Any:
-            unit = scale * vector
-            new = membrane.vector(x - rate * v - before * w for x, v, w in zip(old[0], unit, old[1], strict=True))
+        def orthogonal(old: Any, mass: jax.Array, new: jax.Array) -> Any:
+            unit = [scale * v for v in old[0]]
+            vector = membrane.vector(x - rate * v - before * w for x, v, w in zip(new, unit, old[1], strict=True))
             # Both are worked out before either is written, or XLA would copy the arrays for every block.
-            new, unit = jax.lax.optimization_barrier((new, unit))
-            return [new, list(unit), list(unit)], [mass * membrane.dot(new, new)]
+            vector, unit = jax.lax.optimization_barrier((vector, unit))
+            return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
 
-        into = [new, now.last, Part(now.basis, k * places, places)]
-        (new, unit, basis), (square,) = over_nodes(orthogonal, (working.mass, now.vector), into, sums=1, update=2)
+        into = [now.vector, now.last, Part(now.basis, k * places, places)]
+        (vector, unit, basis), (square,) = over_nodes(orthogonal, (working.mass, new), into, sums=1, update=2)
         size = jnp.sqrt(square)
         return _Lanczos(
-            vector=new,
+            vector=vector,
             size=jnp.where(size > 0.0, size, 1.0),
             last=unit,
             basis=basis,
             diagonal=now.diagonal.at[k].set(rate),
             beside=now.beside.at[k].set(size),
-            new=now.vector,
+            new=new,
             corners=corners,
         )
 
