@@ -352,9 +352,10 @@ def _stepped(
         )
         moving = dataclasses.replace(moving, positions=jnp.stack(moving.positions))
     found = dataclasses.replace(state, mode=limit.mode, sharpness=limit.sharpness)
-    if room is not None and moving.room is not None:
-        room = Room(moving.room, room.basis, None if now.near is None else now.near.lists)
-    return _close(found, moving, scene, now), moving, room
+    end, corners = _looked_over(moving, scene, now)
+    if room is not None:
+        room = Room(corners, room.basis, None if now.near is None else now.near.lists)
+    return _close(found, moving, end, scene, now), moving, room
 
 
 class Timing(NamedTuple):
@@ -487,9 +488,9 @@ def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Arra
     return list_near(positions, velocities, ~state.stuck, duration, till_look, grid, skip_far, into)
 
 
-def _close(state: State, moving: _Moving, scene: Scene, now: _Window) -> State:
+def _close(state: State, moving: _Moving, end: _End, scene: Scene, now: _Window) -> State:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    near, end = now.near, _looked_over(moving, scene, now)
+    near = now.near
     new = dataclasses.replace(
         state,
         positions=moving.positions,
@@ -575,8 +576,8 @@ class _End(NamedTuple):
     missed: jax.Array | bool
 
 
-def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> _End:
-    """In one pass over the elements and one over the nodes; no derivative is taken of it.
+def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> tuple[_End, Corners]:
+    """In one pass over the elements and one over the nodes; no derivative is taken of it. With the corners' room.
 
     Velocities are half a step behind, which shows at the begin and in fast modes: the half step that follows counts as
     well. The product of both is what a linear mode keeps.
@@ -601,7 +602,8 @@ def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> _End:
     ball = None if now.near is None else balls(now.near)
     inputs = shares(elements), nodes, moving.positions, moving.velocities, ball
     _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
-    return _End(*found[:3], missed=False if moving.seen is None else moving.seen.missed | (found[3] > 0.0))
+    missing = False if moving.seen is None else moving.seen.missed | (found[3] > 0.0)
+    return _End(*found[:3], missed=missing), corners
 
 
 def _health(
