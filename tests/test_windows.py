@@ -12,8 +12,11 @@ import pytest
 
 import jaxform
 from benchmarks.bench import with_windows_of, without
-from jaxform import building, shapes, timestep
+from jaxform import building, shapes, stepping, timestep
+from jaxform.body import body
 from jaxform.scene import LONG_WINDOW, SHORT_WINDOW
+from jaxform.state import State, initial_state
+from jaxform.working import Room, Working, worked_through
 from tests import scenes
 
 
@@ -142,3 +145,30 @@ def test_there_are_enough_windows_to_look_at_a_run(short_ones: int, frames: int,
 def test_with_refinement_all_windows_are_short() -> None:
     sheet = shapes.rectangle(size=(1.0, 1.0), elements=8)
     assert scenes.refinable(sheet, 256).tables.longest_window == SHORT_WINDOW
+
+
+def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> None:
+    scene = scenes.cup()
+
+    def begun(state: State) -> tuple[State, Working]:
+        working = stepping.with_room(worked_through(state, scene, body(scene)), scene)
+        return working.taken(state), working
+
+    @jax.jit
+    def several(state: State, working: Working) -> tuple[State, Working]:
+        window = lambda _, now: stepping.window_in_place(now[0], scene, now[1])  # noqa: E731
+        return jax.lax.fori_loop(0, 12, window, (state, working))
+
+    def full(room: jax.Array) -> jax.Array:
+        """Of what spoils everything; of places and triangles that exist, as an old list's do."""
+        return jnp.full_like(room, jnp.nan if jnp.issubdtype(room.dtype, jnp.floating) else 1)
+
+    state, working = jax.jit(begun)(initial_state(scene))
+    spoiled = dataclasses.replace(working, room=jax.tree.map(full, working.room))
+    end, after = several(state, working)
+    again, _ = several(state, spoiled)
+    assert bool(jnp.any(end.stuck & ~state.stuck))
+    assert isinstance(after.room, Room)
+    assert after.room.basis is not None
+    assert bool(jnp.any(after.room.basis))  # it was written in
+    jax.tree.map(np.testing.assert_array_equal, again, end)
