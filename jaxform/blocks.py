@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-BLOCK = 128
+BLOCK = 80  # no power of two: rows that far apart share the cache's sets; and a shorter last block wastes less
 
 Rows = Sequence[jax.Array]
 
@@ -46,6 +46,7 @@ def over_blocks(
     sums: int = 0,
     most: int = 0,
     update: int = 0,
+    kept: bool = True,
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Applies a function to the blocks in use, along the last axis.
 
@@ -61,6 +62,8 @@ def over_blocks(
         most: Of how many the largest is found.
         update: Of so many arrays of `into`, the first ones and no `Part`s, the function takes the rows as they were: a
             list of them is its first argument.
+        kept: Whether these rows are copied before the function uses them. Without it the function must see to it that
+            whatever it reads of an array goes into what it writes there; else XLA copies the array for every block.
 
     Returns:
         The arrays with the rows; the sums and, after them, the largest.
@@ -74,10 +77,10 @@ def over_blocks(
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
             return function(*_block(inputs, i))
-        # All is read before anything is written, or XLA would copy the arrays for every block.
         updated = zip(flat, arrays[:update], strict=False)
         old = [rows_read(each, len(array), i * BLOCK, BLOCK) for each, array in updated]
-        return function(jax.lax.optimization_barrier(old), *_block(inputs, i))
+        # All is read before anything is written, or XLA would copy the arrays for every block.
+        return function(jax.lax.optimization_barrier(old) if kept else old, *_block(inputs, i))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
         flat, totals = carry
@@ -130,6 +133,20 @@ def only_if[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differenti
         return jax.lax.cond(asked, work, lambda value: value, value)
     again = lambda carry: (jnp.asarray(False), work(carry[1]))  # noqa: E731
     return jax.lax.while_loop(lambda carry: carry[0], again, (asked, value))[1]
+
+
+def as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
+    """What `work` makes of the value, compiled into one function; without derivative.
+
+    XLA's CPU compiler does so with a loop that holds neither scatters nor sorts nor calls. Else each of a hundred small
+    operations is started by itself, which takes longer than most of them do.
+
+    Args:
+        work: What is to be done, once.
+        value: What it is done with.
+        count: Any number that is not negative; the compiler must not know that, or it would see through the loop.
+    """
+    return only_if(count >= 0, work, value)
 
 
 def total(values: jax.Array) -> jax.Array:

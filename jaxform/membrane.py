@@ -112,8 +112,20 @@ def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
     r = inverse_reference
     trace = r[0] * g[0] + 2.0 * r[1] * g[1] + r[2] * g[2]
     determinant = _determinant(g) * (r[0] * r[2] - r[1] * r[1])
-    flexibility = 1.0 / determinant  # the only division
+    flexibility = _reciprocal(determinant)  # the only division
     return Invariants(trace, determinant, trace + flexibility, determinant + trace * flexibility)
+
+
+@jax.custom_jvp
+def _reciprocal(values: jax.Array) -> jax.Array:
+    """One over values; its derivative is made of it, where JAX's own divides once more."""
+    return 1.0 / values
+
+
+@_reciprocal.defjvp
+def _reciprocal_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    reciprocal = _reciprocal(*values)
+    return reciprocal, -jnp.square(reciprocal) * changes[0]
 
 
 def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Material) -> tuple[jax.Array, jax.Array]:
@@ -125,7 +137,7 @@ def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: M
     r = inverse_reference
     trace, determinant, i1, i2 = invariants(g, r)
     slope1, slope2 = material.slopes(i1, i2)
-    flexibility = 1.0 / determinant
+    flexibility = _reciprocal(determinant)
     scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
     if slope2 is None:
         return 2.0 * slope1 * jnp.ones_like(trace), -scale * jnp.square(flexibility) * slope1

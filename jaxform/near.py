@@ -20,7 +20,7 @@ from jaxform.search import SearchGrid
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
 # the room for them, and nothing is compiled twice. No derivative goes through these loops.
 TEST_BLOCK = 128
-_LANES, _DEPTH = 64, 8  # nodes, and triangles of each, that are looked at together
+_LANES, _DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
 _ROOM_PER_NODE, _LEAST_ROOM = 2, 4096  # pairs that a window can hold
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
 # How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.

@@ -16,9 +16,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.blocks import entry, only_if, over_blocks, total
+from jaxform.blocks import as_one, entry, only_if, over_blocks, total
 from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
+from jaxform.membrane import vector
 from jaxform.near import Near, list_near, no_lists
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Pressure, Scene
@@ -180,14 +181,15 @@ def _taken_in_blocks(
         (x,), (y,), (z,), velocities = old
         nodal = assembled(corners, own)
         velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
-        new = [x + length * v for x, v in zip((x, y, z), velocities, strict=True)]
+        new = _once(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
         return [*([x] for x in new), velocities], [] if losses is None else [losses]
 
     inputs = shares(elements), nodes
     into = [*(x[None] for x in moving.positions), moving.velocities]
     damped = scene.solver.damping is not None
-    new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4)
-    positions = membrane.vector(row for (row,) in new[:3])
+    # Positions and velocities are each read by what is written there alone, so that neither need be copied.
+    new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4, kept=False)
+    positions = vector(row for (row,) in new[:3])
     return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners)
 
 
@@ -201,18 +203,20 @@ def kicked(
     """New velocities, and the loss (n,) [J] by damping where there is any, of nodes stuck or not, mass, compliance."""
     stuck, mass, compliance = nodes
     gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
-    half = None if damping is None else 0.5 * damping * kick
-    if half is None:
-        x, y, z = (old + gain for old, gain in zip(velocities, gains, strict=True))
-    else:
-        kept, rest = 1.0 - half, 1.0 / (1.0 + half)  # one division, not three at every node
-        x, y, z = ((kept * old + gain) * rest for old, gain in zip(velocities, gains, strict=True))
-    # Kept, since the positions and the loss would each work them, and the force, out again.
-    new = jax.lax.optimization_barrier((x, y, z))
     if damping is None:
-        return new, None
-    mean = membrane.plus(new, velocities)
-    return new, 0.25 * kick * damping * mass * membrane.dot(mean, mean)
+        return _once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
+    half = 0.5 * damping * kick
+    rest = 1.0 / (1.0 + half)  # one division, not three at every node
+    gains = _once(vector(0.5 * gain for gain in gains))
+    # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
+    mean = _once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
+    new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
+    return new, kick * damping * mass * membrane.dot(mean, mean)
+
+
+def _once(values: membrane.Vector) -> membrane.Vector:
+    """Values that are kept for all their uses: each would work them, and the force, out again."""
+    return jax.lax.optimization_barrier(values)
 
 
 def _looked(moving: _Moving, now: _Window) -> _Moving:
@@ -280,13 +284,21 @@ def window(
     is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
     working = worked_through(state, scene, sheet_body, differentiable=differentiable)
-    end = _stepped(working.taken(state), scene, working, schedule, differentiable=differentiable)[0]
-    return working.put_back(end)
+    state = working.taken(state)
+    decisions = _decided(state, scene, working, schedule)
+    return working.put_back(_stepped(state, scene, working, decisions, differentiable=differentiable)[0])
 
 
 def window_in_place(state: State, scene: Scene, working: Working) -> tuple[State, Working]:
     """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
-    state, _, room = _stepped(state, scene, working, None, differentiable=False)
+    decisions = _decided_freely(state, scene, working)
+
+    def whole(now: tuple[State, Room | None]) -> tuple[State, Room | None]:
+        own = decisions._replace(chosen=decisions.chosen._replace(room=now[1]))
+        state, _, room = _stepped(now[0], scene, working, own, differentiable=False)
+        return state, room
+
+    state, room = as_one(whole, (state, decisions.chosen.room), state.windows)
     return state, dataclasses.replace(working, room=room)
 
 
@@ -307,7 +319,9 @@ def window_and_impacts(
     """
     working = worked_through(state, scene, sheet_body)
     impacts, packed = scene.mold is not None, working.packed
-    end, moving, _ = _stepped(working.taken(state), scene, working, schedule, differentiable=False, impacts=impacts)
+    state = working.taken(state)
+    decisions = _decided(state, scene, working, schedule)
+    end, moving, _ = _stepped(state, scene, working, decisions, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.
     landed = jnp.where(end.last_count > 0, packed.put_back(moving.landed), NEVER)
     return working.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
@@ -317,12 +331,12 @@ def _stepped(
     state: State,
     scene: Scene,
     working: Working,
-    schedule: Schedule | None,
+    decisions: _Decisions,
     *,
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[State, _Moving, Room | None]:
-    (length, most, limit, room), duration, row = _decided(state, scene, working, schedule)
+    (length, most, limit, room), duration, row = decisions
     now = _Window(
         working=working,
         begin=state.time,

@@ -28,6 +28,7 @@ _RANGE_PER_STEP = 0.1  # of the search grid's reach
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
 _NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
 _MARGIN = 0.98  # for a mode that was missed all the same: what it does not bear (docs/stability.md), the safety does
+_SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then told apart
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
 _UNDAMPED = 0.9  # of the step, where nothing damps: near the limit the fast modes win energy over 100 000 steps
@@ -191,7 +192,7 @@ def _highest(
     compliance = jnp.where(state.stuck, 0.0, working.compliance)
     load = Load(state.positions, working.thickness, scene.pressure.at(state.time), scene.material)
 
-    def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: int) -> Any:
+    def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
         return over_blocks(work, elements.node_block_count, inputs, into, **kinds)
 
     def norm(vector: jax.Array) -> jax.Array:
@@ -256,10 +257,24 @@ def _highest(
 
 
 def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Largest eigenvalue of a symmetric matrix of three diagonals, and its vector (n,)."""
+    """Largest eigenvalue of a symmetric matrix of three diagonals, and its vector (n,).
+
+    The matrix, shifted so that none of its eigenvalues is negative, is squared until nothing else is left in it. A call
+    of a library would keep XLA from compiling the search into one function.
+    """
+    diagonal, off = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (diagonal, off))
     small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
-    values, vectors = jnp.linalg.eigh(jnp.where(jnp.isfinite(small), small, 0.0))
-    return values[-1], vectors[:, -1]
+
+    bound = jnp.maximum(jnp.max(jnp.sum(jnp.abs(small), axis=1)), jnp.finfo(small.dtype).tiny)
+
+    def squared(_: jax.Array, power: jax.Array) -> jax.Array:
+        power = power / jnp.max(jnp.abs(power))
+        return jnp.sum(power[:, :, None] * power, axis=1)
+
+    power = jax.lax.fori_loop(0, _SQUARINGS, squared, small / bound + jnp.eye(len(small), dtype=small.dtype))
+    vector = power[:, jnp.argmax(jnp.diag(power))]
+    vector = vector / jnp.sqrt(jnp.sum(jnp.square(vector)))
+    return jnp.sum(vector * jnp.sum(small * vector, axis=1)), vector
 
 
 def _largest_of_few(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
