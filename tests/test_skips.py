@@ -261,8 +261,8 @@ def test_a_batch_refuses_rows_that_do_not_match(rows: dict[str, np.ndarray]) -> 
 
 
 def test_blocks_in_use_are_worked_through_and_no_others() -> None:
-    values = jnp.arange(512.0)
-    start = jnp.full((1, 512), -1.0)
+    values = jnp.arange(4.0 * blocks.BLOCK)
+    start = jnp.full((1, values.size), -1.0)
     for count in (0, 1, 3):
         (got,), (total,) = blocks.over_blocks(
             lambda x: ([(2.0 * x,)], [x]), jnp.int32(count), (values,), [start], sums=1
@@ -274,12 +274,15 @@ def test_blocks_in_use_are_worked_through_and_no_others() -> None:
 
 
 def test_a_block_gets_its_own_number_and_the_largest_of_all_is_found() -> None:
-    values, own = jnp.arange(512.0) % 200, jnp.asarray([3.0, 1.0, 2.0, 9.0])
-    for count, expected in ((0, 0.0), (1, 3.0 * 127), (3, 3.0 * 127), (4, 9.0 * 199)):
+    size = blocks.BLOCK
+    values, own = jnp.arange(4.0 * size) % 200, np.asarray([3.0, 1.0, 2.0, 9.0])
+    for count in (0, 1, 3, 4):
+        used = np.asarray(values).reshape(4, size)[:count] * own[:count, None]
+        expected = used.max(initial=0.0)
         _, (total, largest, least) = blocks.over_blocks(
             lambda x, factor: ([], [x, factor * x, -x]),
             jnp.int32(count),
-            (values, blocks.PerBlock(own)),
+            (values, blocks.PerBlock(jnp.asarray(own))),
             [],
             sums=1,
             most=2,
