@@ -326,17 +326,18 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
 
 
 def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:
-    long = jnp.arange(2 * 3 * 256.0).reshape(2, 3 * 256)
-    written, (updated,) = jnp.zeros((2, 3 * 256)), (jnp.ones((1, 256)),)
+    size = 2 * blocks.BLOCK
+    long = jnp.arange(6.0 * size).reshape(2, 3 * size)
+    written, (updated,) = jnp.zeros((2, 3 * size)), (jnp.ones((1, size)),)
     new, _ = blocks.over_blocks(
         lambda old, part: ([[old[0][0] + part[0]], list(part)], []),
         jnp.int32(2),
-        (blocks.Part(long, jnp.int32(256), 256),),
-        [updated, blocks.Part(written, jnp.int32(512), 256)],
+        (blocks.Part(long, jnp.int32(size), size),),
+        [updated, blocks.Part(written, jnp.int32(2 * size), size)],
         update=1,
     )
-    np.testing.assert_array_equal(new[0][0], 1.0 + long[0, 256:512])
-    np.testing.assert_array_equal(new[1], written.at[:, 512:].set(long[:, 256:512]))
+    np.testing.assert_array_equal(new[0][0], 1.0 + long[0, size : 2 * size])
+    np.testing.assert_array_equal(new[1], written.at[:, 2 * size :].set(long[:, size : 2 * size]))
 
 
 def test_replaced_switches_are_static() -> None:
