@@ -149,6 +149,11 @@ def as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
     return only_if(count >= 0, work, value)
 
 
+def once[T](values: T) -> T:
+    """Values that are worked out once and kept, for all their uses."""
+    return jax.lax.optimization_barrier(values)
+
+
 def total(values: jax.Array) -> jax.Array:
     """Sum of values (room,), whole blocks of them: many short sums side by side, where XLA makes one long one."""
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))

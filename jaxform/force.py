@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxform.blocks import PerBlock, entry, over_blocks, put
+from jaxform.blocks import PerBlock, entry, once, over_blocks, put
 from jaxform.materials import Material
 from jaxform.membrane import (
     Metric,
@@ -127,8 +127,8 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         first, edge1, edge2, normal = _geometry(rows, triangles, area)
         g = metric(edge1, edge2)
         factors = stress_factors(g, inverse, load.material)
-        factors = _once((area * thickness * factors[0], area * thickness * factors[1]))
-        s = _once(stress(g, inverse, factors))
+        factors = once((area * thickness * factors[0], area * thickness * factors[1]))
+        s = once(stress(g, inverse, factors))
         push = _scaled(load.pressure / 6.0, normal)
         pull2, pull3 = _pulls(s, edge1, edge2)
         arm = minus(first, elements.origin)
@@ -159,7 +159,7 @@ def _with_spill(corners: Corners, elements: Elements) -> Corners:
     def add(k: jax.Array, flat: Corners) -> Corners:
         share, into = entry(elements.spill, k), entry(elements.spill_into, k)
         # All is read before anything is written, or XLA would copy the arrays for every share.
-        sums = _once([entry(corner, share) + entry(corner, into) for corner in flat])
+        sums = once([entry(corner, share) + entry(corner, into) for corner in flat])
         return [put(corner, sum_[None], into) for corner, sum_ in zip(flat, sums, strict=True)]
 
     if jax.default_backend() == "cpu":
@@ -210,20 +210,15 @@ def no_corners(positions: jax.Array, elements: Elements) -> Corners:
     return [jnp.zeros(elements.triangles.shape, positions.dtype) for _ in range(3)]
 
 
-def _once[T](values: T) -> T:
-    """Values that are worked out once and kept, for all their uses."""
-    return jax.lax.optimization_barrier(values)
-
-
 def _geometry(positions: Vector, triangles: jax.Array, area: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
     """First node, edges and normal of elements, each three times (n,).
 
     The normal is twice the current area long, and nothing where the place is not in use.
     """
     first, edge1, edge2 = edges(positions, triangles)
-    edge1, edge2 = _once((edge1, edge2))
+    edge1, edge2 = once((edge1, edge2))
     x, y, z = (jnp.where(area > 0.0, component, 0.0) for component in cross(edge1, edge2))
-    return first, edge1, edge2, _once((x, y, z))
+    return first, edge1, edge2, once((x, y, z))
 
 
 def _used(area: jax.Array) -> jax.Array:
@@ -268,11 +263,11 @@ def _stress_and_change(
         return weight * a, weight * b
 
     # Both divide; kept, they are worked out once instead of for each of the six components.
-    own, rate = _once(jax.jvp(factors, (g,), (change,)))
+    own, rate = once(jax.jvp(factors, (g,), (change,)))
     b = own[1]
     s = stress(g, inverse, own)
     ds = plus(stress(g, inverse, rate), (b * change[2], -b * change[1], b * change[0]))
-    return _once((s, ds))
+    return once((s, ds))
 
 
 def _force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
@@ -306,7 +301,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         volume = jnp.zeros_like(area)
         if moved is not None:
             w0, w1, w2 = edges(moved, triangles)
-            w1, w2 = _once((w1, w2))
+            w1, w2 = once((w1, w2))
             s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, load.material)
             pull2, pull3 = _pulls(s, w1, w2)
             changes.append(ds)
@@ -321,11 +316,11 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
             total = changes[0]
             for part in changes[1:]:
                 total = plus(total, part)
-            more2, more3 = _pulls(_once(total), edge1, edge2)
+            more2, more3 = _pulls(once(total), edge1, edge2)
             pull2, pull3 = plus(pull2, more2), plus(pull3, more3)
         if change.pressure is not None:
             push = plus(push, _scaled(change.pressure / 6.0, normal))
-        pull2, pull3, push = _once((pull2, pull3, push))
+        pull2, pull3, push = once((pull2, pull3, push))
         return _shares(push, pull2, pull3), [volume]
 
     corners, (volume,) = _over(work, elements, (load.thickness, *thickened), into)
@@ -389,9 +384,9 @@ def corner_cotangents(
         turn = own
         if pushed is not None:
             w0, w1, w2 = edges(pushed, triangles)
-            w1, w2 = _once((w1, w2))
+            w1, w2 = once((w1, w2))
             total = plus(_scaled(3.0, w0), plus(w1, w2))
-            g, g_change = metric(edge1, edge2), _once(_metric_change(edge1, edge2, w1, w2))
+            g, g_change = metric(edge1, edge2), once(_metric_change(edge1, edge2, w1, w2))
             s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)
             if forces:
                 own_shares = _shares(_scaled(load.pressure / 6.0, normal), *_pulls(s, edge1, edge2))
@@ -421,9 +416,9 @@ def corner_cotangents(
             sums.append(dot(minus(first, elements.origin), normal) / 6.0)
         if not moves:
             return old, sums
-        turn = _once(turn)
-        cotangent1 = _once(plus(edge1_cotangent, cross(edge2, turn)))
-        cotangent2 = _once(plus(edge2_cotangent, cross(turn, edge1)))
+        turn = once(turn)
+        cotangent1 = once(plus(edge1_cotangent, cross(edge2, turn)))
+        cotangent2 = once(plus(edge2_cotangent, cross(turn, edge1)))
         own = minus(minus(own, cotangent1), cotangent2)
         return [*old, *([own[k], cotangent1[k], cotangent2[k]] for k in range(3)), *own_shares], sums
 

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import contact, membrane
-from jaxform.blocks import as_one, entry, only_if, over_blocks, total
+from jaxform.blocks import as_one, entry, once, only_if, over_blocks, total
 from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.membrane import vector
@@ -181,7 +181,7 @@ def _taken_in_blocks(
         (x,), (y,), (z,), velocities = old
         nodal = assembled(corners, own)
         velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
-        new = _once(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
+        new = once(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
         return [*([x] for x in new), velocities], [] if losses is None else [losses]
 
     inputs = shares(elements), nodes
@@ -204,19 +204,15 @@ def kicked(
     stuck, mass, compliance = nodes
     gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
     if damping is None:
-        return _once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
+        return once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
     half = 0.5 * damping * kick
     rest = 1.0 / (1.0 + half)  # one division, not three at every node
-    gains = _once(vector(0.5 * gain for gain in gains))
+    # Kept, since the positions and the loss would each work them, and the force, out again.
+    gains = once(vector(0.5 * gain for gain in gains))
     # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
-    mean = _once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
+    mean = once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
     new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
     return new, kick * damping * mass * membrane.dot(mean, mean)
-
-
-def _once(values: membrane.Vector) -> membrane.Vector:
-    """Values that are kept for all their uses: each would work them, and the force, out again."""
-    return jax.lax.optimization_barrier(values)
 
 
 def _looked(moving: _Moving, now: _Window) -> _Moving:

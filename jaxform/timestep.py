@@ -264,7 +264,6 @@ def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, ja
     """
     diagonal, off = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (diagonal, off))
     small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
-
     bound = jnp.maximum(jnp.max(jnp.sum(jnp.abs(small), axis=1)), jnp.finfo(small.dtype).tiny)
 
     def squared(_: jax.Array, power: jax.Array) -> jax.Array:
