@@ -29,14 +29,15 @@ from jaxform.membrane import (
     Vector,
     cross,
     dot,
-    edges,
     gather,
+    looked_up,
     metric,
     minus,
     plus,
     rows_of,
     stress,
     stress_factors,
+    summed_up,
     vector,
 )
 from jaxform.pytree import pytree
@@ -124,7 +125,8 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     rows = rows_of(load.positions)
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
-        first, edge1, edge2, normal = _geometry(rows, triangles, area)
+        (sides,) = _sides(triangles, rows)
+        (first, edge1, edge2), normal = sides, _normal(sides, area)
         g = metric(edge1, edge2)
         factors = stress_factors(g, inverse, load.material)
         factors = once((area * thickness * factors[0], area * thickness * factors[1]))
@@ -170,21 +172,18 @@ def _with_spill(corners: Corners, elements: Elements) -> Corners:
     return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
 
 
-def assembled(corners: Corners, own: Shares) -> Vector:
+def assembled(corners: Corners, own: Shares) -> list[jax.Array]:
     """Sum (n,) at nodes of their `own` shares of what corners get, component by component."""
-    flat = [corner.reshape(-1) for corner in corners]
+    flat, slots = [corner.reshape(-1) for corner in corners], own.slots
 
-    def add(total: Vector, slot: jax.Array) -> Vector:
-        return plus(total, vector(gather(corner, slot) for corner in flat))
+    def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
+        return [total + gather(corner, slots[k]) for total, corner in zip(totals, flat, strict=True)]
 
-    slots = own.slots
-    total = vector(gather(corner, slots[0]) for corner in flat)
-    for slot in slots[1:USUAL_ROWS]:
-        total = add(total, slot)
+    totals = summed_up(flat, slots[:USUAL_ROWS])
     if len(slots) > USUAL_ROWS:
         # Few nodes have more, and they are packed together.
-        total = jax.lax.fori_loop(USUAL_ROWS, own.row_count, lambda k, total: add(total, slots[k]), total)
-    return total
+        totals = jax.lax.fori_loop(USUAL_ROWS, own.row_count, add, totals)
+    return totals
 
 
 def _nodal(corners: Corners, elements: Elements) -> jax.Array:
@@ -210,15 +209,28 @@ def no_corners(positions: jax.Array, elements: Elements) -> Corners:
     return [jnp.zeros(elements.triangles.shape, positions.dtype) for _ in range(3)]
 
 
-def _geometry(positions: Vector, triangles: jax.Array, area: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
-    """First node, edges and normal of elements, each three times (n,).
+class _Sides(NamedTuple):
+    """Of vectors at the nodes, at elements: the first node's, and along both edges from it; each three times (n,)."""
 
-    The normal is twice the current area long, and nothing where the place is not in use.
-    """
-    first, edge1, edge2 = edges(positions, triangles)
-    edge1, edge2 = once((edge1, edge2))
-    x, y, z = (jnp.where(area > 0.0, component, 0.0) for component in cross(edge1, edge2))
-    return first, edge1, edge2, once((x, y, z))
+    first: Vector
+    edge1: Vector
+    edge2: Vector
+
+
+def _sides(triangles: jax.Array, *nodal: Vector) -> list[_Sides]:
+    """Of several at once, since they lie at the same nodes; kept for all their uses."""
+    rows = [row for values in nodal for row in values]
+    corners = [looked_up(rows, nodes) for nodes in triangles]
+
+    def one(first: Vector, second: Vector, third: Vector) -> _Sides:
+        return _Sides(first, *once((minus(second, first), minus(third, first))))
+
+    return [one(*(vector(corner[k : k + 3]) for corner in corners)) for k in range(0, len(rows), 3)]
+
+
+def _normal(sides: _Sides, area: jax.Array) -> Vector:
+    """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
+    return once(vector(jnp.where(area > 0.0, x, 0.0) for x in cross(sides.edge1, sides.edge2)))
 
 
 def _used(area: jax.Array) -> jax.Array:
@@ -287,21 +299,21 @@ def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, j
 
 def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners) -> tuple[Corners, jax.Array]:
     """As `corner_forces`, of the derivative along `change`."""
-    rows = rows_of(load.positions)
     moved = None if change.positions is None else rows_of(change.positions)
+    looked = [rows_of(load.positions)] + ([] if moved is None else [moved])
     thickened = () if change.thickness is None else (change.thickness,)
     parameters, structure = jax.tree.flatten(load.material)
     varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array, *more: jax.Array) -> Any:
-        first, edge1, edge2, normal = _geometry(rows, triangles, area)
+        (first, edge1, edge2), *changed = sides = _sides(triangles, *looked)
+        normal = _normal(sides[0], area)
         g, weight, share = metric(edge1, edge2), area * thickness, _pressure_share(load.pressure, area)
         changes: list[Metric] = []
         pull2 = pull3 = push = _scaled(jnp.zeros_like(area), normal)
         volume = jnp.zeros_like(area)
         if moved is not None:
-            w0, w1, w2 = edges(moved, triangles)
-            w1, w2 = once((w1, w2))
+            w0, w1, w2 = changed[0]
             s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, load.material)
             pull2, pull3 = _pulls(s, w1, w2)
             changes.append(ds)
@@ -368,23 +380,23 @@ def corner_cotangents(
         What the corners get, the sums, and the cotangents of the pressure and of all the material's parameters, as
         far as they are wanted; with the forces the enclosed volume [m^3] comes last.
     """
-    rows = rows_of(load.positions)
     pushed = None if nodal is None else rows_of(nodal)
+    looked = [rows_of(load.positions)] + ([] if pushed is None else [pushed])
     parameters, structure = jax.tree.flatten(load.material)
     moves, thickens, presses = wanted[:3]
     varies = any(wanted[3:])
 
     def work(*blocks: Any) -> Any:
         old, (triangles, inverse, area, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
-        first, edge1, edge2, normal = _geometry(rows, triangles, area)
+        (first, edge1, edge2), *pushes = sides = _sides(triangles, *looked)
+        normal = _normal(sides[0], area)
         weight, pressure = area * thickness, _pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
         own_shares: list[Vector] = []
         own = edge1_cotangent = edge2_cotangent = _scaled(jnp.zeros_like(area), normal)
         turn = own
         if pushed is not None:
-            w0, w1, w2 = edges(pushed, triangles)
-            w1, w2 = once((w1, w2))
+            w0, w1, w2 = pushes[0]
             total = plus(_scaled(3.0, w0), plus(w1, w2))
             g, g_change = metric(edge1, edge2), once(_metric_change(edge1, edge2, w1, w2))
             s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)

@@ -7,7 +7,7 @@ triple (11, 12, 22) of its components in the basis of the triangle's two edges f
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -30,13 +30,41 @@ class Invariants(NamedTuple):
 
 def gather(values: jax.Array, index: jax.Array) -> jax.Array:
     """Columns of (..., n_node) `values` at `index`, which the mesh guarantees to exist; it is not tested."""
-    return values.at[..., index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    lead = tuple(range(values.ndim - 1))
+    numbers = jax.lax.GatherDimensionNumbers(lead, (values.ndim - 1,), (values.ndim - 1,))
+    # Without a sign, or XLA would look for negative ones all the same.
+    index = index.astype(jnp.uint32)[..., None]
+    return jax.lax.gather(values, index, numbers, (*values.shape[:-1], 1), mode="promise_in_bounds")
+
+
+def looked_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    """Entries (n,) of several rows (n_node,) at the same places (n,), in one loop; as `summed_up`."""
+    return summed_up(rows, index[None])
+
+
+def summed_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    """Sums (n,) of the entries of several rows (n_node,) at places (k, n), over k, in one loop.
+
+    XLA's CPU compiler makes a loop for each array that it works out, and each would take all indices apart again, which
+    takes longer than to look up; only a reduction of several arrays is one loop for all of them.
+    """
+    if jax.default_backend() != "cpu":
+        return [jnp.sum(gather(row, index), axis=0) for row in rows]
+    # Else every entry would be cut out anew, and looked up for every step of the loop.
+    index = jax.lax.optimization_barrier(index)
+    found = [gather(row, index) for row in rows]
+    if len(index) == 1:
+        # A sum over one alone would be seen through. Nothing is added, since minus nothing changes no number.
+        found = [jnp.pad(values, ((0, 1), (0, 0)), constant_values=-0.0) for values in found]
+    none = [jnp.asarray(-0.0, values.dtype) for values in found]
+    add = lambda a, b: [x + y for x, y in zip(a, b, strict=True)]  # noqa: E731
+    return jax.lax.reduce(found, none, add, (0,))
 
 
 def columns(values: jax.Array | Vector, index: jax.Array) -> Vector:
     """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
     if isinstance(values, tuple):
-        return vector(gather(row, index) for row in values)
+        return vector(looked_up(values, index))
     flat, size = values.reshape(-1), values.shape[1]
     x, y, z = (gather(flat, index + k * size) for k in range(3))
     return x, y, z
@@ -49,15 +77,17 @@ def vector(components: Iterable[jax.Array]) -> Vector:
 
 
 def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector]:
-    """First node and the two edges from it, each three times (n_element,) [m], of (3, n_node) and (3, n_element)."""
-    x, y, z = positions
+    """First node and the two edges from it, each three times (n_element,) [m], of (3, n_node) and (3, n_element).
 
-    def corner(nodes: jax.Array) -> Vector:
-        a, b, c = (gather(row, nodes) for row in (x, y, z))
-        return a, b, c
+    Of positions row by row no derivative is taken, and the nodes' are kept for all their uses.
+    """
+    rows, look_up = rows_of(positions), looked_up if isinstance(positions, tuple) else _gathered
+    first, second, third = (vector(look_up(rows, nodes)) for nodes in triangles)
+    return first, minus(second, first), minus(third, first)
 
-    first = corner(triangles[0])
-    return first, minus(corner(triangles[1]), first), minus(corner(triangles[2]), first)
+
+def _gathered(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    return [gather(row, index) for row in rows]
 
 
 def rows_of(positions: jax.Array | Vector) -> Vector:

@@ -12,6 +12,7 @@ left to JAX.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -239,7 +240,13 @@ def _half(kick: jax.Array, damping: jax.Array | None) -> jax.Array | float:
 
 
 def _speeds_before(
-    nodal: Vector, after: Any, speeds: Any, node: tuple[jax.Array, Any], kick: jax.Array, now: _Window, end: _End
+    nodal: Sequence[jax.Array],
+    after: Any,
+    speeds: Any,
+    node: tuple[jax.Array, Any],
+    kick: jax.Array,
+    now: _Window,
+    end: _End,
 ) -> Vector:
     """Velocities before a step, (n,) each, from its force and those `after` it; or as they were kept, `speeds`.
 
@@ -306,13 +313,13 @@ def _over_nodes(nodes: _Nodes, corners: Corners, turn: _Turn, now: _Window, end:
     Nodes that landed in the earlier one are left for `_landings`.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
-    both = corners[:3], corners[3:]
     kick, half = turn.later_kick, _half(turn.later_kick, damping)
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > turn.number
-        pulled, nodal = (assembled(part, own) for part in both)
+        both = assembled(corners, own)
+        pulled, nodal = both[:3], both[3:]
         before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
         before, position = jax.lax.optimization_barrier((before, position))
