@@ -7,6 +7,7 @@ runs, all of one table in one process, one after another on an otherwise idle ma
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import os
 import platform
@@ -27,6 +28,7 @@ from benchmarks import contact, formulations, peers, sheets
 from benchmarks.sheets import best_in_turns, best_seconds, whole_loop
 from jaxform import molds, simulation, stepping
 from jaxform.body import Body
+from jaxform.compiling import compiled, compiler_options
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.scene import SHORT_WINDOW
 from jaxform.state import State, can_move
@@ -87,8 +89,8 @@ def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
         sheet = sheets.sheet(size)
         ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
         ways |= {f"jaxform, blocks of {block}": formulations.own(sheet, block=block) for block in (64, 80, 128, 256)}
-        if (compiled := peers.cpp(sheet)) is not None:
-            ways["plain C++"] = compiled
+        if (loop := peers.cpp(sheet)) is not None:
+            ways["plain C++"] = loop
         for name, cost in _per_step(ways, len(sheet.triangles)).items():
             table.append({"formulation": name, "elements": len(sheet.triangles), "ns": cost})
             say(table[-1])
@@ -133,12 +135,12 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
     unit = 1e-9 * steps * elements
     values = scene.parison.thickness, scene.pressure.value
     begin = time.perf_counter()
-    gradient = jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))).lower(*values).compile()
-    compiled = time.perf_counter() - begin
+    gradient = compiled(jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))), *values)
+    compiling = time.perf_counter() - begin
     memory = gradient.memory_analysis()
     runs = {"run": whole_loop(scene), "value and gradient": lambda: gradient(*values)}
     if forward_mode:
-        column = jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))).lower(*values).compile()
+        column = compiled(jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))), *values)
         runs["forward mode"] = lambda: column(*values)
     sheet = sheets.sheet(elements)
     if (compiled_loop := peers.cpp(sheet)) is not None:
@@ -148,7 +150,7 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
         "elements": elements,
         "steps": steps,
         "windows per checkpoint": every,
-        "compile s": compiled,
+        "compile s": compiling,
         "memory MB": None if memory is None else memory.temp_size_in_bytes / 1e6,
     }
     row |= {name: taken / unit for name, taken in seconds.items()}
@@ -337,7 +339,7 @@ def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> C
     if not scene.solver.sharp_step:
         state = dataclasses.replace(state, mode=None)
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=compiler_options())
     def several(state: State, scene: jaxform.Scene, working: Working) -> jax.Array:
         def once(_: jax.Array, last: jax.Array) -> jax.Array:
             moved = dataclasses.replace(state, positions=state.positions + 1e-30 * last)

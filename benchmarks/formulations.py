@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
 from jaxform import blocks, force, packing, scene
+from jaxform.compiling import compiled
 from jaxform.materials import Material, MooneyRivlin
 from jaxform.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
 
@@ -130,7 +131,6 @@ def stepper(nodal: Callable[[jax.Array], jax.Array], sheet: Sheet) -> Callable[[
     compliance = jnp.asarray(sheet.compliance.T)
     start = jnp.asarray(sheet.positions.T)
 
-    @jax.jit
     def steps(x: jax.Array, compliance: jax.Array, count: jax.Array) -> jax.Array:
         def step(_: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             x, v = state
@@ -139,7 +139,8 @@ def stepper(nodal: Callable[[jax.Array], jax.Array], sheet: Sheet) -> Callable[[
 
         return jax.lax.fori_loop(0, count, step, (x, jnp.zeros_like(x)))[0]
 
-    return lambda count: steps(start, compliance, jnp.int32(count))
+    program = compiled(jax.jit(steps), start, compliance, jnp.int32(1))
+    return lambda count: program(start, compliance, jnp.int32(count))
 
 
 def own(sheet: Sheet, dtype: Any = jnp.float64, block: int | None = None, law: Material = LAW) -> Callable[[int], Any]:
@@ -174,5 +175,5 @@ def _own(sheet: Sheet, dtype: Any, law: Material) -> Callable[[int], Any]:
         state = rows_of(x), list(jnp.zeros_like(x)), room, jnp.zeros((), dtype)
         return whole.put_back(jnp.stack(jax.lax.fori_loop(0, count, advance, state)[0]))
 
-    compiled = jax.jit(steps).lower(start, whole, fixed, jnp.int32(1)).compile()
-    return lambda count: compiled(start, whole, fixed, jnp.int32(count))
+    program = compiled(jax.jit(steps), start, whole, fixed, jnp.int32(1))
+    return lambda count: program(start, whole, fixed, jnp.int32(count))

@@ -1,5 +1,6 @@
 from . import molds, scenes, shapes
 from .building import build_scene
+from .compiling import compiler_options
 from .errors import InputError
 from .files import load
 from .materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
@@ -36,6 +37,7 @@ __all__ = [
     "Schedule",
     "Solver",
     "build_scene",
+    "compiler_options",
     "explain",
     "fitted",
     "load",

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
+from jaxform.compiling import compiled
 from jaxform.derivatives import Rule, recomputed
 from jaxform.errors import InputError
 from jaxform.refinement import can_have_more_room, refined, with_more_room
@@ -120,7 +121,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(max(counts.values()))]
     if jax.default_backend() != "cpu":
         return _side_by_side(scene, rows)
-    whole = _whole.lower(designs[0]).compile()
+    whole = compiled(_whole, designs[0])
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         results = list(pool.map(lambda design: jax.block_until_ready(whole(design)), designs))
     return jax.tree.map(lambda *values: jnp.stack(values), *results)

@@ -20,6 +20,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxform.compiling import compiled
+
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
 _MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
@@ -71,7 +73,7 @@ class Store:
             made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
             while len(self._programs) >= _MOST_PROGRAMS:
                 self._programs.pop(next(iter(self._programs)), None)
-            self._programs[key] = made.lower(*arguments).compile()
+            self._programs[key] = compiled(made, *arguments)
         return self._programs[key]
 
     def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:

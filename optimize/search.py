@@ -19,6 +19,7 @@ import numpy as np
 
 import jaxform
 from jaxform import Result, Scene
+from jaxform.compiling import compiled
 from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
 from optimize.journal import Answer, Journal
 from optimize.variables import Variable
@@ -135,7 +136,7 @@ class Search:
     def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
         if name not in self._programs:
-            self._programs[name] = jax.jit(function).lower(*arguments).compile()
+            self._programs[name] = compiled(jax.jit(function), *arguments)
             self._clock = time.process_time()
         return self._programs[name]
 
