@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import pytest
 
 import jaxform
 from jaxform import force, membrane, packing, shapes
+from jaxform.compiling import compiled
 from jaxform.force import Elements, Load
 from jaxform.materials import Material
 from jaxform.scene import Sheet
@@ -39,6 +41,31 @@ def _case(law: Material, seed: int = 0) -> tuple[Load, Elements]:
 def _random_like(tree: object, seed: int) -> object:
     random = np.random.default_rng(seed)
     return jax.tree.map(lambda leaf: jnp.asarray(random.normal(size=leaf.shape)), tree)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "another"])
+@pytest.mark.parametrize("depth", [1, 2, 6])
+def test_rows_are_looked_up_together_and_summed(depth: int, backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(membrane.jax, "default_backend", lambda: backend)
+    random = np.random.default_rng(depth)
+    rows = random.normal(size=(3, 20))
+    rows[:, 0] = [0.0, -0.0, np.nan]
+    index = random.integers(0, 20, (depth, 50))
+    index[:, 0] = 0
+    got = jax.jit(membrane.summed_up)([jnp.asarray(row) for row in rows], jnp.asarray(index))
+    expected = functools.reduce(np.add, [rows[:, places] for places in index])
+    np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
+    if depth == 1:
+        alone = membrane.looked_up([jnp.asarray(row) for row in rows], jnp.asarray(index[0]))
+        np.testing.assert_array_equal(alone, rows[:, index[0]])
+        assert backend != "cpu" or np.signbit(alone[1][0])
+
+
+def test_the_longest_vectors_change_no_number() -> None:
+    load, sheet = _case(LAWS[2])
+    work = jax.jit(force.force)
+    usual, longest = work(load, sheet), compiled(work, load, sheet)(load, sheet)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-17), usual, longest)
 
 
 @pytest.mark.parametrize("law", LAWS)
