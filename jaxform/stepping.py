@@ -35,7 +35,7 @@ _FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
 _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
 _STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
-_QUIET = 1e-3  # of the largest work: where a window misses more energy, they become shorter
+_QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then taken anew at most so often
 
 
