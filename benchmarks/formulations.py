@@ -87,7 +87,7 @@ def nine_scatters(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
 def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
     """Nodes gather their shares, which lets XLA compile all steps into one function; no blocks."""
     triangles, inverse, weight = jnp.asarray(sheet.triangles.T), jnp.asarray(sheet.metric.T), _weight(sheet)
-    elements = packed(sheet).elements
+    elements = packed(sheet, paired=False).elements
     room, count = elements.triangles.shape[1], len(sheet.triangles)
 
     def nodal(x: jax.Array) -> jax.Array:
@@ -101,11 +101,13 @@ def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
     return nodal
 
 
-def packed(sheet: Sheet) -> packing.Packed:
-    """The sheet as `jaxform` steps it."""
+def packed(sheet: Sheet, *, paired: bool = True) -> packing.Packed:
+    """The sheet as `jaxform` steps it; or with elements one by one, as where they are bisected."""
     tables = scene.Sheet(
         jnp.asarray(sheet.triangles.T), jnp.asarray(sheet.metric.T), jnp.asarray(sheet.area), jnp.zeros(3)
     )
+    if paired:
+        return packing.pack(None, tables, packing.make_paired_assembly(sheet.positions, sheet.triangles))
     return packing.pack(None, tables, packing.make_assembly(sheet.triangles, len(sheet.positions)))
 
 

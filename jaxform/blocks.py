@@ -15,12 +15,36 @@ import jax.numpy as jnp
 
 BLOCK = 96  # three of the longest vectors, four times; no power of two: rows that far apart share the cache's sets
 
-Rows = Sequence[jax.Array]
+
+class Halves(NamedTuple):
+    """A row (n,) of which what is in the blocks' first halves, and in their second, is worked out apart, (n / 2,)."""
+
+    first: jax.Array
+    second: jax.Array
+
+    def whole(self) -> jax.Array:
+        """The row."""
+        half = BLOCK // 2
+        if self.first.size == half:
+            return jnp.concatenate(self)
+        return jnp.stack([part.reshape(-1, half) for part in self], axis=1).reshape(-1)
+
+
+Rows = Sequence[jax.Array | Halves]
 
 
 def padded(count: int) -> int:
     """The least whole number of blocks' length that is greater than `count`: one entry at least is left over."""
     return (count // BLOCK + 1) * BLOCK
+
+
+def halves(values: jax.Array) -> Halves:
+    """Of values (n,), whole blocks, what is in the blocks' first halves, and in their second."""
+    half = BLOCK // 2
+    if values.size == BLOCK:
+        return Halves(values[:half], values[half:])
+    first, second = jnp.moveaxis(values.reshape(-1, 2, half), 1, 0)
+    return Halves(first.reshape(-1), second.reshape(-1))
 
 
 class Part(NamedTuple):
@@ -70,7 +94,7 @@ def over_blocks(
     """
     if jax.default_backend() != "cpu":
         rows, terms = function(*([list(into[:update])] if update else []), *_whole(inputs))
-        new = [jnp.stack(list(row)) for row in rows]
+        new = [jnp.stack([row.whole() if isinstance(row, Halves) else row for row in each]) for each in rows]
         found = [jnp.sum(term) for term in terms[:sums]] + [jnp.max(term, initial=0.0) for term in terms[sums:]]
         return [_put(old, row) for old, row in zip(into, new, strict=True)], found
 
@@ -192,7 +216,10 @@ def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
     """Row by row: stacked first they would be one loop with a branch in it, which is not vectorized."""
     room = flat.size // len(rows)
     for k, row in enumerate(rows):
-        flat = put(flat, row.astype(flat.dtype), k * room + first)
+        begin = k * room + first
+        for part in row if isinstance(row, Halves) else (row,):
+            flat = put(flat, part.astype(flat.dtype), begin)
+            begin += part.size
     return flat
 
 

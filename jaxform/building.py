@@ -14,13 +14,14 @@ from jaxform.body import node_room
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
-from jaxform.packing import make_assembly
+from jaxform.packing import make_assembly, make_paired_assembly
 from jaxform.penetration import first_crossing
 from jaxform.pytree import as_index, as_real
 from jaxform.scene import (
     DESIGNABLE,
     LONG_WINDOW,
     SHORT_WINDOW,
+    Assembly,
     Forest,
     Parison,
     Pressure,
@@ -93,7 +94,7 @@ def build_scene(
     planned = _planned_windows(bound, material, solver)
     tables = Tables(
         sheet=sheet,
-        assembly=make_assembly(triangles, len(positions)),
+        assembly=_assembly(positions, triangles, refinement),
         bound=bound,
         mobility=mobility,
         size=as_real(np.abs(positions).max()),
@@ -112,6 +113,13 @@ def build_scene(
         tables=tables,
         name=name,
     )
+
+
+def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refinement | None) -> Assembly:
+    """In pairs, unless the elements will be others."""
+    if refinement is not None:
+        return make_assembly(triangles, len(positions))
+    return make_paired_assembly(positions, triangles)
 
 
 def _check_material(material: Material) -> None:

@@ -12,7 +12,7 @@ formulations that lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxform.blocks import PerBlock, entry, once, over_blocks, put
+from jaxform.blocks import Halves, PerBlock, entry, halves, once, over_blocks, put
 from jaxform.materials import Material
 from jaxform.membrane import (
     Metric,
@@ -53,8 +53,12 @@ class Elements:
         triangles: Places of the nodes (3, room).
         inverse_metric: Inverse of the initial metric (3, room) [1/m^2].
         area: Initial area (room,) [m^2].
+        turn: Where elements stand in pairs, the first in a block's first half and the second in its second: whether
+            the order of the nodes, which begins with the common edge, is that of the element's normal (room,), 1, or
+            is not, -1; 0 beyond them. None where they stand one by one.
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
-        slots: Where the corners' shares of each node are (depth, place): corner times room plus element.
+        slots: Where the corners' shares of each node are (depth, place): corner times room plus element. Of a pair
+            both ends of the common edge share the first row, half by half, and the nodes apart have the second.
         spill, spill_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares of
             these nodes that they are added to.
         spill_count: How many of them are in use.
@@ -65,6 +69,7 @@ class Elements:
     triangles: jax.Array
     inverse_metric: jax.Array
     area: jax.Array
+    turn: jax.Array | None
     origin: jax.Array
     slots: jax.Array
     spill: jax.Array
@@ -91,9 +96,14 @@ class Load(NamedTuple):
     material: Material
 
 
-USUAL_ROWS = 6  # of the shares of a node; all that are looked up without asking
+_USUAL_ROWS, _USUAL_PAIR_ROWS = 6, 4  # of the shares of a node; all that are looked up without asking
 
-Corners = list[jax.Array]  # component by component, (3 corners, room)
+Corners = list[jax.Array]  # component by component, (3 corners, room); of pairs (2, room)
+
+
+def usual_rows(paired: bool) -> int:
+    """How many shares a node has as a rule, of elements or of pairs of them."""
+    return _USUAL_PAIR_ROWS if paired else _USUAL_ROWS
 
 
 def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
@@ -124,9 +134,10 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     """
     rows = rows_of(load.positions)
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
-        (sides,) = _sides(triangles, rows)
-        (first, edge1, edge2), normal = sides, _normal(sides, area)
+    def work(own: _Own, thickness: jax.Array) -> Any:
+        (sides,) = _sides(own, rows)
+        (first, edge1, edge2), normal = sides, _normal(sides, own)
+        inverse, area = own.inverse_metric, own.area
         g = metric(edge1, edge2)
         factors = stress_factors(g, inverse, load.material)
         factors = once((area * thickness * factors[0], area * thickness * factors[1]))
@@ -134,7 +145,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         push = _scaled(load.pressure / 6.0, normal)
         pull2, pull3 = _pulls(s, edge1, edge2)
         arm = minus(first, elements.origin)
-        return _shares(push, pull2, pull3), [dot(arm, normal)]
+        return _together(_shares(push, pull2, pull3), own), [dot(arm, normal)]
 
     corners, (volume,) = _over(work, elements, (load.thickness,), into)
     return _with_spill(corners, elements), volume / 6.0
@@ -179,10 +190,11 @@ def assembled(corners: Corners, own: Shares) -> list[jax.Array]:
     def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
         return [total + gather(corner, slots[k]) for total, corner in zip(totals, flat, strict=True)]
 
-    totals = summed_up(flat, slots[:USUAL_ROWS])
-    if len(slots) > USUAL_ROWS:
+    usual = usual_rows(len(corners[0]) == 2)
+    totals = summed_up(flat, slots[:usual])
+    if len(slots) > usual:
         # Few nodes have more, and they are packed together.
-        totals = jax.lax.fori_loop(USUAL_ROWS, own.row_count, add, totals)
+        totals = jax.lax.fori_loop(usual, own.row_count, add, totals)
     return totals
 
 
@@ -200,13 +212,26 @@ def _nodal(corners: Corners, elements: Elements) -> jax.Array:
 def _over(
     work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array], sums: int = 1
 ) -> Any:
-    inputs = elements.triangles, elements.inverse_metric, elements.area, *more
-    return over_blocks(work, elements.block_count, inputs, into, sums=sums)
+    return over_blocks(work, elements.block_count, (_own(elements), *more), into, sums=sums)
 
 
 def no_corners(positions: jax.Array, elements: Elements) -> Corners:
     """Room for what the corners get, for elements whose nodes are at positions (3, place)."""
-    return [jnp.zeros(elements.triangles.shape, positions.dtype) for _ in range(3)]
+    shape = 3 if elements.turn is None else 2, elements.area.size
+    return [jnp.zeros(shape, positions.dtype) for _ in range(3)]
+
+
+class _Own(NamedTuple):
+    """Of the elements of a block; as in `Elements`."""
+
+    triangles: jax.Array
+    inverse_metric: jax.Array
+    area: jax.Array
+    turn: jax.Array | None
+
+
+def _own(elements: Elements) -> _Own:
+    return _Own(elements.triangles, elements.inverse_metric, elements.area, elements.turn)
 
 
 class _Sides(NamedTuple):
@@ -217,20 +242,54 @@ class _Sides(NamedTuple):
     edge2: Vector
 
 
-def _sides(triangles: jax.Array, *nodal: Vector) -> list[_Sides]:
+def _sides(own: _Own, *nodal: Vector) -> list[_Sides]:
     """Of several at once, since they lie at the same nodes; kept for all their uses."""
     rows = [row for values in nodal for row in values]
-    corners = [looked_up(rows, nodes) for nodes in triangles]
+    places = list(own.triangles)
+    if own.turn is not None:
+        # Both elements of a pair have the nodes of the common edge.
+        places[:2] = [halves(nodes).first for nodes in places[:2]]
+    corners = [looked_up(rows, nodes) for nodes in places]
 
     def one(first: Vector, second: Vector, third: Vector) -> _Sides:
-        return _Sides(first, *once((minus(second, first), minus(third, first))))
+        edge1 = minus(second, first)
+        if own.turn is not None:
+            first, edge1 = (once(_doubled(v)) for v in once((first, edge1)))
+        return _Sides(first, *once((edge1, minus(third, first))))
 
     return [one(*(vector(corner[k : k + 3]) for corner in corners)) for k in range(0, len(rows), 3)]
 
 
-def _normal(sides: _Sides, area: jax.Array) -> Vector:
+def _doubled(v: Vector) -> Vector:
+    """What both elements of a pair have, of a vector (n / 2,)."""
+    return vector(Halves(x, x).whole() for x in v)
+
+
+def _together(corners: Sequence[Vector], own: _Own) -> list[Any]:
+    """What corners get, component by component; of a pair's elements it is summed up at the common edge's ends."""
+    if own.turn is None:
+        return list(corners)
+
+    def summed(part: jax.Array) -> jax.Array:
+        both = halves(part)
+        return both.first + both.second
+
+    # Kept, for they are cut into halves.
+    ends = once([(first, second) for first, second, _ in corners])
+    return [(Halves(*map(summed, two)), third) for two, (_, _, third) in zip(ends, corners, strict=True)]
+
+
+def _normal(sides: _Sides, own: _Own) -> Vector:
     """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
-    return once(vector(jnp.where(area > 0.0, x, 0.0) for x in cross(sides.edge1, sides.edge2)))
+    normal = cross(sides.edge1, sides.edge2)
+    if own.turn is not None:
+        return once(vector(own.turn * x for x in normal))
+    return once(vector(jnp.where(own.area > 0.0, x, 0.0) for x in normal))
+
+
+def _turned(v: Vector, own: _Own) -> Vector:
+    """A change (n,) of what `_normal` makes the normal of; it is masked elsewhere where the place is not in use."""
+    return v if own.turn is None else vector(own.turn * x for x in v)
 
 
 def _used(area: jax.Array) -> jax.Array:
@@ -305,9 +364,9 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
     parameters, structure = jax.tree.flatten(load.material)
     varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array, *more: jax.Array) -> Any:
-        (first, edge1, edge2), *changed = sides = _sides(triangles, *looked)
-        normal = _normal(sides[0], area)
+    def work(own: _Own, thickness: jax.Array, *more: jax.Array) -> Any:
+        (first, edge1, edge2), *changed = sides = _sides(own, *looked)
+        normal, inverse, area = _normal(sides[0], own), own.inverse_metric, own.area
         g, weight, share = metric(edge1, edge2), area * thickness, _pressure_share(load.pressure, area)
         changes: list[Metric] = []
         pull2 = pull3 = push = _scaled(jnp.zeros_like(area), normal)
@@ -317,7 +376,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
             s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, load.material)
             pull2, pull3 = _pulls(s, w1, w2)
             changes.append(ds)
-            normal_change = plus(cross(w1, edge2), cross(edge1, w2))
+            normal_change = _turned(plus(cross(w1, edge2), cross(edge1, w2)), own)
             push = _scaled(share, normal_change)
             volume = _used(area) * (dot(w0, normal) + dot(minus(first, elements.origin), normal_change))
         for thicker in more:
@@ -333,7 +392,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         if change.pressure is not None:
             push = plus(push, _scaled(change.pressure / 6.0, normal))
         pull2, pull3, push = once((pull2, pull3, push))
-        return _shares(push, pull2, pull3), [volume]
+        return _together(_shares(push, pull2, pull3), own), [volume]
 
     corners, (volume,) = _over(work, elements, (load.thickness, *thickened), into)
     return _with_spill(corners, elements), volume / 6.0
@@ -387,9 +446,9 @@ def corner_cotangents(
     varies = any(wanted[3:])
 
     def work(*blocks: Any) -> Any:
-        old, (triangles, inverse, area, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
-        (first, edge1, edge2), *pushes = sides = _sides(triangles, *looked)
-        normal = _normal(sides[0], area)
+        old, (block, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
+        (first, edge1, edge2), *pushes = sides = _sides(block, *looked)
+        normal, inverse, area = _normal(sides[0], block), block.inverse_metric, block.area
         weight, pressure = area * thickness, _pressure_share(load.pressure, area)
         sums: list[jax.Array] = []
         own_shares: list[Vector] = []
@@ -409,9 +468,9 @@ def corner_cotangents(
                 edge2_cotangent = _scaled(-1.0, plus(pull2, more2))
                 turn = _scaled(pressure, total)
             # Minus half the change of the metric, against the derivative of the stress.
-            halves = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
+            half_change = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
             if thickens:
-                old[0] = [old[0][0] + dot(halves, s)]
+                old[0] = [old[0][0] + dot(half_change, s)]
             if presses:
                 sums.append(dot(normal, total) / 6.0)
             if varies:
@@ -419,7 +478,7 @@ def corner_cotangents(
                 pull = jax.vjp(
                     lambda p: _weighted_stress(g, inverse, weight, jax.tree.unflatten(structure, p)), spread
                 )[1]
-                sums.extend(pull(halves)[0])
+                sums.extend(pull(half_change)[0])
         if volume is not None and moves:
             share = _used(area) * (volume / 6.0)
             turn = plus(turn, _scaled(share, minus(first, elements.origin)))
@@ -428,14 +487,15 @@ def corner_cotangents(
             sums.append(dot(minus(first, elements.origin), normal) / 6.0)
         if not moves:
             return old, sums
-        turn = once(turn)
+        turn = once(_turned(turn, block))
         cotangent1 = once(plus(edge1_cotangent, cross(edge2, turn)))
         cotangent2 = once(plus(edge2_cotangent, cross(turn, edge1)))
         own = minus(minus(own, cotangent1), cotangent2)
-        return [*old, *([own[k], cotangent1[k], cotangent2[k]] for k in range(3)), *own_shares], sums
+        corners = list(zip(own, cotangent1, cotangent2, strict=True)) + own_shares
+        return [*old, *_together(corners, block)], sums
 
     count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0) + int(forces)
-    inputs = elements.triangles, elements.inverse_metric, elements.area, load.thickness
+    inputs = _own(elements), load.thickness
     room = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
     corners = [array for k in range(len(summed), len(arrays), 3) for array in _with_spill(arrays[k : k + 3], elements)]

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.blocks import BLOCK, listed, over_blocks, padded, running_count
-from jaxform.force import USUAL_ROWS, Elements
-from jaxform.membrane import gather
-from jaxform.pytree import as_index, pytree
-from jaxform.scene import Assembly, Sheet
+from jaxform.blocks import BLOCK, Halves, listed, over_blocks, padded, running_count
+from jaxform.force import Elements, usual_rows
+from jaxform.membrane import gather, reference_metric
+from jaxform.pairing import paired, turned
+from jaxform.pytree import as_index, as_real, pytree
+from jaxform.scene import Assembly, Pairs, Sheet
 
 _MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
 
@@ -54,16 +55,35 @@ class Packed:
 
 
 def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
-    """Which corners of which elements each node gathers its force from; on the host.
+    """Which corners of which elements (n_element, 3) each node gathers its force from; on the host.
 
     The few nodes with far more elements than the others, such as a pole, hand their surplus to a list.
     """
-    corner_node = triangles.ravel()
+    return _assembly(triangles, node_count, None)
+
+
+def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assembly:
+    """The same with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
+    pairs = paired(triangles)
+    corners, turn = turned(triangles, pairs)
+    inverse, _ = reference_metric(as_real(positions.T), as_index(corners.T))
+    there = pairs >= 0
+    pair = np.zeros(len(triangles), np.int32)
+    pair[pairs[there]] = np.nonzero(there)[1]
+    beyond = np.where(there[1], corners[pairs[1], 2], -1)
+    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), inverse, as_real(turn))
+    return _assembly(np.column_stack([corners[pairs[0]], beyond]), len(positions), kept)
+
+
+def _assembly(nodes: np.ndarray, node_count: int, pairs: Pairs | None) -> Assembly:
+    """Of the corners' nodes (n, 3) of elements, or (n, 4) of pairs; -1 where there is no such corner."""
+    corner_node, width = nodes.ravel(), nodes.shape[1]
     order = np.argsort(corner_node, kind="stable")
-    count = np.bincount(corner_node, minlength=node_count)
+    order = order[np.count_nonzero(corner_node < 0) :]
+    count = np.bincount(corner_node[order], minlength=node_count)
     rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    code = 4 * (order // 3) + order % 3
-    depth = _depth(count)
+    code = 4 * (order // width) + order % width
+    depth = _depth(count, usual_rows(pairs is not None))
     table = np.full((depth, node_count), -1, np.int32)
     inside = rank < depth
     table[rank[inside], corner_node[order[inside]]] = code[inside]
@@ -72,16 +92,17 @@ def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
         table=as_index(table),
         spill_node=as_index(corner_node[spill]),
         spill=as_index(code[~inside]),
+        pairs=pairs,
     )
 
 
-def _depth(count: np.ndarray) -> int:
+def _depth(count: np.ndarray, usual: int) -> int:
     """The depth at which looking up costs least [ns]: rows, the unusual ones of few blocks, or a list of the rest."""
     depths = np.arange(1, min(count.max(), _MOST_ROWS) + 1)
     beyond = np.array([np.maximum(count - depth, 0).sum() for depth in depths])
     blocks = np.array([-(-np.count_nonzero(count >= depth) // BLOCK) for depth in depths])
-    looked_up = np.cumsum(np.where(depths <= USUAL_ROWS, len(count), BLOCK * blocks))
-    return int(depths[np.argmin(2 * looked_up + (depths > USUAL_ROWS) * len(count) + 12 * beyond)])
+    looked_up = np.cumsum(np.where(depths <= usual, len(count), BLOCK * blocks))
+    return int(depths[np.argmin(2 * looked_up + (depths > usual) * len(count) + 12 * beyond)])
 
 
 def pack(
@@ -97,24 +118,24 @@ def pack(
     Where `moving` is None, all elements and nodes. There may be room for more of each than `counts` says. What is not
     `stepped`, only summed over, needs to know no node's shares.
     """
-    element_count, node_count = sheet.area.size, assembly.table.shape[1]
-    room, places = padded(element_count), padded(node_count)
+    element_count, node_count, pairs = sheet.area.size, assembly.table.shape[1], assembly.pairs
+    places = padded(node_count)
     counts = counts or (jnp.int32(element_count), jnp.int32(node_count))
-    if moving is None:
-        count, node_total = counts
-        rank, place = jnp.arange(element_count, dtype=jnp.int32), jnp.arange(node_count, dtype=jnp.int32)
-        kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
-    else:
-        kept, (element, count) = moving, listed(moving, room)
-        rank = running_count(moving) - 1
-        place, node_total = _ordered(_touched(moving, assembly, counts[1]), assembly)
+    listing = _listed(moving, element_count, counts[0]) if pairs is None else _listed_in_pairs(moving, pairs)
+    count, kept = listing.count, listing.kept
+    place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts[1]
+    if moving is not None:
+        place, node_total = _ordered(_touched(kept, assembly, counts[1]), assembly)
+    elif stepped:
+        place, node_total = _ordered(place < counts[1], assembly)
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
 
     def slots(code: jax.Array, there: jax.Array) -> jax.Array:
         """Places of shares in the corners' arrays; what is not worked out is looked up at the first unused element."""
         owner = jnp.maximum(code, 0) >> 2
-        return jnp.where(there & (code >= 0) & kept[owner], (code & 3) * room + rank[owner], count).astype(jnp.int32)
+        share, unused = listing.share(code & 3, listing.rank[owner]), listing.share(0, count)
+        return jnp.where(there & (code >= 0) & kept[owner], share, unused).astype(jnp.int32)
 
     spill = spill_into = assembly.spill
     table, spill_count = assembly.table, jnp.int32(0)
@@ -122,8 +143,8 @@ def pack(
         home, added, table = _homes(assembly, kept)
         order, spill_count = listed(added, spill.size)
         spill, spill_into = (slots(code[order], jnp.asarray(True)) for code in (spill, home))
-    block_count, node_block_count = count // BLOCK + 1, -(-node_total // BLOCK)
-    triangles, inverse_metric, area = _columns(sheet, place, element, block_count)
+    block_count, node_block_count = count // listing.per_block + 1, -(-node_total // BLOCK)
+    triangles, inverse_metric, area, turn = _columns(sheet, pairs, place, listing, block_count)
     shares = jnp.zeros((assembly.table.shape[0], places), jnp.int32)
     row_count = jnp.zeros(places // BLOCK, jnp.int32)
     if stepped:
@@ -131,7 +152,8 @@ def pack(
     elements = Elements(
         triangles=triangles,
         inverse_metric=inverse_metric,
-        area=jnp.where(jnp.arange(room) < count, area, 0.0),
+        area=area,
+        turn=turn,
         origin=sheet.origin,
         slots=shares,
         spill=spill,
@@ -141,22 +163,78 @@ def pack(
         node_block_count=node_block_count,
         row_count=row_count,
     )
-    return Packed(node, place, element, exists, kept, elements)
+    return Packed(node, place, listing.element, exists, kept if pairs is None else kept[pairs.pair], elements)
+
+
+class _Listing(NamedTuple):
+    """The elements, or pairs of them, that are worked through.
+
+    Attributes:
+        element: The element at each place (room,).
+        there: Whether it is in the list (room,), or another stands there for want of one.
+        kept, rank: Which elements, or pairs, are listed, and as which (n,).
+        count: How many they are.
+        per_block: How many there are in a block.
+    """
+
+    element: jax.Array
+    there: jax.Array
+    kept: jax.Array
+    rank: jax.Array
+    count: jax.Array
+    per_block: int
+
+    def share(self, corner: jax.Array | int, rank: jax.Array) -> jax.Array:
+        """Where a corner's share is, of the element or pair of that rank, in the arrays of what corners get."""
+        room = self.element.size
+        if self.per_block == BLOCK:
+            return corner * room + rank
+        block, place = rank // self.per_block, rank % self.per_block
+        return (corner >> 1) * room + block * BLOCK + (corner & 1) * self.per_block + place
+
+
+def _listed(moving: jax.Array | None, element_count: int, used: jax.Array) -> _Listing:
+    room = padded(element_count)
+    if moving is None:
+        rank, count = jnp.arange(element_count, dtype=jnp.int32), used
+        kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
+    else:
+        kept, (element, count) = moving, listed(moving, room)
+        rank = running_count(moving) - 1
+    return _Listing(element, jnp.arange(room) < count, kept, rank, count, BLOCK)
+
+
+def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs) -> _Listing:
+    """A pair is listed if either element can move: the first in a block's first half, the second in its second."""
+    (first, second), half = pairs.element, BLOCK // 2
+    room = (first.size // half + 1) * half
+    if moving is None:
+        kept, count = jnp.ones(first.size, bool), jnp.int32(first.size)
+        rank, pair = jnp.arange(first.size, dtype=jnp.int32), jnp.minimum(jnp.arange(room), first.size - 1)
+    else:
+        kept = moving[first] | (second >= 0) & moving[jnp.maximum(second, 0)]
+        (pair, count), rank = listed(kept, room), running_count(kept) - 1
+    used, other = jnp.arange(room) < count, second[pair]
+    element = Halves(first[pair], jnp.where(other >= 0, other, first[pair])).whole()
+    return _Listing(element, Halves(used, used & (other >= 0)).whole(), kept, rank, count, half)
 
 
 def _columns(
-    sheet: Sheet, place: jax.Array, element: jax.Array, block_count: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Triangles (3, room) of places, inverse metric and area of the elements in the list; 0 beyond it."""
+    sheet: Sheet, pairs: Pairs | None, place: jax.Array, listing: _Listing, block_count: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
+    """Triangles (3, room) of places, inverse metric, area, and turn where there are pairs; 0 beyond the list."""
+    order = sheet if pairs is None else pairs
+    numbers = [sheet.area] if pairs is None else [sheet.area, pairs.turn]
 
-    def work(element: jax.Array) -> Any:
-        corners = [gather(place, row[element]) for row in sheet.triangles]
-        return [corners, [row[element] for row in sheet.inverse_metric], [sheet.area[element]]], []
+    def work(element: jax.Array, there: jax.Array) -> Any:
+        corners = [gather(place, row[element]) for row in order.triangles]
+        own = [jnp.where(there, values[element], 0.0) for values in numbers]
+        return [corners, [row[element] for row in order.inverse_metric], own], []
 
-    room, real = element.size, sheet.area.dtype
-    into = [jnp.zeros((3, room), jnp.int32), jnp.zeros((3, room), real), jnp.zeros((1, room), real)]
-    (triangles, inverse_metric, area), _ = over_blocks(work, block_count, (element,), into)
-    return triangles, inverse_metric, area[0]
+    room, real = listing.element.size, sheet.area.dtype
+    into = [jnp.zeros((3, room), jnp.int32), jnp.zeros((3, room), real), jnp.zeros((len(numbers), room), real)]
+    (triangles, inverse_metric, own), _ = over_blocks(work, block_count, (listing.element, listing.there), into)
+    return triangles, inverse_metric, own[0], None if pairs is None else own[1]
 
 
 def _shares(
@@ -219,9 +297,10 @@ def _ordered(touched: jax.Array, assembly: Assembly) -> tuple[jax.Array, jax.Arr
 
     So nearly all blocks of nodes look up the usual number of shares, and no more.
     """
-    if len(assembly.table) <= USUAL_ROWS:
+    usual = usual_rows(assembly.pairs is not None)
+    if len(assembly.table) <= usual:
         return _first(touched)
-    many, _ = _first(assembly.table[USUAL_ROWS] >= 0)
+    many, _ = _first(assembly.table[usual] >= 0)
     place, count = _first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True))
     return place[many], count
 

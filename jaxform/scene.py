@@ -121,17 +121,40 @@ class Sheet:
 
 
 @pytree
+class Pairs:
+    """Elements in pairs that share an edge, with which the nodes of both begin.
+
+    Attributes:
+        element: The pairs (2, n_pair); -1 for the second of one that is left over.
+        pair: The pair that each element (n_element,) is of.
+        triangles: Node numbers (3, n_element) in that order.
+        inverse_metric: Of the initial metric in that order (3, n_element) [1/m^2].
+        turn: Whether the order is that of the element's normal (n_element,): 1, or -1.
+    """
+
+    element: jax.Array
+    pair: jax.Array
+    triangles: jax.Array
+    inverse_metric: jax.Array
+    turn: jax.Array
+
+
+@pytree
 class Assembly:
     """Which corners of which elements a node gathers its force from: four times the element plus the corner.
+
+    Or of which pairs: the ends of the common edge, then the node of the first element that is apart, and the second's.
 
     Attributes:
         table: (depth, n_node), -1 where there are no more.
         spill_node, spill: Nodes (k,) with more corners than the table is deep, and these corners (k,).
+        pairs: None where elements are worked out one by one.
     """
 
     table: jax.Array
     spill_node: jax.Array
     spill: jax.Array
+    pairs: Pairs | None = None
 
 
 @pytree

@@ -223,16 +223,19 @@ def account(
     """
     rows = membrane.rows_of(positions)
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, thickness: jax.Array, counted: Any) -> Any:
+    def work(own: Any, thickness: jax.Array, counted: Any, turn: Any) -> Any:
+        triangles, inverse, area = own
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = jax.lax.optimization_barrier((edge1, edge2))
         strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
         energy = area * thickness * material.energy(strain.i1, strain.i2)
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        share = share if turn is None else turn * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
         return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
 
-    inputs = elements.triangles, elements.inverse_metric, elements.area, thickness, counted
+    own = elements.triangles, elements.inverse_metric, elements.area
+    inputs = own, thickness, counted, elements.turn
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return energy, volume / 6.0
 

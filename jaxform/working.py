@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import BLOCK, only_if, over_blocks, total
+from jaxform.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
 from jaxform.body import Body, Mesh
 from jaxform.force import Corners
 from jaxform.near import Lists
@@ -119,7 +119,12 @@ def still_worked_through(
     elements = working.packed.elements
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
-        return [], [can_move(state.stuck, triangles, area).astype(area.dtype)]
+        moving = can_move(state.stuck, triangles, area)
+        if elements.turn is not None:
+            # Both elements of a pair stay where either can move.
+            either = jnp.logical_or(*halves(moving))
+            moving = Halves(either, either).whole()
+        return [], [moving.astype(area.dtype)]
 
     def anew(now: tuple[State, Working]) -> tuple[State, Working]:
         state = now[1].put_back(now[0])
@@ -144,7 +149,7 @@ def _idle(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) 
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
     whole = sheet_body.whole
-    counted = jnp.pad(~packed.kept, (0, whole.element.size - packed.kept.size))
+    counted = ~packed.kept[whole.element]
     fixed = positions, whole.elements, sheet_body.thickness[whole.element], scene.material
     return account(*jax.lax.stop_gradient(fixed), counted)
 

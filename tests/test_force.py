@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import force, membrane, packing, shapes
+from jaxform import blocks, force, membrane, packing, shapes
 from jaxform.compiling import compiled
 from jaxform.force import Elements, Load
 from jaxform.materials import Material
 from jaxform.scene import Sheet
 from tests.scenes import mooney, real
+
+ONE_BY_ONE_AND_IN_PAIRS = pytest.mark.parametrize("paired", [False, True])
 
 LAWS = [
     jaxform.NeoHookean(real(1.3), real(1.0)),
@@ -25,7 +27,7 @@ LAWS = [
 ]
 
 
-def _case(law: Material, seed: int = 0) -> tuple[Load, Elements]:
+def _case(law: Material, *, paired: bool = False, seed: int = 0) -> tuple[Load, Elements]:
     disc = shapes.disc(radius=1.0, elements=40, symmetry="quarter")
     random = np.random.default_rng(seed)
     start = jnp.asarray(disc.positions.T)
@@ -34,7 +36,12 @@ def _case(law: Material, seed: int = 0) -> tuple[Load, Elements]:
     moved = 1.2 * start + 0.05 * random.normal(size=start.shape)
     thickness = jnp.asarray(0.01 * random.uniform(0.5, 1.5, area.size))
     sheet = Sheet(triangles, inverse, area, jnp.zeros(3))
-    packed = packing.pack(None, sheet, packing.make_assembly(disc.triangles, len(disc.positions)))
+    if paired:
+        assembly = packing.make_paired_assembly(disc.positions, disc.triangles)
+    else:
+        assembly = packing.make_assembly(disc.triangles, len(disc.positions))
+    packed = packing.pack(None, sheet, assembly)
+    assert (packed.elements.turn is not None) == paired
     return Load(packed.taken(moved), thickness[packed.element], real(0.3), law), packed.elements
 
 
@@ -61,16 +68,18 @@ def test_rows_are_looked_up_together_and_summed(depth: int, backend: str, monkey
         assert backend != "cpu" or np.signbit(alone[1][0])
 
 
-def test_the_longest_vectors_change_no_number() -> None:
-    load, sheet = _case(LAWS[2])
+@ONE_BY_ONE_AND_IN_PAIRS
+def test_the_longest_vectors_change_no_number(paired: bool) -> None:
+    load, sheet = _case(LAWS[2], paired=paired)
     work = jax.jit(force.force)
     usual, longest = work(load, sheet), compiled(work, load, sheet)(load, sheet)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-17), usual, longest)
 
 
+@ONE_BY_ONE_AND_IN_PAIRS
 @pytest.mark.parametrize("law", LAWS)
-def test_internal_force_is_minus_the_slope_of_the_energy(law: Material) -> None:
-    load, sheet = _case(law)
+def test_internal_force_is_minus_the_slope_of_the_energy(law: Material, paired: bool) -> None:
+    load, sheet = _case(law, paired=paired)
     load = load._replace(pressure=real(0.0))
 
     def energy(positions: jax.Array) -> jax.Array:
@@ -81,8 +90,9 @@ def test_internal_force_is_minus_the_slope_of_the_energy(law: Material) -> None:
     np.testing.assert_allclose(force.force(load, sheet)[0], expected, atol=1e-13 * float(jnp.abs(expected).max()))
 
 
-def test_pressure_force_is_pressure_times_the_slope_of_the_volume_inside() -> None:
-    load, sheet = _case(LAWS[0])
+@ONE_BY_ONE_AND_IN_PAIRS
+def test_pressure_force_is_pressure_times_the_slope_of_the_volume_inside(paired: bool) -> None:
+    load, sheet = _case(LAWS[0], paired=paired)
     soft = load._replace(thickness=0.0 * load.thickness)
     slope = jax.grad(lambda x: force.force(soft._replace(positions=x), sheet)[1])(load.positions)
     inner = np.setdiff1d(np.asarray(sheet.triangles), _boundary(sheet))
@@ -97,9 +107,10 @@ def _boundary(sheet: Elements) -> np.ndarray:
     return topology.boundary_nodes(np.asarray(sheet.triangles.T)[np.asarray(sheet.area) > 0])
 
 
+@ONE_BY_ONE_AND_IN_PAIRS
 @pytest.mark.parametrize("law", LAWS)
-def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Material) -> None:
-    load, sheet = _case(law)
+def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Material, paired: bool) -> None:
+    load, sheet = _case(law, paired=paired)
     change = _random_like(load, 1)
     weights = jnp.asarray(np.random.default_rng(2).normal(size=load.positions.shape)), real(0.7)
     own, own_change = jax.jvp(lambda load: force.force(load, sheet), (load,), (change,))
@@ -113,8 +124,9 @@ def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Material) -
         np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
 
 
-def test_batches_equal_single_calls() -> None:
-    load, sheet = _case(LAWS[1])
+@ONE_BY_ONE_AND_IN_PAIRS
+def test_batches_equal_single_calls(paired: bool) -> None:
+    load, sheet = _case(LAWS[1], paired=paired)
     batch = jnp.stack([load.positions, 1.1 * load.positions])
     loss = jax.value_and_grad(lambda x: jnp.sum(jnp.square(force.force(load._replace(positions=x), sheet)[0])))
     values, slopes = jax.vmap(loss)(batch)
@@ -128,6 +140,42 @@ def test_no_derivative_with_respect_to_the_initial_mesh_is_an_error_not_a_zero()
     load, sheet = _case(LAWS[0])
     with pytest.raises(TypeError, match="initial mesh"):
         jax.grad(lambda area: jnp.sum(force.force(load, dataclasses.replace(sheet, area=area))[0]))(sheet.area)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "another"])
+def test_pairs_get_what_their_elements_get_one_by_one(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a sheet of several blocks, and a mesh whose elements are not all turned the same way."""
+    sheet = shapes.rectangle(size=(1.0, 1.0), elements=400)
+    random = np.random.default_rng(0)
+    triangles = sheet.triangles.copy()
+    triangles[::7] = triangles[::7, [1, 0, 2]]
+    start = jnp.asarray(sheet.positions.T)
+    inverse, area = membrane.reference_metric(start, jnp.asarray(triangles.T))
+    tables = Sheet(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3))
+    moved = 1.2 * start + jnp.asarray(0.01 * random.normal(size=start.shape))
+    thickness, weights = (
+        jnp.asarray(random.uniform(0.01, 0.02, area.size)),
+        jnp.asarray(random.normal(size=start.shape)),
+    )
+    monkeypatch.setattr(blocks.jax, "default_backend", lambda: backend)
+    found = []
+    for assembly in (
+        packing.make_assembly(triangles, len(sheet.positions)),
+        packing.make_paired_assembly(sheet.positions, triangles),
+    ):
+        packed = packing.pack(None, tables, assembly)
+
+        def pushed(
+            moved: jax.Array, thickness: jax.Array, packed: packing.Packed = packed
+        ) -> tuple[jax.Array, jax.Array]:
+            load = Load(packed.taken(moved), thickness[packed.element], real(0.3), LAWS[1])
+            nodal, volume = force.force(load, packed.elements)
+            return packed.put_back(nodal), volume
+
+        value, pull = jax.vjp(pushed, moved, thickness)
+        found.append((value, pull((weights, real(0.7)))))
+    for got, expected in zip(*map(jax.tree.leaves, found), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12 * float(jnp.abs(expected).max()))
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -44,8 +44,13 @@ def test_what_sticks_is_packed_away() -> None:
     packed = packing.pack(jnp.asarray(moving), scene.tables.sheet, scene.tables.assembly)
     elements = packed.elements
     assert int(elements.block_count) == int(elements.node_block_count) == 1
-    np.testing.assert_array_equal(packed.element[:3], [3, 4, 40])
-    assert np.all(np.asarray(elements.area[3:]) == 0)
+    # Both elements of a pair stay where either can move.
+    pairs = scene.tables.assembly.pairs
+    assert pairs is not None
+    both = np.unique(np.asarray(pairs.element)[:, np.asarray(pairs.pair)[moving]])
+    moving[both[both >= 0]] = True
+    np.testing.assert_array_equal(packed.kept, moving)
+    np.testing.assert_array_equal(np.sort(packed.element[elements.area > 0]), np.flatnonzero(moving))
     kept = np.unique(np.asarray(scene.parison.triangles)[moving])
     np.testing.assert_array_equal(np.sort(packed.node[: len(kept)]), kept)
     np.testing.assert_array_equal(packed.put_back(packed.taken(state.positions)), state.positions)
@@ -56,9 +61,12 @@ def test_what_sticks_is_packed_away() -> None:
     got, volume = force.force(load, elements)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
     thickness = jnp.where(jnp.asarray(moving), sheet_body.thickness, 0.0)[whole.element]
-    area = jnp.where(jnp.asarray(moving)[whole.element], whole.elements.area, 0.0)
+    area, turn = (
+        jnp.where(jnp.asarray(moving)[whole.element], values, 0.0)
+        for values in (whole.elements.area, jnp.asarray(whole.elements.turn))
+    )
     full = force.Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
-    expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area))
+    expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area, turn=turn))
     np.testing.assert_allclose(packed.put_back(got), whole.put_back(expected), atol=1e-15)
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 
