@@ -89,6 +89,7 @@ def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
         sheet = sheets.sheet(size)
         ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
         ways |= {f"jaxform, blocks of {block}": formulations.own(sheet, block=block) for block in (64, 96, 128, 256)}
+        ways["jaxform, elements one by one"] = formulations.own(sheet, paired=False)
         if (loop := peers.cpp(sheet)) is not None:
             ways["plain C++"] = loop
         for name, cost in _per_step(ways, len(sheet.triangles)).items():

@@ -145,19 +145,26 @@ def stepper(nodal: Callable[[jax.Array], jax.Array], sheet: Sheet) -> Callable[[
     return lambda count: program(start, compliance, jnp.int32(count))
 
 
-def own(sheet: Sheet, dtype: Any = jnp.float64, block: int | None = None, law: Material = LAW) -> Callable[[int], Any]:
+def own(
+    sheet: Sheet,
+    dtype: Any = jnp.float64,
+    block: int | None = None,
+    law: Material = LAW,
+    *,
+    paired: bool = True,
+) -> Callable[[int], Any]:
     """Runs so many steps with the force of `jaxform`, positions (3, n_node) of which come back."""
     usual = blocks.BLOCK
     blocks.BLOCK = packing.BLOCK = block or usual
     try:
-        return _own(sheet, dtype, law)
+        return _own(packed(sheet, paired=paired), sheet, dtype, law)
     finally:
         blocks.BLOCK = packing.BLOCK = usual
 
 
-def _own(sheet: Sheet, dtype: Any, law: Material) -> Callable[[int], Any]:
+def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Material) -> Callable[[int], Any]:
     cast = lambda tree: jax.tree.map(lambda a: a.astype(dtype) if a.dtype == jnp.float64 else a, tree)  # noqa: E731
-    whole = cast(packed(sheet))
+    whole = cast(whole)
     fixed = cast((whole.taken(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), law))
     start = whole.taken(jnp.asarray(sheet.positions.T, dtype))
     step, pressure = jnp.asarray(sheet.step, dtype), jnp.asarray(PRESSURE, dtype)
