@@ -115,8 +115,9 @@ def pack(
 ) -> Packed:
     """Packs the elements (n_element,) that can move, and their nodes.
 
-    Where `moving` is None, all elements and nodes. There may be room for more of each than `counts` says. What is not
-    `stepped`, only summed over, needs to know no node's shares.
+    Where `moving` is None, all elements and nodes; in the mesh's own order where there are no pairs, or what is packed
+    is not `stepped`, only summed over, and needs to know no node's shares. There may be room for more of each than
+    `counts` says.
     """
     element_count, node_count, pairs = sheet.area.size, assembly.table.shape[1], assembly.pairs
     places = padded(node_count)
@@ -126,7 +127,7 @@ def pack(
     place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts[1]
     if moving is not None:
         place, node_total = _ordered(_touched(kept, assembly, counts[1]), assembly)
-    elif stepped:
+    elif stepped and pairs is not None:
         place, node_total = _ordered(place < counts[1], assembly)
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count

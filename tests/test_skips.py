@@ -71,8 +71,11 @@ def test_what_sticks_is_packed_away() -> None:
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 
 
+@pytest.mark.parametrize("paired", [False, True])
 @pytest.mark.parametrize("backend", ["cpu", "another"])
-def test_a_node_of_many_elements_hands_its_surplus_to_a_list(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_of_many_elements_hands_its_surplus_to_a_list(
+    backend: str, paired: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A fan of 40 triangles around one node, beside a sheet that makes a deep table dear."""
     sheet = shapes.rectangle(size=(1.0, 1.0), elements=900)
     angle = np.linspace(0, 2 * np.pi, 41)[:-1]
@@ -81,8 +84,11 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list(backend: str, monke
     fan = np.stack([np.full(40, hub), first + np.arange(40), first + (np.arange(40) + 1) % 40], axis=1)
     triangles = np.concatenate([sheet.triangles, fan]).astype(np.int32)
     positions = np.concatenate([sheet.positions, [[0.0, 0.0, 1.0]], rim])
-    assembly = packing.make_assembly(triangles, len(positions))
-    assert assembly.table.shape[0] < 40
+    if paired:
+        assembly = packing.make_paired_assembly(positions, triangles)
+    else:
+        assembly = packing.make_assembly(triangles, len(positions))
+    assert assembly.table.shape[0] < (20 if paired else 40)
     assert set(np.asarray(assembly.spill_node)) == {hub}
     inverse, area = membrane.reference_metric(jnp.asarray(positions.T), jnp.asarray(triangles.T))
     moved = jnp.asarray(positions.T * 1.1 + np.random.default_rng(1).normal(0, 0.003, positions.T.shape))
@@ -101,7 +107,7 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list(backend: str, monke
         packed = packing.pack(jnp.asarray(kept) if packed_away else None, mesh, assembly)
         load = force.Load(packed.taken(moved), jnp.full(packed.element.size, 0.01), scenes.real(0.0), law)
         got = packed.put_back(force.force(load, packed.elements)[0])
-        expected = -jax.grad(energy)(moved, kept)
+        expected = -jax.grad(energy)(moved, np.asarray(packed.kept))
         np.testing.assert_allclose(got, expected, atol=1e-12 * float(jnp.abs(expected).max()))
 
 
