@@ -124,7 +124,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     whole = compiled(_whole, designs[0])
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         results = list(pool.map(lambda design: jax.block_until_ready(whole(design)), designs))
-    return jax.tree.map(lambda *values: jnp.stack(values), *results)
+    return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *results)
 
 
 def _side_by_side(scene: Scene, rows: Mapping[str, ArrayLike]) -> Result:
