@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -247,7 +248,7 @@ def show_whole_run() -> Table:
     seconds = best_in_turns(runs | {"dish": whole_loop(scene)}, _MANY)
     cost = {name: 1e9 * seconds[name] / count / elements for name in bare}
     each = 1e9 * seconds["dish"] / moved
-    with jax.enable_x64(False):
+    with jax.enable_x64(False), warnings.catch_warnings(action="ignore"):
         single_scene = jaxform.load("dish")
         single = jaxform.run(single_scene)
         single_seconds = best_seconds(whole_loop(single_scene), _MANY)

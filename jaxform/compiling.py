@@ -12,8 +12,8 @@ def compiler_options() -> dict[str, int]:
 
     On the CPU the widest vectors it has, 512 bits: LLVM takes half of them by itself. Where there are none so wide it
     changes nothing. And not the highest level of optimization: it unrolls short loops before it looks whether they can
-    be done in vectors, and then they cannot. On other devices there is nothing to ask for. `run`, `simulate_batch` and
-    designs use it.
+    be done in vectors, and then they cannot. Long work on whole arrays beside the simulation may want that level: give
+    it a `jit` of its own. On other devices there is nothing to ask for. `run`, `simulate_batch` and designs use it.
     """
     if jax.default_backend() != "cpu":
         return {}
