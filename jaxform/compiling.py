@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+from pathlib import Path
 from typing import Any
 
 import jax
+
+_CROWDED = 0.5  # of the mappings that Linux lets a process have
 
 
 def compiler_options() -> dict[str, int]:
@@ -22,4 +26,19 @@ def compiler_options() -> dict[str, int]:
 
 def compiled(function: Any, *arguments: Any) -> Any:
     """A jitted function, compiled ahead for arguments like these."""
+    if crowded():
+        jax.clear_caches()
     return function.lower(*arguments).compile(compiler_options())
+
+
+def crowded() -> bool:
+    """Whether this process has so many programs that some must go before others are compiled.
+
+    On Linux each takes some hundred mappings of memory, of 65 530 as a rule; where there are none left the compiler
+    ends the process. Elsewhere nothing is known of such a limit.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        with Path("/proc/self/maps").open("rb") as mappings:
+            used = sum(1 for _ in mappings)
+        return used > _CROWDED * int(Path("/proc/sys/vm/max_map_count").read_text())
+    return False

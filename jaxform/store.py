@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.compiling import compiled
+from jaxform.compiling import compiled, crowded
 
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
@@ -71,6 +71,8 @@ class Store:
         if key not in self._programs:
             path = self._path(function.__name__, tuple(str(part) for part in key[1:]))
             made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
+            if crowded():
+                self._programs.clear()
             while len(self._programs) >= _MOST_PROGRAMS:
                 self._programs.pop(next(iter(self._programs)), None)
             self._programs[key] = compiled(made, *arguments)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import files, store
+from jaxform import compiling, files, store
 from jaxform.simulation import run
 from jaxform.store import Store
 from tests.scenes import cup
@@ -84,6 +84,20 @@ def test_a_program_is_compiled_once_for_arguments_alike() -> None:
     assert kept.program(double, jnp.ones(2)) is kept.program(double, jnp.zeros(2))
     assert kept.program(double, jnp.ones(3))(jnp.ones(3)).tolist() == [2, 2, 2]
     assert traced == [(2,), (3,)]
+
+
+def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, scene = Store(), cup(60, 2.0)
+    plain = jax.tree.leaves(run(scene, store=kept))
+    count = len(kept._programs)
+    assert count > 1 and not compiling.crowded()
+    monkeypatch.setattr(compiling, "_CROWDED", 0.0)
+    if not compiling.crowded():
+        pytest.skip("only Linux tells how many mappings a process has")
+    run(cup(80, 2.0), store=kept)
+    assert len(kept._programs) == 1  # all but the last one made
+    again = jax.tree.leaves(run(scene, store=kept))
+    assert _same(again[:-2], plain[:-2])  # but for the seconds
 
 
 def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
