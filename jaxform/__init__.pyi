@@ -1,7 +1,7 @@
 from . import molds, scenes, shapes
 from .building import build_scene
 from .compiling import compiler_options
-from .errors import InputError
+from .errors import InputError, InputWarning
 from .files import load
 from .materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
 from .mold import Mold, make_mold
@@ -24,6 +24,7 @@ from .state import Schedule
 
 __all__ = [
     "InputError",
+    "InputWarning",
     "ModifiedMooneyRivlin",
     "Mold",
     "Moment",

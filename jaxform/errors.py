@@ -1,7 +1,8 @@
-"""The one error that bad input raises: it names file, key, value and the mend, in one line."""
+"""The one error that bad input raises, and the warning that doubtful input gives: file, key, value and remedy."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,6 +39,15 @@ class InputError(ValueError):
         head = ": ".join(part for part in (self.file, named, self.problem) if part)
         line = f"{head}; {self.mend}" if self.mend else head
         return " ".join(line.split())
+
+
+class InputWarning(UserWarning):
+    """Input that can be simulated, but is hardly what its author wants; the command writes it into summary.json too."""
+
+
+def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
+    """Warns of doubtful input in the words of an `InputError`: one line, as an `InputWarning`."""
+    warnings.warn(str(InputError(problem, remedy, key, value, file)), InputWarning, stacklevel=3)
 
 
 def _short(value: Any, limit: int = 160) -> str:
