@@ -15,13 +15,14 @@ import jax.numpy as jnp
 from jaxform.blocks import cut, listed, lowered, put
 from jaxform.membrane import dot, gather
 from jaxform.pytree import pytree
-from jaxform.search import SearchGrid
+from jaxform.search import CLASSES, SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
 # the room for them, and nothing is compiled twice. No derivative goes through these loops.
 TEST_BLOCK = 128
 _LANES, _DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
-_ROOM_PER_NODE, _LEAST_ROOM = 2, 4096  # pairs that a window can hold
+PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a window can hold, where nothing else is asked for
+_CANDIDATES = 8  # for each of these pairs, from which they are chosen: where a mold is flat, many planes are near
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
 # How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
 _GLANCE, _ALARM = 0.05, 0.1
@@ -98,16 +99,24 @@ def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) 
     return _Pairs(put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more)
 
 
-def no_lists(node_count: int, real: jnp.dtype) -> Lists:
+def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> Lists:
     """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
-    room = _room(node_count)
-    candidates = jnp.zeros(room + _LANES * _DEPTH, jnp.int32)
+    least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
+    room = -(-least // TEST_BLOCK) * TEST_BLOCK
+    candidates = jnp.zeros(_CANDIDATES * room + _LANES * _DEPTH, jnp.int32)
     pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
     return Lists(pairs, pairs, jnp.zeros((12, room + TEST_BLOCK), real), (candidates, candidates))
 
 
-def _room(node_count: int) -> int:
-    return -(-max(_ROOM_PER_NODE * node_count, _LEAST_ROOM) // TEST_BLOCK) * TEST_BLOCK
+class _Found(NamedTuple):
+    """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance."""
+
+    attempts: jax.Array
+    candidates: _Pairs
+    kept: _Pairs
+    planes: jax.Array
+    clear: jax.Array
+    balls: _Balls
 
 
 def list_near(
@@ -132,21 +141,26 @@ def list_near(
         skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
         into: What is written over, such as an old list's; a new one by default.
     """
-    room, into = _room(free.size), into or no_lists(free.size, positions.dtype)
+    into = into or no_lists(free.size, positions.dtype)
+    room, most = into.node.size - TEST_BLOCK, into.candidates[0].size - _LANES * _DEPTH
 
     # Where there are too many pairs the balls shrink, and the window will halt the sooner.
-    def too_many(carry: tuple[jax.Array, _Pairs, _Balls]) -> jax.Array:
-        return (carry[0] == 0) | (carry[1].count > room) & (carry[0] < _MOST_HALVINGS)
+    def too_many(found: _Found) -> jax.Array:
+        full = (found.candidates.count > most) | (found.kept.count > room)
+        return (found.attempts == 0) | full & (found.attempts < _MOST_HALVINGS)
 
-    def attempt(carry: tuple[jax.Array, _Pairs, _Balls]) -> tuple[jax.Array, _Pairs, _Balls]:
-        balls = _balls(positions, velocities, free, duration, 0.5 ** carry[0], grid, skip_far)
-        return carry[0] + 1, _candidates(balls, grid, carry[1]), balls
+    def attempt(found: _Found) -> _Found:
+        balls = _balls(positions, velocities, free, duration, 0.5**found.attempts, grid, skip_far)
+        candidates = _candidates(balls, grid, found.candidates)
+        last = jnp.minimum(candidates.count, most)
+        kept, planes, clear = _examined(candidates, last, positions, balls, grid, found.kept, found.planes)
+        return _Found(found.attempts + 1, candidates, kept, planes, clear, balls)
 
     nowhere, none = jnp.zeros_like(positions[0]), jnp.zeros(free.size, jnp.int32)
     nothing = _Balls(jnp.zeros_like(positions), nowhere, none, nowhere, jnp.zeros_like(free))
-    begun = jnp.int32(0), _Pairs(*into.candidates, jnp.int32(0)), nothing
-    _, candidates, balls = jax.lax.while_loop(too_many, attempt, begun)
-    kept, planes, clear = _examined(candidates, positions, balls, room, grid, into)
+    candidates, kept = _Pairs(*into.candidates, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
+    begun = _Found(jnp.int32(0), candidates, kept, into.planes, nowhere, nothing)
+    _, candidates, kept, planes, clear, balls = jax.lax.while_loop(too_many, attempt, begun)
     limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
     path = duration * jnp.sqrt(dot(velocities, velocities))
     alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * balls.radius), 0.0)
@@ -160,7 +174,7 @@ def list_near(
         center=balls.center,
         limit_square=jnp.square(limit),
         alarm_square=jnp.square(alarm),
-        overflow=candidates.count > room,
+        overflow=(candidates.count > most) | (kept.count > room),
     )
 
 
@@ -221,7 +235,8 @@ def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs) -> _Pairs:
         node = cut(member, first, _LANES)
         center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
         begin = grid.start[cell]
-        end = jnp.where(radius <= 0.25 * grid.reach, grid.middle[cell], grid.start[cell + 1])
+        kind = jnp.clip(jnp.ceil(CLASSES * radius / grid.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
+        end = grid.ends[CLASSES * cell + kind]
         length = jnp.where(first + jnp.arange(_LANES) < total, end - begin, 0)
         nodes = jnp.broadcast_to(node[:, None], (_LANES, _DEPTH)).ravel()
 
@@ -262,10 +277,16 @@ def _distance_bound(points: jax.Array, triangle: jax.Array, grid: SearchGrid) ->
 
 
 def _examined(
-    candidates: _Pairs, start: jax.Array, balls: _Balls, room: int, grid: SearchGrid, into: Lists
+    candidates: _Pairs,
+    last: jax.Array,
+    start: jax.Array,
+    balls: _Balls,
+    grid: SearchGrid,
+    into: _Pairs,
+    planes: jax.Array,
 ) -> tuple[_Pairs, jax.Array, jax.Array]:
-    """Those of the candidates that truly cut the balls, their planes (12, room), and the nodes' clear distance."""
-    last, touch = jnp.minimum(candidates.count, room), touch_distance(grid)
+    """Those of the candidates, up to the last, that truly cut the balls, their planes (12, room), and the clear way."""
+    touch = touch_distance(grid)
 
     def more(carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]) -> jax.Array:
         return carry[0] < last
@@ -289,7 +310,7 @@ def _examined(
         return first + TEST_BLOCK, (kept, planes, clear)
 
     clear = jnp.full(balls.near.shape, jnp.inf, start.dtype)
-    nothing = _Pairs(into.node, into.triangle, jnp.int32(0)), into.planes, clear
+    nothing = into._replace(count=jnp.int32(0)), planes, clear
     return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]
 
 

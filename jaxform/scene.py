@@ -25,6 +25,7 @@ from jaxform.pytree import as_index, as_real, pytree, static
 from jaxform.search import SearchGrid
 
 SHORT_WINDOW, LONG_WINDOW = 64, 256  # steps
+MOST_STEPS = 20_000_000
 _DEEPEST = 14
 _INTERPOLATIONS = ("linear", "cubic-ramp")
 _FEW_KNOTS = 256
@@ -91,6 +92,7 @@ class Solver:
         end_early: Whether the run ends when nothing can move any more.
         sharp_step: Whether the stable step is measured by Lanczos' method; else it is bounded element by element.
         quasi_static: Whether the process is meant to be slow; if inertia or damping show in the wall, it is warned of.
+        max_steps: Where `run` stops at the latest.
     """
 
     end_time: jax.Array
@@ -101,6 +103,7 @@ class Solver:
     end_early: bool = static(default=True)
     sharp_step: bool = static(default=True)
     quasi_static: bool = static(default=False)
+    max_steps: int = static(default=MOST_STEPS)
 
 
 @pytree
@@ -256,6 +259,7 @@ class Tables:
             has it; None where none do.
         window_count: Number of windows that a run may take.
         longest_window: Steps that a window may take at most.
+        pairs_per_node: Room for so many pairs of node and mold triangle that come near each other, for each node.
     """
 
     sheet: Sheet
@@ -268,6 +272,7 @@ class Tables:
     lying: jax.Array | None
     window_count: int = static()
     longest_window: int = static(default=SHORT_WINDOW)
+    pairs_per_node: int = static(default=2)
 
 
 @pytree

@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 _MOST_CELLS = 2_000_000
 _COARSEST, _FINEST = 32, 256  # cells along the longest side of a mold
 _FEWEST = 16  # where a coarse sheet moves far in a window
-_REACH = {"coarse": 1.5, "fine": 0.75}  # in cells; a coarse mold's lists are short and may reach further
+# In cells: a coarse mold's lists are short and may reach far; a fine one's as far as the sheet moves, within this.
+_REACH = {"coarse": 1.5, "fine": (0.75, 1.5)}
+CLASSES = 4  # of distance, in which a cell's list is sorted: a small ball is compared with what is near alone
 _CHUNK = 1_000_000  # pairs of cell and triangle looked at together, to bound the memory
 _SLACK = 1e-6  # relative to a cell, for rounding
 _HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
@@ -38,7 +40,8 @@ class SearchGrid:
         size: Largest side of the mold's bounding box [m].
         bound: Lower bound (n_cell,) [m] on the distance to the mold from anywhere in the cell.
         start: Where each cell's list begins (n_cell + 1,) in `listed`.
-        middle: Where the triangles that are within a quarter of the reach, which come first, end (n_cell,).
+        ends: Where those triangles of each cell's list end (n_cell * CLASSES,) that are within a quarter of the reach,
+            within a half, and so on; the nearer ones come first.
         listed: Rows of the tables below, cell by cell; rows are in an order in which neighbours are close.
         number: Of the mold's triangle in each row (n_triangle,).
         outlines: Of each triangle (n_triangle, 8) its middle and the largest distance from it [m], its unit normal
@@ -54,7 +57,7 @@ class SearchGrid:
     size: jax.Array
     bound: jax.Array
     start: jax.Array
-    middle: jax.Array
+    ends: jax.Array
     listed: jax.Array
     number: jax.Array
     outlines: jax.Array
@@ -79,7 +82,7 @@ def build_grid(
     Args:
         vertices: (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
-        travel: How far the sheet's nodes may well move within a window [m]; a coarse mold's grid is made for it.
+        travel: How far the sheet's nodes may well move within a window [m]; the grid is made for it.
         store: Where the cells' lists are kept between runs; nowhere by default.
     """
     corners = np.asarray(vertices, float)[np.asarray(triangles)]
@@ -87,7 +90,7 @@ def build_grid(
     number = _along_a_curve(corners.mean(1), frame)
     corners = corners[number]
     place = np.array([*frame.corner, frame.width, frame.reach])
-    lists = (store or Store()).arrays("grid", (corners, place, frame.shape), lambda: _lists(corners, frame))
+    lists = (store or Store()).arrays("grid in classes", (corners, place, frame.shape), lambda: _lists(corners, frame))
     return SearchGrid(
         corner=as_real(frame.corner),
         width=as_real(frame.width),
@@ -95,7 +98,7 @@ def build_grid(
         size=as_real(np.ptp(corners, axis=(0, 1)).max()),
         bound=as_real(lists["bound"]),
         start=as_index(lists["start"]),
-        middle=as_index(lists["middle"]),
+        ends=as_index(lists["ends"]),
         listed=as_index(lists["listed"]),
         number=as_index(number),
         outlines=as_real(np.hstack([_spheres(corners), _planes(corners)])),
@@ -105,13 +108,14 @@ def build_grid(
 
 
 def _lists(corners: Array, frame: _Frame) -> dict[str, NDArray[Any]]:
-    """What a grid's cells hold: `bound`, `start`, `middle` and `listed`."""
-    cell, triangle, distance, far = _near_pairs(corners, frame)
+    """What a grid's cells hold: `bound`, `start`, `ends` and `listed`."""
+    cell, triangle, distance, kind = _near_pairs(corners, frame)
     cells = np.arange(int(np.prod(frame.shape)))
+    kinds = np.arange(CLASSES * len(cells))
     return {
         "bound": _distance_bound(cell, distance, frame),
         "start": np.searchsorted(cell, np.append(cells, len(cells))).astype(np.int32),
-        "middle": np.searchsorted(2 * cell + far, 2 * cells + 1).astype(np.int32),
+        "ends": np.searchsorted(CLASSES * cell + kind, kinds, side="right").astype(np.int32),
         "listed": triangle.astype(np.int32),
     }
 
@@ -128,8 +132,8 @@ def _frame(corners: Array, travel: float) -> _Frame:
     while np.prod(_cell_counts(low, high, width)) > _MOST_CELLS:
         width *= 1.1
     shape = _cell_counts(low, high, width)
-    reach = _REACH["coarse" if coarse else "fine"] * width
-    return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
+    reach = _REACH["coarse"] * width if coarse else np.clip(1.5 * travel, *(cells * width for cells in _REACH["fine"]))
+    return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, float(reach), shape)
 
 
 def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:
@@ -167,15 +171,14 @@ def _planes(corners: Array) -> Array:
     return np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])
 
 
-def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """All (cell, triangle) closer than the reach, cell by cell, those within a quarter of the reach first.
+def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64]]:
+    """All (cell, triangle) closer than the reach, cell by cell, in classes of distance, the nearer first.
 
     The triangles are taken in pieces no longer than a cell: a large one is then near few cells that it does not
     touch, and its pieces' spheres and its plane bound the distance well.
 
     Returns:
-        Cells, triangles, a lower bound on the distance from the cell's centre [m], and whether it is beyond a
-        quarter of the reach.
+        Cells, triangles, a lower bound on the distance from the cell's centre [m], and its class.
     """
     pieces, owner = cut(corners, frame.width)
     spheres, planes = _spheres(pieces), _planes(corners)
@@ -195,14 +198,10 @@ def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArr
         begin = np.flatnonzero(np.diff(key[order], prepend=-1))
         key, distance = key[order][begin], np.minimum.reduceat(distance[order], begin)
     cell, triangle = np.divmod(key, len(corners))
-    far = distance > _nearer(frame)
-    order = np.argsort(2 * cell + far, kind="stable")
-    return cell[order], triangle[order], distance[order], far[order]
-
-
-def _nearer(frame: _Frame) -> float:
-    """Distance [m] from a cell's centre within a quarter of the reach of the cell."""
-    return 0.25 * frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK)
+    from_cell = distance - frame.width * (_HALF_DIAGONAL + _SLACK)
+    kind = np.clip(np.ceil(CLASSES * from_cell / frame.reach).astype(np.int64) - 1, 0, CLASSES - 1)
+    order = np.argsort(CLASSES * cell + kind, kind="stable")
+    return cell[order], triangle[order], distance[order], kind[order]
 
 
 def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:

@@ -22,9 +22,10 @@ from jaxform.body import Body, body, present_body
 from jaxform.compiling import compiled
 from jaxform.derivatives import Rule, recomputed
 from jaxform.errors import InputError
-from jaxform.refinement import can_have_more_room, refined, with_more_room
+from jaxform.refinement import refined
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
+from jaxform.room import roomier, windows_left
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
 from jaxform.stepping import energy_rounding, window, window_in_place, with_room
@@ -181,19 +182,18 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     store = store or _IN_MEMORY
     began = time.perf_counter()
     state, first, taken = store.program(_begin, scene)(scene)
-    take = 1 if on_window is not None else scene.tables.window_count
     advance, closed, result = _programs(state, scene, first, taken, store)
     ready, telling = time.perf_counter(), 0.0
     compiling = ready - began
-    left = scene.tables.window_count
-    while left > 0:
+    while left := windows_left(scene, state):
+        take = left if on_window is None else 1
         state, taken, done = advance(state, scene, first, taken, np.int32(take))
-        left -= take
-        if int(state.status) == Status.REFINEMENT_OVERFLOW and can_have_more_room(scene):
+        more = roomier(scene, state, taken, bool(done))
+        if more is not None:
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
-            scene, state = with_more_room(scene, state)
-            first, left = store.program(_begin, scene)(scene)[1], scene.tables.window_count - int(state.windows)
+            scene, state, taken = more
+            first = store.program(_begin, scene)(scene)[1]
             advance, closed, result = _programs(state, scene, first, taken, store)
             compiling += time.perf_counter() - paused
             telling += time.perf_counter() - paused

@@ -20,7 +20,7 @@ from jaxform.blocks import as_one, entry, once, only_if, over_blocks, total
 from jaxform.body import NEVER, Body
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.membrane import vector
-from jaxform.near import Near, list_near, no_lists
+from jaxform.near import Lists, Near, list_near, no_lists
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.scheme import Timing, kicked, kicks, pressures
@@ -281,7 +281,7 @@ def with_room(working: Working, scene: Scene) -> Working:
     """With room for what is worked out in every window."""
     places, elements = working.compliance, working.packed.elements
     basis = no_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
-    lists = None if scene.mold is None else no_lists(places.shape[1], places.dtype)
+    lists = _no_lists(scene, places)
     return dataclasses.replace(working, room=Room(no_corners(places, elements), basis, lists))
 
 
@@ -449,9 +449,15 @@ def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Arra
     positions, velocities, grid, duration = jax.lax.stop_gradient(
         (state.positions, state.velocities, scene.tables.grid, duration)
     )
-    into = None if room is None else room.lists
+    into = _no_lists(scene, positions) if room is None or room.lists is None else room.lists
     till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
     return list_near(positions, velocities, ~state.stuck, duration, till_look, grid, skip_far, into)
+
+
+def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:
+    if scene.mold is None:
+        return None
+    return no_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)
 
 
 def _close(state: State, moving: _Moving, end: _End, scene: Scene, now: _Window) -> State:
@@ -490,6 +496,8 @@ def _close(state: State, moving: _Moving, end: _End, scene: Scene, now: _Window)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
     if near is not None:
+        # Pairs were lost: the state is left as it was, for a run with more room.
+        bad |= near.overflow
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
     status |= jnp.where((end.largest > _FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
