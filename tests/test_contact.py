@@ -104,7 +104,7 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    cell, bound = map(np.asarray, nearness._looked_up(jnp.asarray(points.T), grid))
+    cell, bound = map(np.asarray, nearness.looked_up(jnp.asarray(points.T), grid))
     start, listed = np.asarray(grid.start), np.asarray(grid.number)[np.asarray(grid.listed)]
     for point, number, least in zip(points, cell, bound, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
