@@ -11,11 +11,11 @@ import numpy as np
 
 from jaxform import bisection, membrane, topology
 from jaxform.body import node_room
+from jaxform.crossings import first_crossing
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.packing import make_assembly, make_paired_assembly
-from jaxform.penetration import first_crossing
 from jaxform.pytree import as_index, as_real
 from jaxform.scene import (
     DESIGNABLE,
