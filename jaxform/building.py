@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform import bisection, membrane, topology
+from jaxform import bisection, membrane, reference, topology
 from jaxform.body import node_room
 from jaxform.crossings import first_crossing
 from jaxform.errors import InputError
@@ -84,7 +84,7 @@ def build_scene(
     if mold is not None and grid is not None:
         _check_start(positions, triangles, mold, grid)
     sheet = _reference_sheet(parison)
-    bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
+    bound = as_real(reference.shape_bound(positions, triangles))
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
     if refinement is not None and forest is not None:
@@ -151,9 +151,7 @@ def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) 
 
 
 def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid: SearchGrid) -> None:
-    sides = np.unique(
-        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
-    )
+    sides, _ = topology.edges(triangles)
     begin, end = positions[sides[:, 0]], positions[sides[:, 1]]
     crossing = first_crossing(begin, end, mold, grid)
     if crossing is not None:
@@ -167,7 +165,8 @@ def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid:
 
 
 def _reference_sheet(parison: Parison) -> Sheet:
-    triangles, inverse, area = _reference(parison)
+    triangles = np.asarray(parison.triangles)
+    inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
     # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)
@@ -182,14 +181,7 @@ def _reference_sheet(parison: Parison) -> Sheet:
                 f"{axis} from {there.min():.4g} to {there.max():.4g} m",
             )
         origin.append(there.mean())
-    return Sheet(triangles, inverse, area, as_real(origin))
-
-
-@jax.jit
-def _reference(parison: Parison) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Triangles (3, n_element), inverse reference metric (3, n_element) and area (n_element,)."""
-    triangles = parison.triangles.T
-    return triangles, *membrane.reference_metric(parison.positions.T, triangles)
+    return Sheet(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
 
 
 def _check_room(refinement: Refinement, count: int) -> None:
@@ -227,13 +219,12 @@ def _grown(
     store: Store | None,
 ) -> Forest:
     """The forest as the program needs it."""
-    triangles = as_index(forest.triangles.T)
-    inverse, area = membrane.reference_metric(as_real(forest.positions.T), triangles)
+    inverse, area = reference.reference_metric(forest.positions, forest.triangles)
     owner = np.zeros(len(forest.positions), np.int32)
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
-    bound = membrane.shape_bound(inverse, area)
+    bound = as_real(reference.shape_bound(forest.positions, forest.triangles))
     heavier = jnp.ones_like(bound)
     if refinement.scaled_levels:
         unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
@@ -242,7 +233,7 @@ def _grown(
     if mold is not None:
         part, turn = topology.orientations(np.asarray(mold.triangles))
     return Forest(
-        sheet=Sheet(triangles, inverse, area, sheet.origin),
+        sheet=Sheet(as_index(forest.triangles.T), as_real(inverse), as_real(area), sheet.origin),
         bound=bound / heavier,
         heavier=heavier,
         partner=as_index(forest.partner),
@@ -307,7 +298,7 @@ def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store
 
 def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> int:
     """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
-    step = float(solver.safety) * float(_stiffest_step(bound, material))
+    step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material))
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
     if not steps < _MOST_STEPS:
         raise InputError(
@@ -335,11 +326,12 @@ def longest_window(planned: int, frames: int) -> int:
 
 @jax.jit
 def _stiffest_step(bound: jax.Array, material: Material) -> jax.Array:
+    """The step [s] for the largest bound [1/m^2] of the elements."""
     square = jnp.square(jnp.linspace(1.0, 6.0, 64))
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
     stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
-    return membrane.stable_step(stiffest * jnp.max(bound), material)
+    return membrane.stable_step(stiffest * bound, material)
 
 
 def _warn_of_float32() -> None:

@@ -113,7 +113,7 @@ def _lift(
     height = np.einsum("ij,ij->i", positions[node] - corners[:, 0], normal)
     lift = np.zeros_like(positions)
     lift[node] = _LIFT * size * normal
-    return lift, float(-height.min(initial=0.0))
+    return lift, 0.0 - float(height.min(initial=0.0))
 
 
 def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> tuple[float, Array]:
