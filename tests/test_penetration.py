@@ -10,6 +10,7 @@ import trimesh
 
 import jaxform
 from jaxform import molds, shapes
+from jaxform.crossings import near_pairs
 from jaxform.distances import point_triangle_distance
 from jaxform.mold import Mold
 from jaxform.penetration import _lattice, penetration, resting_directions
@@ -127,3 +128,20 @@ def test_a_free_dome_over_a_flange_in_the_sheet_s_plane_is_not_beyond_the_mold(o
         # It would be through the flange of a narrower one.
         found = penetration(nodes, sheet.triangles, wall, narrow[0], grid=narrow[1], resting=resting)
         assert min(found.nodes, found.elements) > 0.005
+
+
+@pytest.mark.parametrize(("stretches", "segments"), [(1, 48), (24, 200)])
+def test_elements_are_compared_with_few_triangles_however_many_there_are(stretches: int, segments: int) -> None:
+    """Of a sheet that lies on a cone of 96 or 9600 triangles, nine times as many elements at a time."""
+    rings = np.linspace(0.02, 0.1, stretches + 1)
+    shape = molds.revolved(profile=np.stack([rings, 0.12 - rings], axis=1), segments=segments)
+    corners, grid = shape.vertices[shape.triangles], build_grid(shape.vertices, shape.triangles)
+    counts = []
+    for size in (0.009, 0.003, 0.001):
+        sheet = shapes.disc(radius=0.1, element_size=size)
+        nodes = sheet.positions + np.array([0.0, 0.0, 0.12])
+        nodes[:, 2] -= np.hypot(nodes[:, 0], nodes[:, 1])
+        pairs = sum(len(pairs.piece) for pairs in near_pairs(nodes[sheet.triangles], corners, grid))
+        counts.append(pairs / len(sheet.triangles))
+    assert counts[0] > counts[1] > counts[2]
+    assert counts[2] < 6
