@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform import bisection, membrane, start, topology
+from jaxform import bisection, membrane, reference, start, topology
 from jaxform.body import node_room
 from jaxform.errors import InputError
 from jaxform.materials import Material
@@ -87,7 +87,7 @@ def build_scene(
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     sheet = _reference_sheet(parison)
-    bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
+    bound = as_real(reference.shape_bound(positions, triangles))
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
     if refinement is not None and forest is not None:
@@ -176,7 +176,8 @@ def _with_room_for(refinement: Refinement, forest: bisection.Forest, fine: np.nd
 
 
 def _reference_sheet(parison: Parison) -> Sheet:
-    triangles, inverse, area = _reference(parison)
+    triangles = np.asarray(parison.triangles)
+    inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
     # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)
@@ -191,14 +192,7 @@ def _reference_sheet(parison: Parison) -> Sheet:
                 f"{axis} from {there.min():.4g} to {there.max():.4g} m",
             )
         origin.append(there.mean())
-    return Sheet(triangles, inverse, area, as_real(origin))
-
-
-@jax.jit
-def _reference(parison: Parison) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Triangles (3, n_element), inverse reference metric (3, n_element) and area (n_element,)."""
-    triangles = parison.triangles.T
-    return triangles, *membrane.reference_metric(parison.positions.T, triangles)
+    return Sheet(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
 
 
 def _check_room(refinement: Refinement, count: int) -> None:
@@ -235,19 +229,18 @@ def _grown(
     fine: np.ndarray | None,
 ) -> Forest:
     """The forest as the program needs it."""
-    triangles = as_index(forest.triangles.T)
-    inverse, area = membrane.reference_metric(as_real(forest.positions.T), triangles)
+    inverse, area = reference.reference_metric(forest.positions, forest.triangles)
     owner = np.zeros(len(forest.positions), np.int32)
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
-    bound = membrane.shape_bound(inverse, area)
+    bound = as_real(reference.shape_bound(forest.positions, forest.triangles))
     heavier = jnp.ones_like(bound)
     if refinement.scaled_levels:
         unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
         heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
     return Forest(
-        sheet=Sheet(triangles, inverse, area, sheet.origin),
+        sheet=Sheet(as_index(forest.triangles.T), as_real(inverse), as_real(area), sheet.origin),
         bound=bound / heavier,
         heavier=heavier,
         partner=as_index(forest.partner),
@@ -310,7 +303,7 @@ def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store
 
 def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> int:
     """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
-    step = float(solver.safety) * float(_stiffest_step(bound, material))
+    step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material))
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
     if not steps < _MOST_STEPS:
         raise InputError(
@@ -338,11 +331,12 @@ def longest_window(planned: int, frames: int) -> int:
 
 @jax.jit
 def _stiffest_step(bound: jax.Array, material: Material) -> jax.Array:
+    """The step [s] for the largest bound [1/m^2] of the elements."""
     square = jnp.square(jnp.linspace(1.0, 6.0, 64))
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
     stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
-    return membrane.stable_step(stiffest * jnp.max(bound), material)
+    return membrane.stable_step(stiffest * bound, material)
 
 
 def _warn_of_float32() -> None:

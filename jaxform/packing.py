@@ -17,9 +17,10 @@ import numpy as np
 
 from jaxform.blocks import BLOCK, Halves, listed, over_blocks, padded, running_count
 from jaxform.force import Elements, usual_rows
-from jaxform.membrane import gather, reference_metric
+from jaxform.membrane import gather
 from jaxform.pairing import paired, turned
 from jaxform.pytree import as_index, as_real, pytree
+from jaxform.reference import reference_metric
 from jaxform.scene import Assembly, Pairs, Sheet
 
 _MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
@@ -66,12 +67,12 @@ def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assemb
     """The same with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
     pairs = paired(triangles)
     corners, turn = turned(triangles, pairs)
-    inverse, _ = reference_metric(as_real(positions.T), as_index(corners.T))
+    inverse, _ = reference_metric(positions, corners)
     there = pairs >= 0
     pair = np.zeros(len(triangles), np.int32)
     pair[pairs[there]] = np.nonzero(there)[1]
     beyond = np.where(there[1], corners[pairs[1], 2], -1)
-    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), inverse, as_real(turn))
+    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), as_real(inverse), as_real(turn))
     return _assembly(np.column_stack([corners[pairs[0]], beyond]), len(positions), kept)
 
 

@@ -37,15 +37,16 @@ def paired(triangles: np.ndarray) -> np.ndarray:
 def _neighbors(triangles: np.ndarray) -> list[list[int]]:
     """Elements that share an edge with each; where more than two share one, some of them."""
     count = len(triangles)
-    ends = np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
-    order = np.lexsort(ends.T)
-    same = np.flatnonzero((ends[order[1:]] == ends[order[:-1]]).all(axis=1))
-    beside: list[list[int]] = [[] for _ in range(count)]
-    for one, other in zip((order[same] % count).tolist(), (order[same + 1] % count).tolist(), strict=True):
-        if one != other:
-            beside[one].append(other)
-            beside[other].append(one)
-    return beside
+    ends = np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1).astype(np.int64)
+    name = ends[:, 1] * (int(ends.max(initial=0)) + 1) + ends[:, 0]
+    order = np.argsort(name, kind="stable")
+    same = np.flatnonzero(name[order[1:]] == name[order[:-1]])
+    both = np.stack([order[same] % count, order[same + 1] % count], axis=1)
+    both = both[both[:, 0] != both[:, 1]]
+    own, others = both.ravel(), both[:, ::-1].ravel()
+    by_owner = np.argsort(own, kind="stable")
+    listed, end = others[by_owner].tolist(), np.cumsum(np.bincount(own, minlength=count)).tolist()
+    return [listed[begin:stop] for begin, stop in zip([0, *end[:-1]], end, strict=True)]
 
 
 def turned(triangles: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxform import membrane
 from jaxform.body import Body, Mesh, levels, present_body
-from jaxform.penetration import Penetration, penetration
+from jaxform.penetration import Penetration, penetration, resting_directions
 from jaxform.pytree import pytree
 from jaxform.recovery import nodal_ratio
 from jaxform.scene import Scene
@@ -345,7 +345,12 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     if scene.mold is None or not np.isfinite(positions).all():
         return Penetration(0.0, 0.0, np.zeros(3))
     triangles = np.asarray(result.triangles)[np.asarray(result.used)]
-    return penetration(positions, triangles, np.asarray(result.wall), scene.mold)
+    pressures = np.asarray(scene.pressure.value)
+    start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
+    resting = resting_directions(start, positions, triangles, float(highest))
+    return penetration(
+        positions, triangles, np.asarray(result.wall), scene.mold, grid=scene.tables.grid, resting=resting
+    )
 
 
 def _touching(result: Result) -> np.ndarray:

@@ -183,7 +183,9 @@ def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArr
     pieces, owner = cut(corners, frame.width)
     spheres, planes = _spheres(pieces), _planes(corners)
     # Wide enough for the reach, half a cell's diagonal and the largest piece.
-    stencil = np.arange(-3, 4)
+    reach = frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK) + spheres[:, 3].max()
+    wide = int(reach / frame.width + 0.5)
+    stencil = np.arange(-wide, wide + 1)
     block = max(1, _CHUNK // len(stencil) ** 3)
     keys, distances = [], []
     for first in range(0, len(pieces), block):
@@ -194,14 +196,22 @@ def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArr
     key, distance = np.concatenate(keys), np.concatenate(distances)
     if len(pieces) > len(corners):
         # Of a triangle's pieces near one cell, the nearest.
-        order = np.argsort(key, kind="stable")
+        order = _sorting(key)
         begin = np.flatnonzero(np.diff(key[order], prepend=-1))
         key, distance = key[order][begin], np.minimum.reduceat(distance[order], begin)
     cell, triangle = np.divmod(key, len(corners))
     from_cell = distance - frame.width * (_HALF_DIAGONAL + _SLACK)
     kind = np.clip(np.ceil(CLASSES * from_cell / frame.reach).astype(np.int64) - 1, 0, CLASSES - 1)
-    order = np.argsort(CLASSES * cell + kind, kind="stable")
+    order = _sorting(CLASSES * cell + kind)
     return cell[order], triangle[order], distance[order], kind[order]
+
+
+def _sorting(key: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What sorts keys (n,) that are not negative, equal ones in their order: numbers sort faster than their places."""
+    count = len(key)
+    if count == 0 or int(key.max()) >= np.iinfo(np.int64).max // count - 1:
+        return np.argsort(key, kind="stable")
+    return np.sort(key * count + np.arange(count)) % count
 
 
 def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:

@@ -13,7 +13,9 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import bisection, crossing
+from jaxform import bisection, topology
+from jaxform.crossings import proper_crossings
+from jaxform.distances import nearest_places, point_triangle_distance
 from jaxform.errors import InputError
 from jaxform.mold import Mold
 from jaxform.scene import Parison, Pressure, Refinement
@@ -65,7 +67,7 @@ def lying(parison: Parison, triangles: NDArray[np.integer], pressure: Pressure, 
     wall = np.zeros(len(positions), np.int32)
     wall[node[last]] = side[last] * (triangle[last] + 1)
     moved = positions.copy()
-    moved[node[last]] = crossing.nearest_places(positions[node[last]], corners[triangle[last]])
+    moved[node[last]] = nearest_places(positions[node[last]], corners[triangle[last]])
     return Lying(wall, np.where(np.asarray(parison.fixed), positions, moved))
 
 
@@ -100,7 +102,7 @@ def _touching(positions: Array, near: float, grid: SearchGrid) -> tuple[NDArray[
         keep = keep[np.einsum("ij,ij->i", away, away) <= np.square(outlines[rows[keep], 3] + near)]
         frame = frames[rows[keep]]
         corners = frame[:, None, :3] + np.stack([np.zeros_like(frame[:, :3]), frame[:, 12:15], frame[:, 15:]], 1)
-        gap = crossing.gaps(positions[own[keep]], corners)
+        gap = point_triangle_distance(positions[own[keep]], corners)
         keep, gap = keep[gap <= near], gap[gap <= near]
         found.append((own[keep], np.asarray(grid.number)[rows[keep]], gap))
     node, triangle, gap = (np.concatenate(values) for values in zip(*found, strict=True))
@@ -136,13 +138,11 @@ def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, gr
         InputError: If a side of an element crosses the mold.
     """
     positions = np.asarray(parison.positions, float)
-    sides = np.unique(
-        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
-    )
+    sides, _ = topology.edges(triangles)
     off = 2 * tolerance(parison, grid) * _normals(positions, triangles)
     for shift in (np.zeros_like(off), off, -off):
         places = positions + shift
-        through, triangle = crossing.crossings(places[sides[:, 0]], places[sides[:, 1]], mold, grid)
+        through, triangle = proper_crossings(places[sides[:, 0]], places[sides[:, 1]], mold, grid)
         sides = sides[through]
         if not len(sides):
             return
