@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 import jaxform
 from jaxform import molds, shapes, topology
@@ -224,7 +224,7 @@ def _beside_edges(made: Tool, there: np.ndarray) -> np.ndarray:
     """Distances (n,) [m] of places (n, 3) from the mold's sharp edges."""
     ends = topology.feature_edges(made.shape.vertices, made.shape.triangles, _SHARP, rims=False)
     share = np.linspace(0.0, 1.0, 100)[:, None, None]
-    return cKDTree(((1 - share) * ends[:, 0] + share * ends[:, 1]).reshape(-1, 3)).query(there)[0]
+    return KDTree(((1 - share) * ends[:, 0] + share * ends[:, 1]).reshape(-1, 3)).query(there)[0]
 
 
 def wall_at(scene: Scene, result: Result, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -232,7 +232,7 @@ def wall_at(scene: Scene, result: Result, place: np.ndarray) -> tuple[np.ndarray
     from matplotlib.tri import Triangulation
 
     start, triangles = np.asarray(scene.parison.positions), np.asarray(result.triangles)[np.asarray(result.used)]
-    found = Triangulation(start[:, 0], start[:, 1], triangles).get_trifinder()(*place.T)
+    found = np.asarray(Triangulation(start[:, 0], start[:, 1], triangles).get_trifinder()(*place.T), int)
     assert np.all(found >= 0), "a place is not in the sheet"
     inside = triangles[found]
     edges = (start[inside[:, 1:]] - start[inside[:, :1]])[..., :2]
