@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 import jaxform
+from benchmarks.strangers import tray
 from jaxform import molds, shapes, topology
 from jaxform.molds import MoldShape
 from jaxform.result import Result, penetrated, warnings_of_mold
@@ -115,17 +116,8 @@ def beaded_cup() -> Tool:
 def box() -> Tool:
     """A tray of 18 triangles whose flange is four long trapezoids: opening 100 by 70 mm, depth 25 mm."""
     half = [(0.07, 0.055), (0.05, 0.035), (0.045, 0.030)]
-    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    rings = [np.column_stack([corner * side, np.full(4, z)]) for side, z in zip(half, (0, 0, 0.025), strict=True)]
-    k, after = np.arange(4), (np.arange(4) + 1) % 4
-    bands = [
-        np.concatenate([np.stack([4 * r + k, 4 * r + after, 4 * r + 4 + after], 1),
-                        np.stack([4 * r + k, 4 * r + 4 + after, 4 * r + 4 + k], 1)])
-        for r in range(2)
-    ]  # fmt: skip
-    triangles = np.concatenate([*bands, [[8, 9, 10], [8, 10, 11]]]).astype(np.int32)
     sizes = {0: 0.0007, 2: 0.0014, 4: 0.0028, 6: 0.0052}
-    return Tool(MoldShape(np.concatenate(rings), triangles), half[1], half[0], 0.07, sizes, 4.0e4)
+    return Tool(tray(half, [0.0, 0.0, 0.025]), half[1], half[0], 0.07, sizes, 4.0e4)
 
 
 TOOLS = {"cup": cup, "beaded cup": beaded_cup, "box": box}

@@ -1,4 +1,4 @@
-"""Random scenes, many of them nasty: a dozen families of one static shape each, all else drawn from a seed.
+"""Random scenes, many of them nasty: some families of one static shape each, all else drawn from a seed.
 
 What a program is compiled for (number of nodes, law, kind of pressure, room) belongs to the family; node positions,
 thickness, material, pressure, mold and times are drawn. Molds of a family have the same number of triangles, and their
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.random import Generator
 
 import jaxform
+from benchmarks import strangers
 from jaxform import building, molds, search, shapes
 from jaxform.materials import Material
 from jaxform.pytree import as_real
@@ -84,12 +85,16 @@ def draw(seed: int) -> Drawn:
     name, random = family_of(seed), np.random.default_rng(seed)
     if name == "file":
         return _from_file(random)
+    if name in strangers.OWN_MESHES:
+        tags = [name]
+        return normalised(name, strangers.own_meshes(name, random, tags), tags)
     return _drawn(name, FAMILIES[name], random)
 
 
 def family_of(seed: int) -> str:
-    """The name of a seed's family."""
-    return NAMES[seed % len(NAMES)]
+    """The name of a seed's family: from `STRANGERS_FROM` on, those that a stranger's files look like."""
+    names = NAMES if seed < STRANGERS_FROM else STRANGERS
+    return names[seed % len(names)]
 
 
 def _drawn(name: str, family: Family, random: Generator) -> Drawn:
@@ -361,8 +366,14 @@ FAMILIES: dict[str, Family] = {
     "sphere in a can": Family(_sphere(64), _NEO, _can),
     "refined cup": Family(_disc(24, "quarter"), _NEO, _cup, refinement=_FINER),
     "refined box": Family(_rectangle(48, "quarter"), _MOONEY, _box, refinement=_NEAR, damped=False),
+    "flanged cup": Family(_disc(60, "quarter"), _MOONEY, strangers.flanged_cup),
+    "flanged tray": Family(_rectangle(120, "none"), _NEO, strangers.flanged_tray),
+    "refined flanged cup": Family(_disc(24, "quarter"), _MOONEY, strangers.flanged_cup, refinement=_NEAR),
+    "refined flanged tray": Family(_rectangle(48, "quarter"), _MOONEY, strangers.flanged_tray, refinement=_NEAR),
 }
-NAMES = (*FAMILIES, "file")
+STRANGERS = (*(name for name in FAMILIES if "flanged" in name), *strangers.OWN_MESHES)
+NAMES = (*(name for name in FAMILIES if name not in STRANGERS), "file")
+STRANGERS_FROM = 1200  # the seeds before it keep the families that they had
 
 _FILE = """
 [parison]
