@@ -120,7 +120,7 @@ def test_the_scene_files_of_parts_from_cad_are_valid(tmp_path: Path, name: str, 
     assert isinstance(model.mold, schema.FileMold) and model.mold.scale == 0.001
 
 
-def test_volume_and_symmetry_are_told_from_the_file_that_a_user_sees(tmp_path: Path) -> None:
+def test_mass_and_symmetry_are_told_from_the_file_that_a_user_sees(tmp_path: Path) -> None:
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 0.2, 9), np.linspace(0, 0.14, 9)))
     flat = np.column_stack([x, y, 0 * x])
     a = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
@@ -130,6 +130,8 @@ def test_volume_and_symmetry_are_told_from_the_file_that_a_user_sees(tmp_path: P
         wall = part.thickness * (1 + lean * (x / 0.2 - 0.5))
         nodal = {"reference": flat, "thickness": wall}
         meshes.write_vtu(tmp_path / "final.vtu", flat, triangles, nodal, {"thickness": wall[triangles].mean(1)})
-        found = cad.measured(tmp_path / "final.vtu", part)
-        assert found["volume"] == pytest.approx(0.0, abs=1e-12)
+        mass = 1000.0 * part.thickness * 0.2 * 0.14
+        found = cad.measured(tmp_path / "final.vtu", part, mass)
+        assert found["mass"] == pytest.approx(0.0, abs=1e-12)
+        assert found["in the file"] == pytest.approx(0.0, abs=1e-12)
         assert (found["asymmetry"] < 0.01) == symmetric
