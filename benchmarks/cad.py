@@ -274,9 +274,10 @@ def write_surface(path: Path, surface: Surface) -> None:
     kinds = {3: "triangle", 4: "quad"}
     counts = sorted({corners.shape[1] for corners in surface.faces})
     cells: list[Any] = [(kinds[n], np.concatenate([f for f in surface.faces if f.shape[1] == n])) for n in counts]
-    mesh = meshio.Mesh(surface.points, cells)
+    ones: Any = {"gmsh:physical": [np.ones(len(c), int) for _, c in cells]}
+    mesh = meshio.Mesh(surface.points, cells, cell_data=ones | {"gmsh:geometrical": ones["gmsh:physical"]})
     if path.suffix == ".stl":
-        meshio.write(path, mesh, file_format="stl", binary=True)
+        meshio.write(path, meshio.Mesh(surface.points, cells), file_format="stl", binary=True)
     elif path.suffix == ".msh":
         meshio.write(path, mesh, file_format="gmsh22", binary=False)
     else:
