@@ -260,3 +260,14 @@ def _half_edges(triangles: NDArray[np.int64]) -> Integers:
     count = int(triangles.max(initial=0)) + 1
     number = np.unique(np.minimum(begin, end) * np.int64(count) + np.maximum(begin, end), return_inverse=True)[1]
     return (2 * number + (begin > end)).reshape(-1, 3).astype(np.int32)
+
+
+def closure(split: NDArray[np.bool_], forest: Forest) -> NDArray[np.bool_]:
+    """What is bisected (n_triangle,) when those split are, so that no node hangs; as `remeshing.closed` in a run."""
+    split, new = split.copy(), np.flatnonzero(split)
+    while len(new):
+        inner = new[new >= forest.root_count]
+        asked = np.unique(np.concatenate([forest.partner[new], (inner - forest.root_count) // 2]))
+        new = asked[~split[asked]]
+        split[new] = True
+    return split

@@ -9,13 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform import bisection, membrane, topology
+from jaxform import bisection, membrane, start, topology
 from jaxform.body import node_room
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.packing import make_assembly, make_paired_assembly
-from jaxform.penetration import first_crossing
 from jaxform.pytree import as_index, as_real
 from jaxform.scene import (
     DESIGNABLE,
@@ -80,16 +79,23 @@ def build_scene(
         forest, parison = _planted(parison, refinement)
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
-    grid = None if mold is None else _search_grid(mold, positions, triangles, store)
-    if mold is not None and grid is not None:
-        _check_start(positions, triangles, mold, grid)
+    grid = lying = None
+    if mold is not None:
+        grid = _search_grid(mold, positions, triangles, store)
+        start.check_start(parison, triangles, mold, grid)
+        parison, lying = _laid(parison, triangles if forest is None else forest.triangles, pressure, mold, grid)
+        positions = np.asarray(parison.positions, float)
+        forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     sheet = _reference_sheet(parison)
     bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
     if refinement is not None and forest is not None:
         _check_room(refinement, len(triangles))
-        grown = _grown(forest, refinement, sheet, mobility, mold, grid, store)
+        bend = None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store)
+        fine = None if grid is None else start.fine_at_once(forest, lying, refinement, bend, grid)
+        refinement = _with_room_for(refinement, forest, fine)
+        grown = _grown(forest, refinement, sheet, mobility, bend, fine)
         bound = grown.bound
     planned = _planned_windows(bound, material, solver)
     tables = Tables(
@@ -100,6 +106,7 @@ def build_scene(
         size=as_real(np.abs(positions).max()),
         grid=grid,
         forest=grown,
+        lying=lying,
         window_count=planned + _spare_windows(grid),
         longest_window=SHORT_WINDOW if refinement is not None else longest_window(planned, frames),
     )
@@ -150,20 +157,22 @@ def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) 
         raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
 
 
-def _check_start(positions: np.ndarray, triangles: np.ndarray, mold: Mold, grid: SearchGrid) -> None:
-    sides = np.unique(
-        np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])), axis=0
-    )
-    begin, end = positions[sides[:, 0]], positions[sides[:, 1]]
-    crossing = first_crossing(begin, end, mold, grid)
-    if crossing is not None:
-        where = 0.5 * (begin + end)[crossing[0]]
-        place = ", ".join(f"{value:.4g}" for value in where)
-        raise InputError(
-            f"the parison starts through the mold, near ({place}) m, in mold triangle {crossing[1]}",
-            "move the mold (mold.translate) or shrink the parison",
-            "mold",
-        )
+def _laid(
+    parison: Parison, triangles: np.ndarray, pressure: Pressure, mold: Mold, grid: SearchGrid
+) -> tuple[Parison, jax.Array | None]:
+    """The parison with what lies on the mold exactly there; and which nodes (n_node,) those are, None where none."""
+    found = start.lying(parison, triangles, pressure, mold, grid)
+    if not np.any(found.wall):
+        return parison, None
+    return dataclasses.replace(parison, positions=as_real(found.positions)), as_index(found.wall)
+
+
+def _with_room_for(refinement: Refinement, forest: bisection.Forest, fine: np.ndarray | None) -> Refinement:
+    """With room for half as many elements again as there are when the run begins."""
+    if fine is None or not len(fine):
+        return refinement
+    least = min(3 * (forest.root_count + len(fine)) // 2, forest.root_count << forest.depth)
+    return dataclasses.replace(refinement, elements=max(refinement.elements, least))
 
 
 def _reference_sheet(parison: Parison) -> Sheet:
@@ -222,9 +231,8 @@ def _grown(
     refinement: Refinement,
     sheet: Sheet,
     mobility: jax.Array,
-    mold: Mold | None,
-    grid: SearchGrid | None,
-    store: Store | None,
+    bend: jax.Array | None,
+    fine: np.ndarray | None,
 ) -> Forest:
     """The forest as the program needs it."""
     triangles = as_index(forest.triangles.T)
@@ -238,9 +246,6 @@ def _grown(
     if refinement.scaled_levels:
         unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
         heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
-    turn = part = None
-    if mold is not None:
-        part, turn = topology.orientations(np.asarray(mold.triangles))
     return Forest(
         sheet=Sheet(triangles, inverse, area, sheet.origin),
         bound=bound / heavier,
@@ -253,13 +258,11 @@ def _grown(
         ends=as_index(forest.ends.T),
         owner=as_index(owner),
         mobility=mobility,
-        bend=None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store),
-        turn=None if turn is None else as_index(turn),
-        part=None if part is None else as_index(part),
+        bend=bend,
+        fine_at_once=as_index(fine) if fine is not None and len(fine) else None,
         root_count=forest.root_count,
         depth=forest.depth,
         first_nodes=first_nodes,
-        part_count=0 if part is None else int(part.max()) + 1,
         half_edge_count=int(forest.half_edges.max()) + 2,
         valence=int(forest.corner_slots.max()) + 1,
         node_room=node_room(refinement.elements, first_nodes, len(forest.positions)),

@@ -186,7 +186,7 @@ def _balls(
         radius = jnp.maximum(radius, grid.reach)
     scale = scale * jnp.minimum(1.0, grid.reach / radius)
     center, radius = positions + 0.5 * scale * path, scale * radius
-    cell, bound = _looked_up(center, grid)
+    cell, bound = looked_up(center, grid)
     return _Balls(center, radius, cell, bound, free & (bound < radius))
 
 
@@ -201,7 +201,7 @@ def cells(positions: jax.Array, grid: SearchGrid, parts: int = 1) -> jax.Array:
     return (i * shape[1] + j) * shape[2] + k
 
 
-def _looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
+def looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
     """Cell numbers and lower bounds on the distance to the mold [m], each (n_node,)."""
     cell = cells(positions, grid)
     place = (positions - grid.corner[:, None]) / grid.width

@@ -1,8 +1,9 @@
 """New nodes: in the middle of their edges and moving as these did, but near the mold at rest; at the mold put there.
 
-Where an element cut a corner of the mold, the middle of its side may be beyond. The mold's near side is the one from
-which the nodes came that stick to it. A new node is judged by the place of the mold that is nearest to it: beyond, it
-is put there; on it, it sticks where its edge's ends do; before it, it is free.
+Where an element cut a corner of the mold, the middle of its side may be beyond. What is beyond is told from where its
+edge's ends are, which is on the near side: the way from there crosses the mold. Such a node is put to the nearest place
+of the mold; one on the mold sticks where its edge's ends do; one before it is free. One that lay on the mold when the
+run began is there still.
 
 Places are taken one after the other, and an edge's ends come before its middle: new nodes are worked through in
 blocks of places, and only as far as there are any.
@@ -24,10 +25,12 @@ from jaxform.membrane import cross, dot
 from jaxform.mold import Mold
 from jaxform.scene import Forest, Scene
 from jaxform.search import SearchGrid
-from jaxform.state import State
+from jaxform.sight import Sight, seen
+from jaxform.state import State, at_start
 
 _LANES = 64  # nodes that are looked at together
-_FARTHEST = 0.5  # of its edge, that a new node is moved
+_BEFORE = 64  # times the distance at which a node touches, before its wall: where a node that sticks looks from
+_BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin wall
 _CALM = 0.5  # of its edge: a new node that is nearer to the mold is at rest; from a whole one on it moves as it would
 
 
@@ -92,6 +95,22 @@ class _Births(NamedTuple):
         )[0]
 
 
+class _Older(NamedTuple):
+    """The finer mesh, and how many of its nodes were there before."""
+
+    mesh: Mesh
+    count: jax.Array
+
+    def ancestor(self, place: jax.Array, forest: Forest) -> jax.Array:
+        """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
+
+        def up(place: jax.Array) -> jax.Array:
+            above = self.mesh.place[forest.ends[0, self.mesh.node[place]]]
+            return jnp.where(place < self.count, place, above)
+
+        return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), up, place)
+
+
 def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differentiable: bool = True) -> State:
     """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
 
@@ -129,8 +148,8 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differen
     nodes = _Nodes(state.positions, state.velocities, state.stuck, state.contact_time, state.wall)
     nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, volumes))
     if scene.mold is not None and scene.tables.grid is not None:
-        votes, time = _votes(state.wall, forest), state.time
-        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, scene, votes, time))
+        older, time = _Older(mesh, old.node_count), state.time
+        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, scene, older, time))
     return dataclasses.replace(state, **nodes._asdict())
 
 
@@ -144,8 +163,8 @@ def _between(nodes: _Nodes, births: _Births, scene: Scene, volumes: jax.Array) -
     assert forest is not None
     # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
-    start = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
-    moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, start, strict=True)]
+    begins = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
+    moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, begins, strict=True)]
     middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
     weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
     velocities = births.chained(
@@ -153,12 +172,13 @@ def _between(nodes: _Nodes, births: _Births, scene: Scene, volumes: jax.Array) -
         lambda first, second: weight * first + (1.0 - weight) * second,
         forest.depth,
     )
-    held = jnp.all(forest.mobility[:, births.node] == 0.0, axis=0)
+    start = at_start(scene, births.node)
     return nodes._replace(
-        positions=births.put(nodes.positions, reference[births.node].T + jnp.where(held, 0.0, middle)),
-        velocities=births.put(nodes.velocities, jnp.where(held, 0.0, velocities)),
-        stuck=births.put(nodes.stuck, held),
-        contact_time=births.put(nodes.contact_time, jnp.where(held, 0.0, -1.0)),
+        positions=births.put(nodes.positions, reference[births.node].T + jnp.where(start.stuck, 0.0, middle)),
+        velocities=births.put(nodes.velocities, jnp.where(start.stuck, 0.0, velocities)),
+        stuck=births.put(nodes.stuck, start.stuck),
+        contact_time=births.put(nodes.contact_time, start.contact_time),
+        wall=births.put(nodes.wall, start.wall),
     )
 
 
@@ -174,28 +194,38 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest
     return lost[0] / (lost[0] + lost[1])
 
 
-def _settled(nodes: _Nodes, births: _Births, scene: Scene, votes: jax.Array, time: jax.Array) -> _Nodes:
+class _Outlook(NamedTuple):
+    """What new nodes (n,) see of the mold from the sheet: where they look from (3, n) [m], and what is between."""
+
+    begin: jax.Array
+    seen: Sight
+
+
+def _settled(nodes: _Nodes, births: _Births, scene: Scene, older: _Older, time: jax.Array) -> _Nodes:
     """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
     mold, grid, forest, refinement = scene.mold, scene.tables.grid, scene.tables.forest, scene.refinement
     assert mold is not None and grid is not None and forest is not None and refinement is not None
     points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
-    found = _nearest(jax.lax.stop_gradient(points), births.new & ~stuck, grid)
-    side = _near_side(votes, found.triangle, forest)
-    edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
-    length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
-    reachable = found.distance <= _FARTHEST * length
-    touches = births.new & (side != 0) & (found.distance <= near.touch_distance(grid))
-    beyond = births.new & (side * found.height < 0) & reachable & ~touches
+    free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
+    found = _nearest(places, free, grid)
+    outlook = _outlook(places, free, nodes, births, older, scene)
+    touches = free & (found.distance <= near.touch_distance(grid))
+    beyond = free & ~touches & (outlook.seen.count % 2 == 1)
     ends = [nodes.stuck[at] for at in births.ends]
     sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
-    triangle = jnp.maximum(found.triangle, 0)
-    flies = births.new & ~stuck & ~lands & (found.triangle >= 0)
+    chosen = jnp.where(beyond, _facing(places, found.triangle, outlook.seen, mold), found.triangle)
+    triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = _closest(points, mold, triangle, lands | flies)
     velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
     if refinement.at_rest:
+        edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
+        length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
         velocities = jnp.where(flies, _kept(gap, size), 1.0) * velocities
+    # It is on the side of the place that it looks from; what is beyond may look from another wall.
+    above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
+    side = jnp.where(above < 0.0, -1, 1)
     return _Nodes(
         positions=births.put(nodes.positions, jnp.where(lands, point, points)),
         velocities=births.put(nodes.velocities, velocities),
@@ -203,6 +233,50 @@ def _settled(nodes: _Nodes, births: _Births, scene: Scene, votes: jax.Array, tim
         contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.own(nodes.contact_time))),
         wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.own(nodes.wall))),
     )
+
+
+def _outlook(
+    points: jax.Array, free: jax.Array, nodes: _Nodes, births: _Births, older: _Older, scene: Scene
+) -> _Outlook:
+    """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
+
+    One that flies is looked from; of nodes that stick, one that is known to, a little before its wall.
+    """
+    mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
+    assert mold is not None and grid is not None and forest is not None
+    first, second = (older.ancestor(end, forest) for end in births.ends)
+    stuck, wall = nodes.stuck, nodes.wall
+    worse = stuck[first] & (~stuck[second] | (wall[first] == 0) & (wall[second] != 0))
+    place = jnp.where(worse, second, first)
+    there, triangle = wall[place], jnp.maximum(jnp.abs(wall[place]) - 1, 0)
+    off = _BEFORE * near.touch_distance(grid) * jnp.sign(there)
+    begin = jax.lax.stop_gradient(nodes.positions[:, place] + off * _normal(mold, triangle))
+    way = begin - points
+    _, bound = near.looked_up(points, grid)
+    return _Outlook(begin, seen(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
+
+
+def _facing(points: jax.Array, nearest: jax.Array, seen: Sight, mold: Mold) -> jax.Array:
+    """Of points (3, n) [m] beyond the mold the nearest triangle, or where that is the back of a thin wall, the front.
+
+    The front is what the way from the sheet crosses last.
+    """
+    last = jnp.maximum(seen.triangle, 0)
+    gap = _closest(points, mold, jnp.maximum(nearest, 0), nearest >= 0) - points
+    back = seen.side * dot(gap, _normal(mold, last)) < -_BACKWARD * jnp.sqrt(dot(gap, gap))
+    return jnp.where((nearest < 0) | back, last, nearest)
+
+
+def _normal(mold: Mold, triangle: jax.Array) -> jax.Array:
+    """Unit normals (3, n) of the mold's triangles (n,)."""
+    d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
+    normal = jnp.stack(cross(e - d, f - d))
+    return normal / jnp.sqrt(dot(normal, normal))
+
+
+def _height(points: jax.Array, mold: Mold, triangle: jax.Array) -> jax.Array:
+    """Height (n,) [m] of points (3, n) over the planes of triangles (n,)."""
+    return jax.lax.stop_gradient(dot(points - mold.vertices[mold.triangles[triangle, 0]].T, _normal(mold, triangle)))
 
 
 def _kept(gap: jax.Array, size: jax.Array) -> jax.Array:
@@ -214,21 +288,6 @@ def _kept(gap: jax.Array, size: jax.Array) -> jax.Array:
     distance = jnp.sqrt(jnp.maximum(dot(gap, gap), jnp.square(_CALM * size)))
     share = jnp.clip((distance / size - _CALM) / (1.0 - _CALM), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
-
-
-def _votes(wall: jax.Array, forest: Forest) -> jax.Array:
-    """For each part of the mold how many nodes more touch it from the side of its normals than from the other."""
-    assert forest.turn is not None and forest.part is not None
-    touched = jnp.maximum(jnp.abs(wall) - 1, 0)
-    votes = jnp.zeros(forest.part_count, jnp.int32)
-    return votes.at[forest.part[touched]].add(jnp.sign(wall) * forest.turn[touched])
-
-
-def _near_side(votes: jax.Array, triangle: jax.Array, forest: Forest) -> jax.Array:
-    """1 or -1 (n,) where the sheet is on the side of a triangle's normal or the other; 0 where nothing is known."""
-    assert forest.turn is not None and forest.part is not None
-    chosen = jnp.maximum(triangle, 0)
-    return jnp.where(triangle >= 0, jnp.sign(votes[forest.part[chosen]]) * forest.turn[chosen], 0)
 
 
 def _nearest(positions: jax.Array, wanted: jax.Array, grid: SearchGrid) -> _Nearest:

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxform import bisection
-from jaxform.body import NEVER, Mesh
+from jaxform.body import NEVER, Mesh, first_mesh
 from jaxform.pytree import pytree
-from jaxform.scene import Forest
+from jaxform.scene import Forest, Scene
 
 
 @pytree
@@ -107,6 +107,18 @@ def bisected(mesh: Mesh, queue: Queue, forest: Forest) -> Mesh:
         return _with_corners(mesh, places, middle, element)
 
     return jax.lax.fori_loop(0, queue.count, bisect, mesh)
+
+
+def started_mesh(scene: Scene) -> Mesh:
+    """The mesh when a run begins: that of the scene, fine at once where its tables say so."""
+    mesh, forest = first_mesh(scene), scene.tables.forest
+    assert forest is not None
+    if forest.fine_at_once is None:
+        return mesh
+    found = forest.fine_at_once
+    queue = queued(found, jnp.int32(found.size), forest)
+    split_at = mesh.split_at.at[found].set(0)
+    return dataclasses.replace(bisected(mesh, queue, forest), split_at=split_at)
 
 
 # One entry is read and written as a slice, which XLA does in place; `.at` would make it a scatter. What is read before

@@ -211,12 +211,10 @@ class Forest:
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
         bend: Distance [m] to a bent part of the mold from the parts of the search grid's cells (x, y, z); None where
             unused.
-        turn: 1 or -1 for each of the mold's triangles: in one part, those that turn the same way; None without mold.
-        part: The connected part that each of the mold's triangles belongs to; None without mold.
+        fine_at_once: Triangles (n,) that are bisected when a run begins, ascending; None where none are.
         root_count: Triangles at level 0.
         depth: The deepest level.
         first_nodes: Nodes of the mesh before it is refined.
-        part_count: Connected parts of the mold.
         half_edge_count: Numbers of half edges are below this.
         valence: How many triangles can meet at a node.
         node_room: Room for so many nodes.
@@ -233,12 +231,10 @@ class Forest:
     owner: jax.Array
     mobility: jax.Array
     bend: jax.Array | None
-    turn: jax.Array | None
-    part: jax.Array | None
+    fine_at_once: jax.Array | None
     root_count: int = static()
     depth: int = static()
     first_nodes: int = static()
-    part_count: int = static()
     half_edge_count: int = static()
     valence: int = static()
     node_room: int = static()
@@ -256,6 +252,8 @@ class Tables:
         size: Largest initial coordinate [m].
         grid: Search structure of the mold, or None.
         forest: What the mesh can be refined to, or None.
+        lying: Which nodes (n_node,) lie on the mold when a run begins, and on which of its triangles, as `State.wall`
+            has it; None where none do.
         window_count: Number of windows that a run may take.
         longest_window: Steps that a window may take at most.
     """
@@ -267,6 +265,7 @@ class Tables:
     size: jax.Array
     grid: SearchGrid | None
     forest: Forest | None
+    lying: jax.Array | None
     window_count: int = static()
     longest_window: int = static(default=SHORT_WINDOW)
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxform import membrane
 from jaxform.blocks import over_blocks
-from jaxform.body import Body, Mesh, first_mesh
+from jaxform.body import Body, Mesh
 from jaxform.force import Elements
 from jaxform.materials import Material
 from jaxform.pytree import as_real, pytree
+from jaxform.remeshing import started_mesh
 from jaxform.scene import SHORT_WINDOW, Scene, Sheet
 
 
@@ -130,20 +131,24 @@ class State:
 def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
     forest = scene.tables.forest
-    mesh = None if forest is None else first_mesh(scene)
-    positions, mobility, sheet = scene.parison.positions.T, scene.tables.mobility, scene.tables.sheet
+    mesh = None if forest is None else started_mesh(scene)
+    positions, sheet = scene.parison.positions.T, scene.tables.sheet
+    start = at_start(scene)
     if mesh is not None and forest is not None:
         # Nodes that do not exist yet are held where the first node is.
         there = jnp.arange(mesh.node.size) < mesh.node_count
-        positions, mobility = positions[:, mesh.node], jnp.where(there, forest.mobility[:, mesh.node], 0.0)
+        start = at_start(scene, mesh.node)
+        start = AtStart(
+            start.stuck | ~there, jnp.where(there, start.contact_time, 0.0), jnp.where(there, start.wall, 0)
+        )
+        positions = positions[:, mesh.node]
     zero, none = as_real(0.0), jnp.int32(0)
-    held = jnp.all(mobility == 0.0, axis=0)
     return State(
         positions=positions,
         velocities=jnp.zeros_like(positions),
-        stuck=held,
-        contact_time=jnp.where(held, zero, -1.0),
-        wall=jnp.zeros(held.size, jnp.int32),
+        stuck=start.stuck,
+        contact_time=start.contact_time,
+        wall=start.wall,
         time=zero,
         step_length=zero,
         volume=enclosed_volume(positions, sheet),
@@ -171,6 +176,28 @@ def initial_state(scene: Scene) -> State:
         shortened=none,
         status=none,
     )
+
+
+class AtStart(NamedTuple):
+    """Of nodes (n,) when a run begins: whether they stick, their contact time [s] and wall, as in `State`."""
+
+    stuck: jax.Array
+    contact_time: jax.Array
+    wall: jax.Array
+
+
+def at_start(scene: Scene, node: jax.Array | None = None) -> AtStart:
+    """Of these nodes (n,) of the parison, or of all: those that cannot move stick, and those that lie on the mold."""
+    mobility, lying = scene.tables.mobility, scene.tables.lying
+    if node is not None:
+        mobility, lying = mobility[:, node], None if lying is None else lying[node]
+    held = jnp.all(mobility == 0.0, axis=0)
+    time = jnp.where(held, 0.0, as_real(-1.0))
+    if lying is None:
+        return AtStart(held, time, jnp.zeros(held.size, jnp.int32))
+    lies = ~held & (lying != 0)
+    # Sooner than any step, but later than what was clamped beforehand.
+    return AtStart(held | lies, jnp.where(lies, jnp.finfo(time.dtype).tiny, time), jnp.where(lies, lying, 0))
 
 
 def any_mode(positions: jax.Array) -> jax.Array:
