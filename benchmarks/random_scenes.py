@@ -8,7 +8,6 @@ search structures are put into arrays of one size, so that a family compiles onc
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -83,10 +82,10 @@ def draw(seed: int) -> Drawn:
         jaxform.InputError: Where the scene is refused.
     """
     name, random = family_of(seed), np.random.default_rng(seed)
+    tags: list[str] = []
     if name == "file":
-        return _from_file(random)
+        return normalised(name, strangers.from_file(random, tags), tags)
     if name in strangers.OWN_MESHES:
-        tags = [name]
         return normalised(name, strangers.own_meshes(name, random, tags), tags)
     return _drawn(name, FAMILIES[name], random)
 
@@ -374,50 +373,3 @@ FAMILIES: dict[str, Family] = {
 STRANGERS = (*(name for name in FAMILIES if "flanged" in name), *strangers.OWN_MESHES)
 NAMES = (*(name for name in FAMILIES if name not in STRANGERS), "file")
 STRANGERS_FROM = 1200  # the seeds before it keep the families that they had
-
-_FILE = """
-[parison]
-shape = "disc"
-radius = {radius}
-elements = 40
-symmetry = "half"
-thickness = {{ along = "radius", at = [0.0, {radius}], value = [{first}, {last}] }}
-[material]
-model = "mooney-rivlin"
-c = {c}
-alpha = {alpha}
-density = {density}
-[pressure]
-time = [0.0, {end}]
-value = [0.0, {top}]
-[solver]
-end_time = {end}
-damping = {damping}
-"""
-
-
-def _from_file(random: Generator) -> Drawn:
-    """A scene file; in some, a number is nonsense."""
-    radius, c, density = 10 ** random.uniform(-2.0, 0.0), 10 ** random.uniform(4.0, 6.0), random.uniform(500.0, 2000.0)
-    unit, thin = radius * np.sqrt(density / c), radius * 10 ** random.uniform(-3.0, -1.5)
-    numbers: dict[str, Any] = {
-        "radius": radius,
-        "first": thin,
-        "last": thin * random.uniform(0.2, 5.0),
-        "c": c,
-        "alpha": random.uniform(0.0, 0.5),
-        "density": density,
-        "end": unit * random.uniform(3.0, 20.0),
-        "top": c * thin / radius * 10 ** random.uniform(-1.0, 1.0),
-        "damping": random.uniform(0.0, 5.0) / unit,
-    }
-    tags = []
-    if random.random() < 0.25:
-        key = str(random.choice(["radius", "first", "c", "alpha", "density", "end", "damping"]))
-        numbers[key] = random.choice(["-1.0", "nan", "inf", '"thick"', "[]"])
-        tags.append("nonsense")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.toml"
-        path.write_text(_FILE.format(**numbers), encoding="utf-8")
-        scene = jaxform.load(path)
-    return normalised("file", dataclasses.replace(scene, name="file"), tags)

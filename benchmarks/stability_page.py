@@ -119,7 +119,8 @@ def _random(found: Found, folder: Path) -> str:
         "one static shape each; all else is drawn: nodes "
         "shaken, squeezed up to 1:50 or graded, thickness with spots down to a thousandth or up to a thousand times, "
         "pressure that jumps, pulls or turns negative, molds with triangles that turn any way, with undercuts, too "
-        f"small, or where the sheet is, no damping, nonsense in scene files{strangers}. Each ends in one of these ways:\n",
+        f"small, or where the sheet is, no damping, nonsense in scene files{strangers}. Each ends in one of these "
+        "ways:\n",
         "| how it ended | scenes | seeds |",
         "|---|---|---|",
     ]

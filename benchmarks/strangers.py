@@ -1,4 +1,4 @@
-"""What a stranger's random scene looks like: flanges in the sheet's plane, own mesh files, units that are off."""
+"""Random scenes from files; what a stranger brings: flanges in the sheet's plane, own meshes, units that are off."""
 
 from __future__ import annotations
 
@@ -54,6 +54,56 @@ def tray(half_sides: Sequence[tuple[float, float]], heights: Sequence[float]) ->
     bands = [np.stack(half, 1) + 4 * ring for ring in range(len(rings) - 1) for half in halves]
     bottom = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * (len(rings) - 1)
     return molds.MoldShape(np.concatenate(rings), np.concatenate([*bands, bottom]).astype(np.int32))
+
+
+_FILE = """
+[parison]
+shape = "disc"
+radius = {radius}
+elements = 40
+symmetry = "half"
+thickness = {{ along = "radius", at = [0.0, {radius}], value = [{first}, {last}] }}
+[material]
+model = "mooney-rivlin"
+c = {c}
+alpha = {alpha}
+density = {density}
+[pressure]
+time = [0.0, {end}]
+value = [0.0, {top}]
+[solver]
+end_time = {end}
+damping = {damping}
+"""
+
+
+def from_file(random: Generator, tags: list[str]) -> jaxform.Scene:
+    """A scene file; in some, a number is nonsense.
+
+    Raises:
+        jaxform.InputError: Where the scene is refused.
+    """
+    radius, c, density = 10 ** random.uniform(-2.0, 0.0), 10 ** random.uniform(4.0, 6.0), random.uniform(500.0, 2000.0)
+    unit, thin = radius * np.sqrt(density / c), radius * 10 ** random.uniform(-3.0, -1.5)
+    numbers: dict[str, Any] = {
+        "radius": radius,
+        "first": thin,
+        "last": thin * random.uniform(0.2, 5.0),
+        "c": c,
+        "alpha": random.uniform(0.0, 0.5),
+        "density": density,
+        "end": unit * random.uniform(3.0, 20.0),
+        "top": c * thin / radius * 10 ** random.uniform(-1.0, 1.0),
+        "damping": random.uniform(0.0, 5.0) / unit,
+    }
+    if random.random() < 0.25:
+        key = str(random.choice(["radius", "first", "c", "alpha", "density", "end", "damping"]))
+        numbers[key] = random.choice(["-1.0", "nan", "inf", '"thick"', "[]"])
+        tags.append("nonsense")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.toml"
+        path.write_text(_FILE.format(**numbers), encoding="utf-8")
+        return dataclasses.replace(jaxform.load(path), name="file")
 
 
 _STRANGER = """

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import cad, flanges, random_scenes, strangers, stress
+from benchmarks import cad, cad_molds, flanges, random_scenes, strangers, stress
 from jaxform import files, meshes, schema, topology
 from jaxform.errors import InputError
 
@@ -82,20 +82,20 @@ def test_units_that_are_off_are_a_thousand_times_off_and_must_be_told() -> None:
     assert stress.classify(row | {"told": ["nothing touched the mold"]}) == "ok"
 
 
-def _pieces() -> list[cad.Surface]:
+def _pieces() -> list[cad_molds.Surface]:
     points = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [20, 0, 5], [20, 10, 5.0], [99, 99, 99]])
     quad, triangles = np.array([[0, 1, 2, 3]]), np.array([[1, 4, 5], [1, 5, 2]])
-    return [cad.Surface(points, [quad]), cad.Surface(points, [triangles])]
+    return [cad_molds.Surface(points, [quad]), cad_molds.Surface(points, [triangles])]
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "msh"])
 def test_a_surface_comes_back_from_its_file(tmp_path: Path, ending: str) -> None:
-    surface = cad._joined(_pieces())
+    surface = cad_molds._joined(_pieces())
     assert len(surface.points) == 6
     path = tmp_path / f"mold.{ending}"
     if ending == "stl":
-        surface = cad.Surface(surface.points, [np.array([[0, 1, 2], [0, 2, 3]]), surface.faces[1]])
-    cad.write_surface(path, surface)
+        surface = cad_molds.Surface(surface.points, [np.array([[0, 1, 2], [0, 2, 3]]), surface.faces[1]])
+    cad_molds.write_surface(path, surface)
     mesh = meshes.read_mesh(path, scale=0.001)
     corners = mesh.positions[mesh.triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
@@ -105,7 +105,7 @@ def test_a_surface_comes_back_from_its_file(tmp_path: Path, ending: str) -> None
 
 def test_pieces_that_do_not_share_points_stay_apart() -> None:
     one, two = _pieces()
-    joined = cad._joined([one, cad.Surface(two.points.copy(), two.faces)])
+    joined = cad_molds._joined([one, cad_molds.Surface(two.points.copy(), two.faces)])
     assert len(joined.points) == 8
     np.testing.assert_array_equal(joined.points[joined.faces[1]], two.points[two.faces[0]])
 
