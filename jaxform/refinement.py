@@ -21,6 +21,7 @@ from jaxform.near import cells
 from jaxform.newborn import born
 from jaxform.remeshing import Queue, bisected, closed, queued
 from jaxform.scene import SHORT_WINDOW, Scene
+from jaxform.scheme import caught_up
 from jaxform.state import Schedule, State, Status, account, kinetic_energy
 
 _SPARE_BLOCKS = 2
@@ -41,7 +42,8 @@ def refined(
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned, planned=planned)
     else:
-        due = looks(state.windows, scene)
+        # A window that is taken anew begins with the mesh that it had.
+        due = looks(state.windows, scene) & ((state.last_count > 0) | (state.windows == 0))
         wanted = _wanted
 
     def look(now: tuple[State, Body]) -> tuple[State, Body]:
@@ -238,6 +240,7 @@ def _with_parts(
     """The state with the queue's triangles bisected."""
     forest, old = scene.tables.forest, state.mesh
     assert forest is not None and old is not None and sheet_body.volumes is not None
+    before, state = state, caught_up(state, scene, sheet_body)
     mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
     body = refined_body(scene, mesh, sheet_body.volumes)
     new = born(state, mesh, scene, sheet_body.volumes, differentiable=differentiable)
@@ -259,4 +262,4 @@ def _with_parts(
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = jnp.isfinite(loss)
-    return only_if(~sound, lambda _: (state, sheet_body), (made, body), differentiable=differentiable)
+    return only_if(~sound, lambda _: (before, sheet_body), (made, body), differentiable=differentiable)

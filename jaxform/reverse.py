@@ -28,15 +28,9 @@ from jaxform.mold import Mold
 from jaxform.packing import Packed
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Scene
+from jaxform.scheme import Timing, kicked, kicks, pressures
 from jaxform.state import Schedule, State
-from jaxform.stepping import (
-    Timing,
-    kicked,
-    kicks,
-    pressures,
-    window,
-    window_and_impacts,
-)
+from jaxform.stepping import window, window_and_impacts
 from jaxform.timestep import LEAST_LEFT
 from jaxform.working import idle_volume, packed_moving
 

@@ -22,7 +22,8 @@ from jaxform.force import Corners, Load, assembled, corner_forces, force, no_cor
 from jaxform.membrane import vector
 from jaxform.near import Near, list_near, no_lists
 from jaxform.pytree import pytree
-from jaxform.scene import SHORT_WINDOW, Pressure, Scene
+from jaxform.scene import SHORT_WINDOW, Scene
+from jaxform.scheme import Timing, kicked, kicks, pressures
 from jaxform.state import Schedule, State, Status, account, last_pressure
 from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
 from jaxform.watch import LOOK_EVERY, Seen, Watched, balls, every_block, look, missed, unseen, unwatched, watch
@@ -193,28 +194,6 @@ def _taken_in_blocks(
     return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners)
 
 
-def kicked(
-    nodal: Any,
-    velocities: Any,
-    nodes: tuple[jax.Array, jax.Array, Any],
-    kick: jax.Array,
-    damping: jax.Array | None,
-) -> tuple[membrane.Vector, jax.Array | None]:
-    """New velocities, and the loss (n,) [J] by damping where there is any, of nodes stuck or not, mass, compliance."""
-    stuck, mass, compliance = nodes
-    gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
-    if damping is None:
-        return once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
-    half = 0.5 * damping * kick
-    rest = 1.0 / (1.0 + half)  # one division, not three at every node
-    # Kept, since the positions and the loss would each work them, and the force, out again.
-    gains = once(vector(0.5 * gain for gain in gains))
-    # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
-    mean = once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
-    new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
-    return new, kick * damping * mass * membrane.dot(mean, mean)
-
-
 def _looked(moving: _Moving, now: _Window) -> _Moving:
     """Every few steps a look at where the nodes are, and where they will be at the next one.
 
@@ -366,29 +345,6 @@ def _stepped(
     if room is not None:
         room = Room(corners, room.basis, None if now.near is None else now.near.lists)
     return _close(found, moving, end, scene, now), moving, room
-
-
-class Timing(NamedTuple):
-    """A window's begin, the step before it and its own [s]."""
-
-    begin: jax.Array
-    before: jax.Array
-    length: jax.Array
-
-
-def pressures(pressure: Pressure, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
-    """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa]."""
-    index = jnp.arange(count)
-    times = timing.begin + index * timing.length
-    now = pressure.at(times)
-    before = pressure.at(jnp.where(index == 0, timing.begin - timing.before, times - timing.length))
-    return now, 0.5 * (before + now)
-
-
-def kicks(timing: Timing, count: int) -> jax.Array:
-    """The step that the velocity takes in each of the `count` steps of a window [s]."""
-    first = 0.5 * (timing.before + timing.length)
-    return jnp.where(jnp.arange(count) == 0, first, timing.length)
 
 
 class _Row(NamedTuple):

@@ -1,0 +1,93 @@
+"""The central-difference scheme in time: when pressure acts, how far a velocity is taken, and the kick itself.
+
+Velocities are half a step behind the positions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform import membrane
+from jaxform.blocks import once
+from jaxform.body import Body
+from jaxform.force import Load, force
+from jaxform.membrane import vector
+from jaxform.scene import Pressure, Scene
+from jaxform.state import State, enclosed_volume, last_pressure
+from jaxform.working import worked_through
+
+
+class Timing(NamedTuple):
+    """A window's begin, the step before it and its own [s]."""
+
+    begin: jax.Array
+    before: jax.Array
+    length: jax.Array
+
+
+def pressures(pressure: Pressure, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
+    """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa]."""
+    index = jnp.arange(count)
+    times = timing.begin + index * timing.length
+    now = pressure.at(times)
+    before = pressure.at(jnp.where(index == 0, timing.begin - timing.before, times - timing.length))
+    return now, 0.5 * (before + now)
+
+
+def kicks(timing: Timing, count: int) -> jax.Array:
+    """The step that the velocity takes in each of the `count` steps of a window [s]."""
+    first = 0.5 * (timing.before + timing.length)
+    return jnp.where(jnp.arange(count) == 0, first, timing.length)
+
+
+def kicked(
+    nodal: Any,
+    velocities: Any,
+    nodes: tuple[jax.Array, jax.Array, Any],
+    kick: jax.Array,
+    damping: jax.Array | None,
+) -> tuple[membrane.Vector, jax.Array | None]:
+    """New velocities, and the loss (n,) [J] by damping where there is any, of nodes stuck or not, mass, compliance."""
+    stuck, mass, compliance = nodes
+    gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
+    if damping is None:
+        return once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
+    half = 0.5 * damping * kick
+    rest = 1.0 / (1.0 + half)  # one division, not three at every node
+    # Kept, since the positions and the loss would each work them, and the force, out again.
+    gains = once(vector(0.5 * gain for gain in gains))
+    # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
+    mean = once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
+    new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
+    return new, kick * damping * mass * membrane.dot(mean, mean)
+
+
+def caught_up(state: State, scene: Scene, sheet_body: Body) -> State:
+    """The state with velocities at the time of the positions, and its account closed.
+
+    Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
+
+    Args:
+        state: In the mesh's order.
+        scene: The scene.
+        sheet_body: The sheet with that mesh.
+    """
+    working = worked_through(state, scene, sheet_body, differentiable=True)
+    packed = working.taken(state)
+    load = Load(packed.positions, working.thickness, scene.pressure.at(state.time), scene.material)
+    nodes, damping = (packed.stuck, working.mass, working.compliance), scene.solver.damping
+    nodal, _ = force(load, working.packed.elements)
+    velocities, losses = kicked(nodal, packed.velocities, nodes, 0.5 * state.step_length, damping)
+    volume = enclosed_volume(state.positions, sheet_body.sheet)
+    return dataclasses.replace(
+        state,
+        velocities=working.packed.put_back(jnp.stack(velocities)),
+        step_length=jnp.zeros_like(state.step_length),
+        volume=volume,
+        external_work=state.external_work + last_pressure(state, scene) * (volume - state.volume),
+        damping_loss=state.damping_loss if losses is None else state.damping_loss + jnp.sum(losses),
+    )
