@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -68,6 +68,16 @@ stability: environment
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment
 	.venv/bin/python -m benchmarks.contact
+
+# Molds whose flange lies in the sheet's plane or a rounding error beside it: sixty scenes, stable and within one percent
+# of a fine uniform sheet; about a quarter of an hour on a quiet machine, `--few` an eighth of it.
+flanges: environment
+	.venv/bin/python -m benchmarks.flanges
+
+# Molds from a CAD kernel through `jaxform check` and `jaxform simulate`: forty scenes, about half an hour. Gmsh is in no
+# lock: it is 90 MB and needs libraries of a desktop, so whoever runs this installs it (`pip install gmsh`).
+cad: environment
+	.venv/bin/python -m benchmarks.cad
 
 # Speed beside C++, NumPy and numba, cost of gradients, what each skip saves; about ten minutes.
 bench: environment

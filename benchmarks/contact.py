@@ -1,7 +1,7 @@
 """Figures of contact: hits against brute force, what a step and the search structure cost, gradients, penetration.
 
-Run it with `make contact`; it prints one line per figure. Nothing here decides a test; the tests import what they check
-from here.
+Run it with `make contact`, or parts of it by name: `python -m benchmarks.contact costs waffles`; it prints one line per
+figure. Nothing here decides a test; the tests import what they check from here.
 """
 
 from __future__ import annotations
@@ -217,6 +217,51 @@ def show_costs() -> None:
     )
 
 
+WAFFLES = {2240: (40, 28), 19_992: (119, 84), 100_016: (266, 188), 200_032: (376, 266)}
+"""Cells along both sides of the waffle mold, by its number of triangles."""
+
+
+def waffle(cells: tuple[int, int], *, refined: bool) -> Scene:
+    """A sheet drawn onto a mold of hills and hollows, meshed finely or coarsely."""
+    a, b = 0.16, 0.12
+    x, y = np.meshgrid(*(np.linspace(-0.01, side + 0.01, n + 1) for side, n in zip((a, b), cells, strict=True)),
+                       indexing="ij")  # fmt: skip
+    rim = np.clip(5 * np.maximum(np.abs(2 * x / a - 1), np.abs(2 * y / b - 1)) - 4, 0.0, 1.0)
+    height = (1 - rim) * (0.03 + 0.006 * np.cos(6 * np.pi * x / a) * np.cos(4 * np.pi * y / b))
+    number = np.arange(x.size).reshape(x.shape)
+    corner = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
+    triangles = np.concatenate([np.stack([corner[k] for k in three], 1) for three in ((0, 1, 2), (0, 2, 3))])
+    vertices = np.stack([x, y, height], -1).reshape(-1, 3).astype(np.float32)
+    sheet = shapes.rectangle(size=[a, b], element_size=0.005 if refined else 0.0025)
+    refinement = jaxform.make_refinement(angle=12.0, interval=100, max_level=4, elements=16384) if refined else None
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1.0e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(real(0.2e6), real(0.1), real(1000.0)),
+        pressure=jaxform.make_pressure([0.0, 0.3], [0.0, 3.0e4], "cubic-ramp"),
+        solver=jaxform.make_solver(end_time=0.32, damping=100.0),
+        mold=jaxform.make_mold(vertices, triangles),
+        refinement=refinement,
+    )
+
+
+def show_waffles(rounds: int = 3) -> None:
+    """Time per element and step on finer and finer molds, and how many windows are cut short."""
+    for refined in (False, True):
+        loops = {count: whole_loop(waffle(cells, refined=refined)) for count, cells in WAFFLES.items()}
+        seconds, base = best_in_turns({str(count): loop for count, loop in loops.items()}, rounds), None
+        for count, loop in loops.items():
+            state = loop()
+            elements = int(state.mesh.element_count) if state.mesh is not None else 48 * 64 * 2
+            cost = 1e9 * seconds[str(count)] / (int(state.steps) * elements)
+            base = base or cost
+            print(
+                f"waffle, {'refined' if refined else 'uniform'}, {count} triangles: {cost:.1f} ns per element and step "
+                f"({cost / base:.2f} x), {elements} elements, {int(state.steps)} steps, {int(state.windows)} windows, "
+                f"{int(state.shortened)} shortened, status {int(state.status)}",
+                flush=True,
+            )
+
+
 def wall_gradient(scene: Scene, seed: int = 0) -> tuple[float, list[float]]:
     """Derivative of a smooth measure of the wall along a random thickness direction, and its differences' deviations.
 
@@ -283,16 +328,23 @@ def show_finer_molds() -> None:
     )
 
 
-def main() -> int:
-    """Prints all figures."""
+PARTS: dict[str, Callable[[], None]] = {
+    "costs": show_costs,
+    "waffles": show_waffles,
+    "paths": show_paths,
+    "gradients": show_gradients,
+    "penetration": show_penetration,
+    "finer": show_finer_molds,
+}
+
+
+def main(names: list[str]) -> int:
+    """Prints the named figures, or all."""
     jax.config.update("jax_enable_x64", True)
-    show_costs()
-    show_paths()
-    show_gradients()
-    show_penetration()
-    show_finer_molds()
+    for name in names or PARTS:
+        PARTS[name]()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

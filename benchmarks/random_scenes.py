@@ -1,4 +1,4 @@
-"""Random scenes, many of them nasty: a dozen families of one static shape each, all else drawn from a seed.
+"""Random scenes, many of them nasty: some families of one static shape each, all else drawn from a seed.
 
 What a program is compiled for (number of nodes, law, kind of pressure, room) belongs to the family; node positions,
 thickness, material, pressure, mold and times are drawn. Molds of a family have the same number of triangles, and their
@@ -8,7 +8,6 @@ search structures are put into arrays of one size, so that a family compiles onc
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.random import Generator
 
 import jaxform
+from benchmarks import strangers
 from jaxform import building, molds, search, shapes
 from jaxform.materials import Material
 from jaxform.pytree import as_real
@@ -82,14 +82,18 @@ def draw(seed: int) -> Drawn:
         jaxform.InputError: Where the scene is refused.
     """
     name, random = family_of(seed), np.random.default_rng(seed)
+    tags: list[str] = []
     if name == "file":
-        return _from_file(random)
+        return normalised(name, strangers.from_file(random, tags), tags)
+    if name in strangers.OWN_MESHES:
+        return normalised(name, strangers.own_meshes(name, random, tags), tags)
     return _drawn(name, FAMILIES[name], random)
 
 
 def family_of(seed: int) -> str:
-    """The name of a seed's family."""
-    return NAMES[seed % len(NAMES)]
+    """The name of a seed's family: from `STRANGERS_FROM` on, those that a stranger's files look like."""
+    names = NAMES if seed < STRANGERS_FROM else STRANGERS
+    return names[seed % len(names)]
 
 
 def _drawn(name: str, family: Family, random: Generator) -> Drawn:
@@ -361,52 +365,11 @@ FAMILIES: dict[str, Family] = {
     "sphere in a can": Family(_sphere(64), _NEO, _can),
     "refined cup": Family(_disc(24, "quarter"), _NEO, _cup, refinement=_FINER),
     "refined box": Family(_rectangle(48, "quarter"), _MOONEY, _box, refinement=_NEAR, damped=False),
+    "flanged cup": Family(_disc(60, "quarter"), _MOONEY, strangers.flanged_cup),
+    "flanged tray": Family(_rectangle(120, "none"), _NEO, strangers.flanged_tray),
+    "refined flanged cup": Family(_disc(24, "quarter"), _MOONEY, strangers.flanged_cup, refinement=_NEAR),
+    "refined flanged tray": Family(_rectangle(48, "quarter"), _MOONEY, strangers.flanged_tray, refinement=_NEAR),
 }
-NAMES = (*FAMILIES, "file")
-
-_FILE = """
-[parison]
-shape = "disc"
-radius = {radius}
-elements = 40
-symmetry = "half"
-thickness = {{ along = "radius", at = [0.0, {radius}], value = [{first}, {last}] }}
-[material]
-model = "mooney-rivlin"
-c = {c}
-alpha = {alpha}
-density = {density}
-[pressure]
-time = [0.0, {end}]
-value = [0.0, {top}]
-[solver]
-end_time = {end}
-damping = {damping}
-"""
-
-
-def _from_file(random: Generator) -> Drawn:
-    """A scene file; in some, a number is nonsense."""
-    radius, c, density = 10 ** random.uniform(-2.0, 0.0), 10 ** random.uniform(4.0, 6.0), random.uniform(500.0, 2000.0)
-    unit, thin = radius * np.sqrt(density / c), radius * 10 ** random.uniform(-3.0, -1.5)
-    numbers: dict[str, Any] = {
-        "radius": radius,
-        "first": thin,
-        "last": thin * random.uniform(0.2, 5.0),
-        "c": c,
-        "alpha": random.uniform(0.0, 0.5),
-        "density": density,
-        "end": unit * random.uniform(3.0, 20.0),
-        "top": c * thin / radius * 10 ** random.uniform(-1.0, 1.0),
-        "damping": random.uniform(0.0, 5.0) / unit,
-    }
-    tags = []
-    if random.random() < 0.25:
-        key = str(random.choice(["radius", "first", "c", "alpha", "density", "end", "damping"]))
-        numbers[key] = random.choice(["-1.0", "nan", "inf", '"thick"', "[]"])
-        tags.append("nonsense")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.toml"
-        path.write_text(_FILE.format(**numbers), encoding="utf-8")
-        scene = jaxform.load(path)
-    return normalised("file", dataclasses.replace(scene, name="file"), tags)
+STRANGERS = (*(name for name in FAMILIES if "flanged" in name), *strangers.OWN_MESHES)
+NAMES = (*(name for name in FAMILIES if name not in STRANGERS), "file")
+STRANGERS_FROM = 1200  # the seeds before it keep the families that they had

@@ -21,8 +21,9 @@ import numpy as np
 
 import jaxform
 from benchmarks.random_scenes import Drawn, draw
+from benchmarks.strangers import OFF
 from jaxform import simulation
-from jaxform.result import Result, penetrated, warnings_of_mold
+from jaxform.result import Result, penetrated, summarize, warnings_of_mold
 from jaxform.state import State, Status, finished
 
 Row = dict[str, Any]
@@ -104,6 +105,8 @@ def classify(row: Row) -> str:
         return " and ".join(bit.name.lower().replace("_", " ") for bit in Status if bit.name and row["status"] & bit)
     if not row["finite"]:
         return "not finite, status ok"
+    if OFF in row.get("tags", []) and not row["told"]:
+        return "units off, not a word"
     if row["balance"] > UNBALANCED:
         return "unbalanced, status ok"
     if row["warned"]:
@@ -119,16 +122,19 @@ def one(seed: int) -> Row:
     """What became of a seed."""
     row: Row = {"seed": seed}
     began = time.perf_counter()
-    try:
-        drawn = draw(seed)
-    except jaxform.InputError as problem:
-        return row | {"refused": str(problem), "seconds": 0.0}
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        try:
+            drawn = draw(seed)
+        except jaxform.InputError as problem:
+            return row | {"refused": str(problem), "seconds": 0.0}
     row |= {"family": drawn.family, "tags": drawn.tags, "building": time.perf_counter() - began}
     began = time.perf_counter()
     state, result = run_drawn(drawn)
     jax.block_until_ready(result.positions)
     row["seconds"] = time.perf_counter() - began
-    return row | examine(drawn, state, result)
+    told = [str(warning.message) for warning in heard] + summarize(result, drawn.scene)["warnings"]
+    return row | examine(drawn, state, result) | {"told": told}
 
 
 def work(first: int, end: int, path: Path) -> None:
