@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -48,6 +50,25 @@ class InputWarning(UserWarning):
 def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
     """Warns of doubtful input in the words of an `InputError`: one line, as an `InputWarning`."""
     warnings.warn(str(InputError(problem, remedy, key, value, file)), InputWarning, stacklevel=3)
+
+
+@contextlib.contextmanager
+def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
+    """The texts of the `InputWarning`s raised inside, each once and told at once; others go their usual way."""
+    texts: list[str] = []
+    with warnings.catch_warnings():
+        otherwise = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if not issubclass(category, InputWarning):
+                otherwise(message, category, *place, **more)
+            elif str(message) not in texts:
+                texts.append(str(message))
+                tell(texts[-1])
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", InputWarning)
+        yield texts
 
 
 def _short(value: Any, limit: int = 160) -> str:

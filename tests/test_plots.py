@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import body, plots, sections, shapes, state, topology
+from jaxform import body, plots, sections, shapes, state, topology, views
 from jaxform.result import Result, make_result
 from tests import scenes
 
@@ -69,7 +69,7 @@ def test_the_sections_of_a_rectangle_have_its_sides_lengths(name: str) -> None:
 def test_images_make_the_part_whole() -> None:
     scene, _ = _at_rest(SHEETS["disc"])
     corners = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)]
-    whole = np.concatenate(plots.mirrored(scene, corners))
+    whole = np.concatenate(views.mirrored(scene, corners))
     edges = np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0])
     area = 0.5 * np.linalg.norm(edges, axis=1).sum()
     assert len(whole) == 4 * len(corners)
