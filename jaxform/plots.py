@@ -154,7 +154,7 @@ def save(figure: Any, path: str | Path) -> None:
     for axes in figure.axes:
         if axes.name != "3d" and axes.lines:  # neither a view nor a colour bar
             axes.grid(alpha=0.25)
-            if axes.get_yscale() == "linear" and axes.dataLim.y0 >= 0:
+            if axes.get_yscale() == "linear" and axes.get_aspect() == "auto" and axes.dataLim.y0 >= 0:
                 axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
             axes.spines["top"].set_visible(False)
     figure.savefig(path, dpi=_DPI, metadata={"Software": None})

@@ -18,7 +18,7 @@ from jaxform.views import SHEET, draw_sheet, mirrored
 Array = NDArray[np.float64]
 
 _ARROW = 0.08  # of what is drawn, an arrow of the pressure is long
-_MUCH = 5.0  # times as large as the sheet, a mold does not say how long arrows are
+_MUCH = 8.0  # times as large as the sheet, a mold leaves a dot of it
 
 
 def check_picture(path: str | Path, scene: Scene, warned: Sequence[str] = ()) -> None:
@@ -48,7 +48,8 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     extent = seen.sheet.high - seen.sheet.low
     across = max((k for k in range(3) if k != push), key=lambda k: extent[k])
     axis = 3 - push - across
-    level = 1e3 * (0.5 * (seen.sheet.low + seen.sheet.high)[axis] + 1e-4 * seen.sheet.size)
+    middle = 1e3 * 0.5 * (seen.sheet.low + seen.sheet.high)[axis]
+    level = middle + 0.1 * seen.sheet.size  # mm and m: a ten-thousandth beside the nodes in the middle
     sheet = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     lines = {"sheet": sections.crossed(1e3 * np.concatenate(mirrored(scene, sheet)), axis, level)}
     if scene.mold is not None:
@@ -60,9 +61,13 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
             axes.add_collection(LineCollection(list(drawn), colors=color, linewidths=width, label=name))
     axes.autoscale()
     _draw_push(axes, lines["sheet"][..., [across, push]].mean(1), [across, push], seen)
+    if seen.mold is not None and seen.mold.size > _MUCH * seen.sheet.size and len(lines["sheet"]):
+        dot = lines["sheet"][..., [across, push]].mean((0, 1))
+        axes.plot(*dot[:, None], "o", color=SHEET, ms=5)
+        axes.annotate("the sheet", dot, (12, 12), textcoords="offset points", color=AFTER)
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_title(f"cut at {'xyz'[axis]} = {level:.4g} mm", fontsize=11)
+    axes.set_title(f"cut at {'xyz'[axis]} = {middle + 0.0:.4g} mm", fontsize=11)
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[push]} [mm]")
     axes.legend(frameon=False, loc="upper right")
 

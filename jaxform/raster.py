@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -74,7 +74,9 @@ class View(NamedTuple):
     weight: Array
 
 
-def nearest(corners: Array, depth: Array, width: int, height: int) -> View:
+def nearest(
+    corners: Array, depth: Array, width: int, height: int, kept: Callable[[Hits], NDArray[np.bool_]] | None = None
+) -> View:
     """What is seen of triangles.
 
     Args:
@@ -82,10 +84,14 @@ def nearest(corners: Array, depth: Array, width: int, height: int) -> View:
         depth: Of the corners (n, 3); the smallest is the nearest.
         width: Of the picture, in pixels.
         height: Of the picture, in pixels.
+        kept: Which of the pairs count (n,), where the triangles are cut open; all by default.
     """
     best = np.full(width * height, np.inf)
     view = View(np.full(width * height, -1), np.zeros((width * height, 3)))
     for found in hits(corners, width, height):
+        if kept is not None:
+            some = kept(found)
+            found = Hits(*(values[some] for values in found))
         away = np.einsum("nc,nc->n", found.weight, depth[found.triangle])
         np.minimum.at(best, found.pixel, away)
         front = away <= best[found.pixel]

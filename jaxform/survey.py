@@ -265,18 +265,24 @@ def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tupl
     def fits(factor: float) -> bool:
         return 1 / _GUESS <= ratio * factor <= _GUESS
 
-    factors = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01}
-    for units, factor in factors.items():
-        if fits(factor):
-            given = 1.0 if scale is None else scale
-            how = "give its lengths in metres" if scale is None else f"scale = {given * factor:.4g}"
-            return f": {units}?", how
-    if scale is not None and scale != 1.0 and fits(1 / scale):
-        return ": is its file in metres already?", "scale = 1"
-    if scale is not None and fits(25.4):
-        return ": inches?", f"scale = {25.4 * scale:.4g}"
-    for units, factor in factors.items():
-        if fits(1 / factor):
-            how = "give its lengths in metres" if sheet_scale is None else f"parison.scale = {sheet_scale * factor:.4g}"
-            return f": is the sheet in {units}?", how
+    known = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01}
+    for back in (False, True):
+        factors = {units: 1 / factor if back else factor for units, factor in known.items()}
+        fitting = sorted(
+            filter(lambda units: fits(factors[units]), known), key=lambda units: _off(ratio, factors, units)
+        )
+        if back and scale is not None and scale != 1.0 and fits(1 / scale):
+            return ": is its file in metres already?", "scale = 1"
+        if back and scale is not None and fits(25.4):
+            return ": inches?", f"scale = {25.4 * scale:.4g}"
+        if fitting:
+            units = fitting[0]
+            given, whose = (sheet_scale, "parison.scale") if back else (scale, "scale")
+            how = "give its lengths in metres" if given is None else f"{whose} = {given * known[units]:.4g}"
+            return (f": is the sheet in {units}?" if back else f": {units}?"), how
     return "", "check the units of both: all lengths are in m"
+
+
+def _off(ratio: float, factors: dict[str, float], units: str) -> float:
+    """How badly units fit; millimetres, which most files have, come first."""
+    return 0.0 if units == "millimetres" else abs(float(np.log(ratio * factors[units]))) + 1e-9
