@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
+
+
+_HERE = os.path.dirname(__file__)
 
 
 @dataclass(eq=False)
@@ -48,8 +52,9 @@ class InputWarning(UserWarning):
 
 
 def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
-    """Warns of doubtful input in the words of an `InputError`: one line, as an `InputWarning`."""
-    warnings.warn(str(InputError(problem, remedy, key, value, file)), InputWarning, stacklevel=3)
+    """Warns of doubtful input in the words of an `InputError`: one line, as an `InputWarning` at the user's own line."""
+    text = str(InputError(problem, remedy, key, value, file))
+    warnings.warn(text, InputWarning, stacklevel=2, skip_file_prefixes=(_HERE,))
 
 
 @contextlib.contextmanager

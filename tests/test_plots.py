@@ -132,7 +132,7 @@ def test_colours_tell_the_formed_part_apart_not_its_flange() -> None:
     scene, result = _at_rest(sheet)
     start, triangles = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
     radius = np.hypot(start[:, 0], start[:, 1])
-    formed = start + np.outer(np.clip(0.5 - radius, 0.0, None), [0.0, 0.0, 1.0])
+    formed = start + np.outer(np.square(np.clip(0.5 - radius, 0.0, None)), [0.0, 0.0, 1.0])
     middle = radius[triangles].mean(1)
     wall = np.where(middle < 0.45, 3e-3 + 4e-3 * middle, 1e-2)
     result = dataclasses.replace(result, positions=jnp.asarray(formed), element_thickness=jnp.asarray(wall))
