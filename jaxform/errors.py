@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-
 _HERE = os.path.dirname(__file__)
 
 
@@ -52,7 +51,7 @@ class InputWarning(UserWarning):
 
 
 def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
-    """Warns of doubtful input in the words of an `InputError`: one line, as an `InputWarning` at the user's own line."""
+    """Warns of doubtful input, in the words of an `InputError`; it names the line of the user's code."""
     text = str(InputError(problem, remedy, key, value, file))
     warnings.warn(text, InputWarning, stacklevel=2, skip_file_prefixes=(_HERE,))
 

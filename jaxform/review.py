@@ -35,7 +35,9 @@ def thinnest(result: Result, scene: Scene) -> dict[str, Any]:
 
 def warnings_of_part(result: Result, scene: Scene) -> list[str]:
     """A sentence for each thing in a part that is hardly meant, with the remedy."""
-    if int(result.status) & Status.STOPPED or not np.isfinite(np.asarray(result.positions)).all():
+    # Of a run that broke off, but for a sheet that ran away, the status says more.
+    broken = int(result.status) & ~(Status.RUNAWAY | Status.UNBALANCED)
+    if broken or not np.isfinite(np.asarray(result.positions)).all():
         return []
     return [*_untouched(result, scene), *_gone(result, scene), *_torn(result, scene)]
 
