@@ -197,12 +197,14 @@ def _scale(parts: Sequence[Part]) -> tuple[float, float]:
         moved = np.asarray(result.positions, float) - np.asarray(scene.parison.positions, float)
         way = np.linalg.norm(moved[triangles].mean(1), axis=1)
         formed = way >= _MOVED * way.max(initial=0.0)
+        formed |= not formed.any()
         walls.append(np.asarray(result.element_thickness, float)[formed])
         areas.append(formed_areas(result)[formed])
     wall, area = 1e3 * np.concatenate(walls), np.concatenate(areas)
     order = np.argsort(wall)
     share = np.cumsum(area[order]) / area.sum()
-    low, high = float(wall.min()), float(wall[order[np.searchsorted(share, _MOST)]])
+    most = min(int(np.searchsorted(share, _MOST)), len(wall) - 1)
+    low, high = float(wall.min()), float(wall[order[most]])
     return (low, high) if high > 1.001 * low else (0.95 * low, 1.05 * high)
 
 

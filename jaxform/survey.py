@@ -219,8 +219,9 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
-    stiffness = float(getattr(scene.material, "c", getattr(scene.material, "a01", 1.0)))
-    stiffness *= 1.0 + float(getattr(scene.material, "alpha", 0.0))
+    law = scene.material
+    stiffness = float(np.mean(np.asarray(getattr(law, "c", getattr(law, "a01", 1.0)))))
+    stiffness *= 1.0 + float(np.mean(np.asarray(getattr(law, "alpha", 0.0))))
     largest = float(np.abs(np.asarray(scene.pressure.value, float)).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:
