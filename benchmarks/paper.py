@@ -27,7 +27,7 @@ from benchmarks import scenes as bottle_tables
 from benchmarks.bench import one_core, say
 from benchmarks.pages import DOCS, keep, kept, save
 from benchmarks.sheets import best_in_turns, whole_loop
-from jaxform import files, plots, scenes, sections
+from jaxform import files, scenes, sections, views
 from jaxform.result import Result, only_used, summarize, wall_statistics
 from jaxform.scene import Scene
 from jaxform.store import Store
@@ -128,7 +128,7 @@ def faces(scene: Scene, part: Result, *, whole: bool = True) -> tuple[np.ndarray
     if scene.name == "soap-bottle":
         images = [upright(corners), upright(corners * [1.0, 1.0, -1.0])] if whole else [upright(corners)]
     else:
-        images = [1e3 * image for image in plots.mirrored(scene, corners / 1e3, open_front=whole)]
+        images = [1e3 * image for image in views.mirrored(scene, corners / 1e3, open_front=whole)]
     return np.concatenate(images), np.tile(reduced(scene, part), len(images))
 
 

@@ -57,6 +57,20 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> So
     return Source(str(path), path, _tables(path, str(path)))
 
 
+def kind_of(name_or_path: str | Path) -> Kind:
+    """Whether a name or file is a scene or a study; what is neither counts as a scene."""
+    name = str(name_or_path)
+    if name in built_in("scene"):
+        return "scene"
+    if name in built_in("study"):
+        return "study"
+    try:
+        tables = read(name, "scene").data
+    except InputError:
+        return "scene"
+    return "study" if "parison" not in tables and {"scene", "variable", "objective"} & set(tables) else "scene"
+
+
 def descriptions(kind: Kind) -> dict[str, str]:
     """Name and description of each built-in scene or study."""
     return {name: str(read(name, kind).data.get("description", "")) for name in built_in(kind)}

@@ -11,17 +11,17 @@ import contextlib
 import gc
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxform import catalog
-from jaxform.errors import InputError
+from jaxform.errors import InputError, InputWarning, heard
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from jaxform.files import SceneDocument
     from jaxform.result import Result
     from jaxform.scene import Scene
     from jaxform.store import Store
@@ -35,7 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     gc.disable()
     try:
         arguments = _parser().parse_args(argv)
-        return arguments.command(arguments)
+        with heard(_warn) as arguments.warned:
+            return arguments.command(arguments)
     except InputError as error:
         print(f"jaxform: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -65,15 +66,15 @@ def _parser() -> argparse.ArgumentParser:
     for name, command, what, words in (
         ("simulate", _simulate, "SCENE", "simulate a scene"),
         ("optimize", _optimize, "STUDY", "search for the best design of a study"),
-        ("check", _check, "SCENE", "validate a scene, say what will be simulated, run no step"),
+        ("check", _check, "SCENE", "validate a scene or study, say what will be simulated, run no step"),
     ):
         sub = commands.add_parser(name, help=words, description=words)
         sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")
         sub.add_argument("--quiet", action="store_true", help="print errors only")
         sub.add_argument("--dtype", choices=("float64", "float32"), default="float64")
-        if name != "check":
-            sub.add_argument("--out", metavar="DIR", required=True, type=Path, help="where the results go")
-            sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
+        words = "where check.png goes, the sheet in the mold" if name == "check" else "where the results go"
+        sub.add_argument("--out", metavar="DIR", required=name != "check", type=Path, help=words)
+        sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
         if name == "optimize":
             words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
             sub.add_argument("--resume", action="store_true", help=words)
@@ -100,16 +101,12 @@ def _say(words: str) -> None:
 
 def _prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Store]:
     """Sets the precision and what is kept between runs; returns what prints for people, and the store."""
-    import warnings
-
     import jax
 
     from jaxform.store import Store
 
     # Asked for on the command line, so the reminder that Python users get is not needed.
     warnings.filterwarnings("ignore", message="jaxform computes in float32")
-    # Told in one line, from the summary.
-    warnings.filterwarnings("ignore", message="jaxform: this is no slow process")
     jax.config.update("jax_enable_x64", arguments.dtype == "float64")
     # Lines of source in the programs help nobody here; without them they are a tenth smaller and sooner read back.
     jax.config.update("jax_traceback_in_locations_limit", 0)
@@ -189,12 +186,12 @@ def _simulate(arguments: argparse.Namespace) -> int:
     scene = files.build(document, store)
     _open_folder(arguments.out, arguments.force)
     frames = Frames(arguments.out, document.model.output.frames)
+    frames.begin(scene)
     with _meanwhile(_warm_up):
         result = _run(scene, frames, not arguments.quiet, store)
-    summary = _write_part(arguments.out, scene, result, reference)
+    summary = _write_part(arguments, scene, result, reference)
     frames.finish(scene, result)
     _tell(say, summary, arguments.out)
-    _warn(summary)
     return _exit_status(result)
 
 
@@ -239,18 +236,24 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
         return run(scene, on_window=on_window if watched else None, store=store)
 
 
-def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> dict[str, Any]:
+def _write_part(
+    arguments: argparse.Namespace, scene: Scene, result: Result, reference: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Writes files and picture; warns of what was not warned of before."""
     from jaxform import output, plots
 
-    with _meanwhile(lambda: output.write_result(scene, result, folder)) as summary:
+    told, folder = list(arguments.warned), arguments.out
+    with _meanwhile(lambda: output.write_result(scene, result, folder, told)) as written:
         plots.thickness_picture(folder / "thickness.png", scene, result, reference)
-    return summary.result()
+    summary = written.result()
+    for sentence in summary["warnings"][len(told) :]:
+        _warn(sentence)
+    return summary
 
 
-def _warn(summary: dict[str, Any]) -> None:
+def _warn(sentence: str) -> None:
     """On standard error, --quiet or not."""
-    for sentence in summary["warnings"]:
-        print(f"jaxform: warning: {sentence}", file=sys.stderr)
+    print(f"jaxform: warning: {sentence}", file=sys.stderr)
 
 
 def _exit_status(result: Result) -> int:
@@ -284,60 +287,24 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
 
 def _check(arguments: argparse.Namespace) -> int:
     say, store = _prepare(arguments)
-    from jaxform import files
+    from jaxform import checking, files
 
-    document = files.read_scene(arguments.source)
+    if catalog.kind_of(arguments.source) == "study":
+        document, scene, lines = checking.read_study(arguments.source, store)
+    else:
+        document, lines = files.read_scene(arguments.source), []
+        scene = files.build(document, store)
     files.read_reference(document)
-    scene = files.build(document, store)
-    for line in _plan(document, scene):
+    if arguments.out is not None:
+        _open_folder(arguments.out, arguments.force)
+    for line in [*lines, *checking.scene_lines(document, scene)]:
         say(line)
+    if arguments.out is not None:
+        from jaxform import preview
+
+        preview.check_picture(arguments.out / "check.png", scene, arguments.warned)
+        say(f"picture in {arguments.out / 'check.png'}")
     return DONE
-
-
-def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
-    """What will be simulated and what is skipped, line by line."""
-    import jax
-
-    from jaxform.body import body
-    from jaxform.result import SLOW_ENOUGH
-    from jaxform.scene import SHORT_WINDOW
-    from jaxform.state import initial_state
-    from jaxform.timestep import choose_step
-    from jaxform.working import worked_through
-
-    def first_step(scene: Scene) -> jax.Array:
-        state = initial_state(scene)
-        working = worked_through(state, scene, body(scene))
-        return choose_step(working.taken(state), scene, working)[0]
-
-    step = float(jax.jit(first_step)(scene))
-    parison, law = scene.parison, document.model.material.model
-    forest, refinement = scene.tables.forest, scene.refinement
-    yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
-    if forest is not None and refinement is not None:
-        yield (
-            f"refined up to level {refinement.deepest} of {forest.depth}, looked at every {refinement.interval} steps: "
-            f"{forest.bound.size} triangles bisected beforehand, room for {refinement.elements} elements at once"
-        )
-    longest = scene.tables.longest_window
-    steps = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
-    yield (
-        f"to {float(scene.solver.end_time):.4g} s, first step {step:.3g} s, at most "
-        f"{scene.tables.window_count} windows of {steps} steps"
-    )
-    if scene.solver.quasi_static:
-        yield f"meant to be slow: it is warned of if the wall is more than {100 * SLOW_ENOUGH:.2g} % off for haste"
-    if scene.mold is not None:
-        dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
-        yield f"mold: {len(scene.mold.triangles)} triangles{dropped}"
-    skipped = {
-        "contact (no mold)": scene.mold is None,
-        "damping (none given)": scene.solver.damping is None,
-        "the second invariant (the law has none)": law == "neo-hookean",
-        "refinement (none given)": scene.refinement is None,
-        "frames (none wanted)": document.model.output.frames == 0,
-    }
-    yield "skipped: " + ", ".join(what for what, skip in skipped.items() if skip)
 
 
 def _optimize(arguments: argparse.Namespace) -> int:
@@ -365,12 +332,15 @@ def _optimize(arguments: argparse.Namespace) -> int:
             say(f"gradient along one direction: relative difference to central differences {error:.1e}")
 
         try:
-            design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
+            # What is hardly meant in a design on the way is no news; the last one's summary says it.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", InputWarning)
+                design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
         except InputError as error:
             raise error.within(file=study.file) from None
     if journal.replayed:
         say(f"{journal.replayed} answers were known from before")
-    _write_design(folder, study, design, reference)
+    _write_design(arguments, study, design, reference)
     _tell_design(say, design, folder)
     return _exit_status(design.result)
 
@@ -383,11 +353,12 @@ def _progress_words(row: dict[str, Any]) -> str:
     )
 
 
-def _write_design(folder: Path, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
+def _write_design(arguments: argparse.Namespace, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
     from jaxform import files, output, plots
 
+    folder: Path = arguments.out
     files.write_scene(study.document, design.changes, folder)
-    _write_part(folder, design.scene, design.result, reference if not _redesigned(design.changes) else None)
+    _write_part(arguments, design.scene, design.result, reference if not _redesigned(design.changes) else None)
     plots.convergence_picture(folder / "convergence.png", design.history)
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)
     plots.design_picture(folder / "design.png", before, after, study.objective.uniform)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
+
+_HERE = os.path.dirname(__file__)
 
 
 @dataclass(eq=False)
@@ -46,8 +51,28 @@ class InputWarning(UserWarning):
 
 
 def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
-    """Warns of doubtful input in the words of an `InputError`: one line, as an `InputWarning`."""
-    warnings.warn(str(InputError(problem, remedy, key, value, file)), InputWarning, stacklevel=3)
+    """Warns of doubtful input, in the words of an `InputError`; it names the line of the user's code."""
+    text = str(InputError(problem, remedy, key, value, file))
+    warnings.warn(text, InputWarning, stacklevel=2, skip_file_prefixes=(_HERE,))
+
+
+@contextlib.contextmanager
+def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
+    """The texts of the `InputWarning`s raised inside, each once and told at once; others go their usual way."""
+    texts: list[str] = []
+    with warnings.catch_warnings():
+        otherwise = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if not issubclass(category, InputWarning):
+                otherwise(message, category, *place, **more)
+            elif str(message) not in texts:
+                texts.append(str(message))
+                tell(texts[-1])
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", InputWarning)
+        yield texts
 
 
 def _short(value: Any, limit: int = 160) -> str:

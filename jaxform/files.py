@@ -23,6 +23,7 @@ from jaxform.profiles import Profile
 from jaxform.pytree import as_real
 from jaxform.scene import Parison, Refinement, Scene, make_parison, make_pressure, make_refinement, make_solver
 from jaxform.store import Store
+from jaxform.survey import warn_of_scene
 from jaxform.validation import validate
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
@@ -116,13 +117,16 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
 
     Raises:
         InputError: A mesh cannot be read or simulated, or values do not fit together.
+
+    Warns:
+        InputWarning: What can be simulated is hardly meant: units, a mold on the wrong side, open seams.
     """
     model = document.model
     with _told_of(document.file):
         pressure, solver = model.pressure, model.solver
         sheet = _sheet(document)
         refinement, forest = _refinement(document, sheet)
-        return build_scene(
+        scene = build_scene(
             parison=_parison(document, sheet, forest),
             refinement=refinement,
             forest=forest,
@@ -139,6 +143,8 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
             frames=model.output.frames,
             store=store,
         )
+    warn_of_scene(scene, document.file, model)
+    return scene
 
 
 def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | None:

@@ -158,6 +158,23 @@ def write_vtu(
     meshio.write(str(path), mesh, file_format="vtu")
 
 
+def write_stl(path: str | Path, positions: ArrayLike, triangles: ArrayLike) -> None:
+    """Writes a surface as binary STL, in metres and single precision, which CAD and slicers open.
+
+    Args:
+        path: File to write, replaced if it is there.
+        positions: Node positions [m], shape (n, 3).
+        triangles: Node indices, shape (m, 3).
+    """
+    corners = np.asarray(positions, np.float64)[np.asarray(triangles)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    facets["normal"], facets["corners"] = normal / np.where(length > 0, length, 1.0), corners
+    head = b"jaxform, metres".ljust(80)
+    Path(path).write_bytes(head + len(facets).to_bytes(4, "little") + facets.tobytes())
+
+
 def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]]) -> None:
     """Writes the list of frames that ParaView plays.
 

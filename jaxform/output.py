@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,27 @@ from jaxform.scene import Scene
 from jaxform.simulation import Moment
 
 
-def write_result(scene: Scene, result: Result, folder: str | Path) -> dict[str, Any]:
-    """Writes summary.json and final.vtu into a folder that exists; returns the summary."""
+def write_result(scene: Scene, result: Result, folder: str | Path, warned: Sequence[str] = ()) -> dict[str, Any]:
+    """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl and, with a mold, mold.vtu.
+
+    Args:
+        scene: What was simulated.
+        result: The part.
+        folder: Where to write.
+        warned: Warnings that were given before; they come first in the summary's.
+
+    Returns:
+        The summary.
+    """
     folder = Path(folder)
     summary = summarize(result, scene)
+    summary["warnings"] = list(dict.fromkeys([*warned, *summary["warnings"]]))
     write_json(folder / "summary.json", summary)
     write_part(scene, result, folder / "final.vtu")
+    shown, part = only_used(scene, result)
+    meshes.write_stl(folder / "formed.stl", np.asarray(part.positions), np.asarray(shown.parison.triangles))
+    if scene.mold is not None:
+        meshes.write_vtu(folder / "mold.vtu", np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles))
     return summary
 
 
@@ -54,9 +70,36 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
     )
 
 
+def write_sheet(scene: Scene, path: str | Path) -> None:
+    """Writes the sheet before the first step, with the same data as `write_part`."""
+    parison = scene.parison
+    first, triangles = scene.first_nodes, np.asarray(parison.triangles)
+    positions, thickness = np.asarray(parison.positions, float)[:first], np.asarray(parison.thickness, float)[:first]
+    one = np.ones(len(triangles))
+    meshes.write_vtu(
+        path,
+        positions,
+        triangles,
+        point_data={
+            "reference": positions,
+            "thickness": thickness,
+            "initial_thickness": thickness,
+            "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
+        },
+        cell_data={
+            "thickness": thickness[triangles].mean(1),
+            "stretch_1": one,
+            "stretch_2": one,
+            "level": np.zeros(len(triangles), np.int32),
+        },
+    )
+
+
 @dataclass
 class Frames:
-    """Writes the part every so often: so many frames, evenly from the first window's end to the end.
+    """Writes the part every so often: so many frames, evenly from the sheet before the first step to the end.
+
+    A single frame is that of the end.
 
     Attributes:
         folder: Where frames.pvd goes, and the folder of the frames.
@@ -68,25 +111,31 @@ class Frames:
     count: int
     times: list[float] = field(default_factory=list)
 
+    def begin(self, scene: Scene) -> None:
+        """Writes the sheet before the first step, where there is more than one frame."""
+        if self.count > 1:
+            write_sheet(scene, self._next(0.0))
+
     def offer(self, scene: Scene, moment: Moment) -> None:
         """Writes a frame if one is due; the last one is left to `finish`."""
         written = len(self.times)
         if written < self.count - 1 and moment.time >= written * moment.end_time / (self.count - 1):
-            self._write(scene, moment.result())
+            write_part(scene, moment.result(), self._next(moment.time))
 
     def finish(self, scene: Scene, result: Result) -> None:
         """Writes the last frame, where frames are wanted and it is not there yet, and the list of all."""
         if not self.count:
             return
         if not self.times or self.times[-1] < float(result.time):
-            self._write(scene, result)
+            write_part(scene, result, self._next(float(result.time)))
         names = [f"frames/{_frame_name(index)}" for index in range(len(self.times))]
         meshes.write_pvd(self.folder / "frames.pvd", list(zip(self.times, names, strict=True)))
 
-    def _write(self, scene: Scene, result: Result) -> None:
+    def _next(self, time: float) -> Path:
+        """Where the frame of a time [s] goes."""
         (self.folder / "frames").mkdir(exist_ok=True)
-        write_part(scene, result, self.folder / "frames" / _frame_name(len(self.times)))
-        self.times.append(float(result.time))
+        self.times.append(time)
+        return self.folder / "frames" / _frame_name(len(self.times) - 1)
 
 
 def _frame_name(index: int) -> str:

@@ -14,6 +14,7 @@ from jaxform.body import Body, Mesh, levels, present_body
 from jaxform.penetration import Penetration, penetration, resting_directions
 from jaxform.pytree import pytree
 from jaxform.recovery import nodal_ratio
+from jaxform.review import thinnest, warnings_of_part
 from jaxform.scene import Scene
 from jaxform.state import Schedule, State, Status, Taken, kinetic_energy, last_work, strain_energy
 
@@ -291,13 +292,18 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "compile_seconds": seconds.compile,
         "run_seconds": seconds.run,
         "thickness": wall_statistics(result),
+        "thinnest": thinnest(result, scene),
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
         "energy": energy | {"balance_error": float(result.energy.balance_error), "haste": float(result.energy.haste)},
-        "warnings": warnings_of(result, scene) + warnings_of_mold(result, scene, beyond),
+        "warnings": [
+            *warnings_of(result, scene),
+            *warnings_of_part(result, scene),
+            *warnings_of_mold(result, scene, beyond),
+        ],
     }
 
 

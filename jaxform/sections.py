@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from jaxform.result import Result
 from jaxform.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxform.result import Result
 
 Array = NDArray[np.float64]
 
 
 class Curve(NamedTuple):
-    """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called."""
+    """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called.
+
+    Where it was to run through a place, `marked` is the arc length there.
+    """
 
     arc: Array
     thickness: Array
     label: str
+    marked: float | None = None
 
 
 def is_disc(scene: Scene) -> bool:
@@ -54,20 +60,46 @@ def meridian_arc(scene: Scene, result: Result) -> Array:
     return np.interp(radius, radius[order], arc)
 
 
-def curves(scene: Scene, result: Result) -> list[Curve]:
-    """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet's middle."""
+def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[Curve]:
+    """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet.
+
+    Args:
+        scene: What was simulated.
+        result: The part.
+        through: A place (3,) [m] in the initial sheet through which they run; its middle by default.
+    """
+    start = np.asarray(scene.parison.positions, float)
     if is_disc(scene):
         arc = meridian_arc(scene, result)
         order = np.argsort(arc)
-        return [Curve(arc[order], np.asarray(result.thickness, float)[order], "all nodes")]
-    start = np.asarray(scene.parison.positions, float)
-    flat = np.ptp(start[:, 2]) <= 1e-9 * np.ptp(start, axis=0).max()
+        marked = None
+        if through is not None:
+            radius = initial_radius(scene)
+            outwards = np.argsort(radius)
+            marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
+        return [Curve(arc[order], np.asarray(result.thickness, float)[order], "all nodes", marked)]
+    # Across the two longest sides of its box: along the third a sheet has next to no extent.
+    longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
     found = []
-    for axis in (1, 0) if flat else (1,):
-        level = _middle(scene, axis)
+    for axis in sorted(longest.tolist(), reverse=True):
+        level = _middle(scene, axis) if through is None else float(np.asarray(through)[axis])
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
-        found += [Curve(*part, name) for part in section(scene, result, axis, level)[:1]]
+        pieces = cuts(scene, result, axis, level)
+        if through is None:
+            found += [Curve(piece.arc, piece.thickness, name) for piece in pieces[:1]]
+        elif pieces:
+            found.append(_nearest(pieces, scene, result, np.asarray(through), name))
     return found
+
+
+def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, name: str) -> Curve:
+    """Of the pieces of a section, the one that runs nearest to a place [m] in the initial sheet."""
+    corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
+    element = int(np.argmin(np.linalg.norm(corners.mean(1) - through, axis=1)))
+    place = np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)[element]].mean(0)
+    away = [np.linalg.norm(piece.place - place, axis=1) for piece in pieces]
+    best = int(np.argmin([distance.min() for distance in away]))
+    return Curve(pieces[best].arc, pieces[best].thickness, name, float(pieces[best].arc[np.argmin(away[best])]))
 
 
 def symmetry_planes(scene: Scene) -> dict[int, float]:
@@ -128,6 +160,21 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
     value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
     pieces = [Cut(place[path], value[path]) for path in _chains(index.reshape(-1, 2))]
     return sorted(pieces, key=lambda piece: -piece.arc[-1])
+
+
+def crossed(faces: Array, axis: int, level: float) -> Array:
+    """Where a plane across an axis cuts triangles (n, 3, 3): the ends of a line in each that it cuts, (k, 2, 3)."""
+    above = faces[..., axis] >= level
+    faces, above = (values[above.any(1) & ~above.all(1)] for values in (faces, above))
+    # The corner that is alone on its side comes first.
+    lone = np.argmax(above != (above.sum(1) == 2)[:, None], axis=1)
+    row = np.arange(len(faces))
+    alone = faces[row, lone]
+    ends = []
+    for other in (faces[row, (lone + 1) % 3], faces[row, (lone + 2) % 3]):
+        share = (level - alone[:, axis]) / (other[:, axis] - alone[:, axis])
+        ends.append(alone + share[:, None] * (other - alone))
+    return np.stack(ends, axis=1)
 
 
 def _just_above(height: Array) -> float:

@@ -21,10 +21,11 @@ from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.compiling import compiled
 from jaxform.derivatives import Rule, recomputed
-from jaxform.errors import InputError
+from jaxform.errors import InputError, InputWarning
 from jaxform.refinement import refined
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
+from jaxform.review import warnings_of_part
 from jaxform.room import roomier, windows_left
 from jaxform.scene import Scene, replace
 from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
@@ -177,7 +178,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
         store: Where traced programs are kept between runs; nowhere by default.
 
     Warns:
-        UserWarning: If the solver is asked for a slow process (`quasi_static`) and this was none.
+        InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, nothing touched the
+            mold, the sheet left the mold's box, or a free wall became thinner than makes any sense.
     """
     store = store or _IN_MEMORY
     began = time.perf_counter()
@@ -213,8 +215,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     jax.block_until_ready(final)
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
-    for sentence in warnings_of(final, scene):
-        warnings.warn(f"jaxform: {sentence}", stacklevel=2)
+    for sentence in (*warnings_of(final, scene), *warnings_of_part(final, scene)):
+        warnings.warn(sentence, InputWarning, stacklevel=2)
     return dataclasses.replace(final, seconds=seconds)
 
 

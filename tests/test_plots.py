@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import body, plots, sections, shapes, state, topology
+from jaxform import body, plots, raster, sections, shapes, state, topology, views
 from jaxform.result import Result, make_result
 from tests import scenes
 
@@ -69,7 +69,7 @@ def test_the_sections_of_a_rectangle_have_its_sides_lengths(name: str) -> None:
 def test_images_make_the_part_whole() -> None:
     scene, _ = _at_rest(SHEETS["disc"])
     corners = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)]
-    whole = np.concatenate(plots.mirrored(scene, corners))
+    whole = np.concatenate(views.mirrored(scene, corners))
     edges = np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0])
     area = 0.5 * np.linalg.norm(edges, axis=1).sum()
     assert len(whole) == 4 * len(corners)
@@ -94,6 +94,71 @@ def test_feature_edges_of_a_box_are_its_edges() -> None:
     edges = topology.feature_edges(corners, np.array(faces, np.int32))
     assert len(edges) == 12
     np.testing.assert_allclose(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1), 1.0)
+
+
+def test_the_image_in_front_of_the_eye_is_left_out() -> None:
+    """Of a disc about the origin and of a rectangle that begins there, alike."""
+    for name, middle in (("disc", [0.0, 0.0]), ("quarter rectangle", [1.0, 0.5])):
+        sheet = SHEETS.get(name) or shapes.rectangle(size=(2.0, 1.0), elements=64, symmetry="quarter")
+        scene, _ = _at_rest(sheet)
+        images = views.mirrored(scene, np.asarray(scene.parison.positions), open_front=True)
+        centers = np.array([image[:, :2].mean(0) for image in images]) - middle
+        assert len(images) == 3 and not np.any((centers[:, 0] > 0) & (centers[:, 1] < 0))
+
+
+def test_sections_run_through_a_place_and_tell_where_it_is() -> None:
+    scene, result = _at_rest(SHEETS["rectangle"])
+    along_x, along_y = sections.curves(scene, result, through=[0.7, 0.3, 0.0])
+    assert along_x.marked is not None and along_y.marked is not None
+    # Within an element of the place.
+    assert min(abs(along_x.marked - 0.7), abs(along_x.marked - 1.3)) < 0.2
+    assert min(abs(along_y.marked - 0.3), abs(along_y.marked - 0.7)) < 0.2
+    assert "y = 300" in along_x.label and "x = 700" in along_y.label
+    disc, at_rest = _at_rest(SHEETS["disc"])
+    (meridian,) = sections.curves(disc, at_rest, through=[0.3, 0.4, 0.0])
+    np.testing.assert_allclose(meridian.marked, 0.5, rtol=1e-9)
+
+
+def test_a_plane_cuts_a_closed_surface_along_its_girth() -> None:
+    ball = shapes.sphere(radius=1.0, elements=2000)
+    lines = sections.crossed(ball.positions[ball.triangles], 2, 0.6)
+    np.testing.assert_allclose(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum(), 2 * np.pi * 0.8, rtol=5e-3)
+    np.testing.assert_allclose(lines[..., 2], 0.6)
+
+
+def test_colours_tell_the_formed_part_apart_not_its_flange() -> None:
+    """A cup in a flat flange of 10 mm: its wall runs from 3 to 5 mm."""
+    sheet = shapes.disc(radius=1.0, elements=600)
+    scene, result = _at_rest(sheet)
+    start, triangles = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
+    radius = np.hypot(start[:, 0], start[:, 1])
+    formed = start + np.outer(np.square(np.clip(0.5 - radius, 0.0, None)), [0.0, 0.0, 1.0])
+    middle = radius[triangles].mean(1)
+    wall = np.where(middle < 0.45, 3e-3 + 4e-3 * middle, 1e-2)
+    result = dataclasses.replace(result, positions=jnp.asarray(formed), element_thickness=jnp.asarray(wall))
+    low, high = plots._scale([(scene, result)])
+    np.testing.assert_allclose(low, 1e3 * wall.min())
+    assert high < 5.0
+
+
+def test_triangles_cover_the_pixels_whose_middles_they_hold() -> None:
+    square = np.array([[[2.0, 3.0], [6.0, 3.0], [6.0, 5.0]], [[2.0, 3.0], [6.0, 5.0], [2.0, 5.0]]])
+    depth = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
+    seen = raster.nearest(square, depth, 10, 8).triangle.reshape(8, 10) >= 0
+    wanted = np.zeros((8, 10), bool)
+    wanted[3:5, 2:6] = True
+    np.testing.assert_array_equal(seen, wanted)
+    # One that slopes through another is seen where it is nearer; what is outside, behind or broken is not.
+    sloping = np.array([[[-20.0, -20.0], [40.0, -20.0], [-20.0, 40.0]]])
+    broken = np.full((1, 3, 2), np.nan)
+    corners = np.concatenate([square, sloping, broken])
+    away = np.concatenate([depth, [[-5.5, 6.5, -5.5]], [[0.0, 0.0, 0.0]]])
+    view = raster.nearest(corners, away, 10, 8).triangle.reshape(8, 10)
+    # Along x it comes from -5.5 to 6.5 in 60 pixels, and is at 1 at 12.5: nearer than the square everywhere.
+    assert np.all(view == 2)
+    behind = raster.nearest(corners, np.concatenate([depth, [[0.0, 12.0, 0.0]], [[0.0] * 3]]), 10, 8)
+    # From 0 to 12 in 60 pixels: at 1 where x = -15, so the square is in front.
+    assert np.all(behind.triangle.reshape(8, 10)[wanted] < 2) and np.all(behind.triangle.reshape(8, 10)[~wanted] == 2)
 
 
 def _colors(path: Path) -> int:

@@ -1,0 +1,149 @@
+"""What is said about a scene before it runs: units, sides, overlap, loads."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import InputWarning, files, meshes, molds, shapes
+from jaxform.survey import survey
+from tests import scenes
+
+CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
+FLANGED = [[0.0, 0.05], [0.03, 0.05], [0.04, 0.0], [0.12, 0.0]]
+
+
+def _told(folder: Path, text: str) -> list[str]:
+    """What is warned of where a scene is loaded."""
+    (folder / "scene.toml").write_text(text)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        jaxform.load(folder / "scene.toml")
+    assert all(warning.category is InputWarning for warning in heard)
+    return [str(warning.message) for warning in heard]
+
+
+def _with_profile(profile: list[list[float]]) -> str:
+    return scenes.FILE.replace("[[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]", str(profile))
+
+
+def _with_file(keys: str) -> str:
+    begin, end = scenes.FILE.index('shape = "revolved"'), scenes.FILE.index("[solver]")
+    return scenes.FILE.replace(scenes.FILE[begin:end], f'shape = "file"\npath = "cup.stl"\n{keys}\n')
+
+
+@pytest.mark.parametrize(
+    ("units", "keys", "words"),
+    [
+        (1.0, "", ""),
+        (1e3, "", "1e+03 times the sheet: millimetres?"),
+        (1e3, "", "scale = 0.001"),
+        (1e3, "scale = 1e-3", ""),
+        (1 / 0.0254, "", "inches? "),
+        (1 / 0.0254, "", "scale = 0.0254"),
+        (1 / 0.0254, "scale = 1e-3", "inches? "),
+        (1 / 0.0254, "scale = 1e-3", "scale = 0.0254"),
+        (1e2, "", "centimetres? "),
+        (1.0, "scale = 1e-3", "is its file in metres already?"),
+    ],
+)
+def test_a_mold_in_other_units_is_named_with_its_scale(tmp_path: Path, units: float, keys: str, words: str) -> None:
+    cup = molds.revolved(profile=np.array(CUP) * units, segments=24)
+    meshes.write_stl(tmp_path / "cup.stl", cup.vertices, cup.triangles)
+    told = _told(tmp_path, _with_file(keys))
+    assert len(told) == bool(words)
+    assert not words or (words in told[0] and "mold.scale" in told[0] and "scene.toml" in told[0])
+
+
+def test_a_sheet_in_millimetres_in_a_mold_in_metres(tmp_path: Path) -> None:
+    sheet = shapes.rectangle(size=(100.0, 80.0), elements=40)
+    meshes.write_vtu(tmp_path / "sheet.vtu", sheet.positions, sheet.triangles)
+    begin, end = scenes.FILE.index('shape = "disc"'), scenes.FILE.index("[material]")
+    text = scenes.FILE.replace(scenes.FILE[begin:end], 'shape = "file"\npath = "sheet.vtu"\nthickness = 1.0\n')
+    told = _told(tmp_path, text)
+    assert "the sheet is 100 m wide" in told[0] and "is the sheet in millimetres?" in told[1]
+    assert "parison.scale = 0.001" in told[1]
+
+
+@pytest.mark.parametrize(("profile", "above"), [(CUP, 0.0), (FLANGED, 0.0), (FLANGED, -1e-3)])
+def test_a_mold_on_the_wrong_side(tmp_path: Path, profile: list[list[float]], above: float) -> None:
+    """Also where its flange is in the sheet's plane or a little behind it, as in molds from CAD."""
+    wrong, right = (_with_profile([[r, side * (z - above)] for r, z in profile]) for side in (-1, 1))
+    told = _told(tmp_path, wrong)
+    assert len(told) == 1 and "towards +z, away from the mold" in told[0]
+    assert _told(tmp_path, right) == []
+    both = wrong.replace("value = [0.0, 2.0e4]", "value = [-1.0e4, 2.0e4]")
+    assert _told(tmp_path, both) == []
+    assert _told(tmp_path, wrong.replace("value = [0.0, 2.0e4]", "value = [0.0, -2.0e4]")) == []
+
+
+def test_shares_of_the_mold_and_of_the_sheet() -> None:
+    """Half a square sheet hangs over a plate; a quarter of the mold's area is on the other side."""
+    sheet = shapes.rectangle(size=(1.0, 1.0), elements=200)
+    plate = np.array([[0.5, -1, 0.1], [3.5, -1, 0.1], [3.5, 2, 0.1], [0.5, 2, 0.1]])
+    corners = np.concatenate([plate, plate * [0.25, 1, -1] + [-1, 0, 0]])
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0, 1.0], [0.0, 0.02]),
+        solver=jaxform.make_solver(end_time=1.0),
+        mold=jaxform.make_mold(corners, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])),
+    )
+    seen = survey(scene)
+    np.testing.assert_allclose([seen.ahead, seen.behind], [0.8, 0.2], atol=0.01)
+    np.testing.assert_allclose([seen.overlap, seen.exposed], [0.5, 0.0], atol=0.01)
+    assert seen.direction == "towards +z" and seen.faces
+    np.testing.assert_allclose(seen.sheet.high, [1.0, 1.0, 0.0])
+
+
+def test_a_sphere_is_pushed_outwards_and_sees_the_mold_all_round() -> None:
+    sheet = shapes.sphere(radius=1.0, elements=200, symmetry="quarter")
+    ball = shapes.sphere(radius=2.0, elements=200)
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0, 1.0], [0.0, 0.02]),
+        solver=jaxform.make_solver(end_time=1.0),
+        mold=jaxform.make_mold(ball.positions, ball.triangles),
+    )
+    seen = survey(scene)
+    assert (seen.direction, seen.faces, seen.ahead, seen.behind) == ("outwards", False, 1.0, 0.0)
+    np.testing.assert_allclose([seen.sheet.low, seen.sheet.high], [[-1.0] * 3, [1.0] * 3])
+    drawn_in = survey(jaxform.replace(scene, {"pressure.value": [0.0, -0.02]}))
+    assert (drawn_in.direction, drawn_in.ahead, drawn_in.behind) == ("inwards", 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("thickness = 1.0e-3", "thickness = 1.0", "is it in mm?"),
+        ("thickness = 1.0e-3", "thickness = 1.0e-6", "parison.thickness"),
+        ("density = 1000.0", "density = 1.05", "1050 where it is in g/cm^3"),
+        ("[0.0, 2.0e4]", "[0.0, 0.2]", "hardly moves"),
+        ("[0.0, 2.0e4]", "[0.0, 0.0]", "there is no pressure"),
+        ("c = 0.2e6", "c = 0.2", "times what the sheet bears"),
+    ],
+)
+def test_numbers_out_of_any_sense(tmp_path: Path, old: str, new: str, words: str) -> None:
+    assert old in scenes.FILE
+    text = scenes.FILE.replace(old, new)
+    told = _told(tmp_path, text.replace("end_time = 0.05", "end_time = 1.0e-4"))
+    assert any(words in sentence for sentence in told), told
+
+
+def test_a_mold_beside_the_sheet(tmp_path: Path) -> None:
+    cup = molds.revolved(profile=CUP, segments=24)
+    meshes.write_stl(tmp_path / "cup.stl", cup.vertices, cup.triangles)
+    told = _told(tmp_path, _with_file("translate = [0.35, 0.35, 0.0]"))
+    assert len(told) == 1 and "the mold is beside the sheet" in told[0]
+
+
+@pytest.mark.parametrize("name", ["dish-coarse", "bowl", "box-insert", "cup-fast", "soap-bottle"])
+def test_nothing_is_said_of_the_built_in_scenes(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        files.load(name)
