@@ -271,11 +271,17 @@ class BottleHalfMold(Table):
     element_size: Positive = 0.00595
 
 
+Paths = Annotated[
+    Annotated[str, Tag("<one>")] | Annotated[Annotated[list[str], Field(min_length=1)], Tag("<several>")],
+    form(lambda value: "several" if isinstance(value, list) else "one"),
+]
+
+
 class FileMold(Table):
-    """A user's mesh: scaled, turned about x, y, z [degrees], then moved [m]."""
+    """A user's mesh, in one file or several: scaled, turned about x, y, z [degrees], then moved [m]."""
 
     shape: Literal["file"]
-    path: str
+    path: Paths
     scale: Positive = 1.0
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
