@@ -1,13 +1,10 @@
-"""The one place where files that a user names are found, read within bounds, and written whole or not at all."""
+"""The one place where files that a user names are found and read, within bounds."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
-import secrets
 import stat
-from collections.abc import Iterator
 from pathlib import Path
 
 from jaxform.errors import InputError
@@ -107,34 +104,3 @@ def _unreadable(error: OSError, value: str) -> InputError:
 def reason(error: BaseException) -> str:
     """Why the system could not do something, in a few words."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
-
-
-@contextlib.contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """A file to write instead of the path; it takes the path's name once it is whole, and goes where it is not.
-
-    The folder is made anew if it has gone since.
-
-    Raises:
-        OSError: What the system says; the file that had the name before is still there then.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # The ending is kept: writers choose the format by it.
-    part = path.with_name(f".{secrets.token_hex(4)}-{path.name}")
-    try:
-        yield part
-        part.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Writes a text in UTF-8, whole or not at all.
-
-    Raises:
-        OSError: What the system says.
-    """
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")

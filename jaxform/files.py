@@ -307,7 +307,7 @@ def write_scene(
             value = _write_field(document, np.asarray(value), folder / f"{Path(name).stem}-thickness.vtu")
         _put(data, key, value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
     path = folder / name
-    disk.write_text(path, _toml(data))
+    path.write_text(_toml(data), encoding="utf-8")
     return path
 
 

@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform import disk, facets, formats, polygons, topology
+from jaxform import facets, formats, polygons, topology
 from jaxform.errors import InputError
 
 FORMATS = formats.ENDINGS
@@ -185,8 +185,7 @@ def write_vtu(
         point_data={name: _plain(value) for name, value in (point_data or {}).items()},
         cell_data={name: [_plain(value)] for name, value in (cell_data or {}).items()},
     )
-    with disk.replacing(path) as part:
-        meshio.write(str(part), mesh, file_format="vtu")
+    meshio.write(str(path), mesh, file_format="vtu")
 
 
 def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]]) -> None:
@@ -198,7 +197,7 @@ def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]]) -> None:
     """
     rows = [f'    <DataSet timestep="{float(time)!r}" file={quoteattr(name)}/>' for time, name in frames]
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
-    disk.write_text(path, "\n".join([*lines, *rows, "  </Collection>", "</VTKFile>", ""]))
+    Path(path).write_text("\n".join([*lines, *rows, "  </Collection>", "</VTKFile>", ""]), encoding="utf-8")
 
 
 def used(mesh: Mesh) -> Mesh:

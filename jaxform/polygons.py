@@ -28,7 +28,8 @@ def split(positions: Array, corners: Index, counts: Index) -> tuple[Index, Index
         InputError: A face with very many corners is not convex.
     """
     start = np.cumsum(counts) - counts
-    triangles, owner = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
+    triangles: list[Index] = [np.zeros((0, 3), np.int64)]
+    owner: list[Index] = [np.zeros(0, np.int64)]
     for count in np.unique(counts[counts >= 3]):
         face = np.flatnonzero(counts == count)
         fans = _cut(positions, corners[start[face, None] + np.arange(count)])

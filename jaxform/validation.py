@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -20,8 +21,29 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.errors import InputError
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+MOST, LEAST, MOST_LENGTH = 1e30, 1e-30, 1e6
+
+
+def _possible(value: float) -> float:
+    if abs(value) > MOST or 0 < abs(value) < LEAST:
+        raise wrong("is beyond what can be computed with", f"give 0, or {LEAST:g} to {MOST:g}", value=value)
+    return value
+
+
+def _possible_length(value: float) -> float:
+    if abs(value) > MOST_LENGTH:
+        raise wrong("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
+    return _possible(value)
+
+
+Number = Annotated[float, AfterValidator(_possible)]
+"""Any number that arithmetic neither loses nor makes infinite."""
+Positive = Annotated[float, Field(gt=0), AfterValidator(_possible)]
+NotNegative = Annotated[float, Field(ge=0), AfterValidator(_possible)]
+Coordinate = Annotated[float, AfterValidator(_possible_length)]
+"""A place along an axis [m]."""
+Length = Annotated[float, Field(gt=0), AfterValidator(_possible_length)]
+"""[m]"""
 
 
 class Table(BaseModel):

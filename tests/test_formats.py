@@ -232,13 +232,13 @@ def test_legacy_vtk_of_a_surface(tmp_path: Path, section: str, binary: bool) -> 
 @pytest.mark.parametrize("version", ["vtk42", "vtk51"])
 @pytest.mark.parametrize("binary", [False, True])
 def test_legacy_vtk_of_an_unstructured_grid(tmp_path: Path, version: str, binary: bool) -> None:
-    data = {"h": np.linspace(1.0, 2.0, len(POINTS))}
-    mesh = meshio.Mesh(POINTS, [("line", [[0, 1]]), ("triangle", FACES)], point_data=data)
+    height = np.linspace(1.0, 2.0, len(POINTS))
+    mesh = meshio.Mesh(POINTS, [("line", [[0, 1]]), ("triangle", FACES)], point_data={"h": height})
     mesh.cell_data = {"level": [np.array([7]), np.arange(len(FACES))]}
     mesh.write(tmp_path / "cup.vtk", file_format=version, binary=binary)
     back = read_mesh(tmp_path / "cup.vtk")
     _same(back, 1e-12)
-    np.testing.assert_allclose(back.fields["h"], data["h"], rtol=1e-12)
+    np.testing.assert_allclose(back.fields["h"], height, rtol=1e-12)
     np.testing.assert_array_equal(back.cell_fields["level"], np.arange(len(FACES)))
 
 
