@@ -33,9 +33,9 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         """The one line for people."""
-        key, value = _cut(self.key), None if self.value is None else _short(self.value)
+        key, value = cut(self.key), None if self.value is None else _short(self.value)
         named = key if value is None else f"{key} = {value}" if key else value
-        head = ": ".join(part for part in (_cut(self.file), named, _cut(self.problem)) if part)
+        head = ": ".join(part for part in (cut(self.file), named, cut(self.problem)) if part)
         line = f"{head}; {self.mend}" if self.mend else head
         return " ".join(line.split())
 
@@ -51,9 +51,9 @@ def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None,
 
 def _short(value: Any, limit: int = 160) -> str:
     """The value as it would be typed, cut to the limit."""
-    return _cut(repr(value), limit)
+    return cut(repr(value), limit)
 
 
-def _cut(text: str, limit: int = 1000) -> str:
-    """The text; of a long one the begin and the end, where a path has its name."""
+def cut(text: str, limit: int = 1000) -> str:
+    """The text for people; of a long one the begin and the end, where a path has its name."""
     return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"

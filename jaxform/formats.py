@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import re
 import threading
 import warnings
@@ -32,7 +33,7 @@ def read_faces(path: Path) -> Faces:
     """
     value = str(path)
     ending = path.suffix.lower()
-    if ending not in ENDINGS and not path.is_dir():
+    if ending not in ENDINGS and not os.path.isdir(path):
         raise InputError("is of no known mesh format", f"use one of {', '.join(ENDINGS)}", value=value)
     content = disk.read_bytes(path, disk.MOST_MESH)
     if not content:

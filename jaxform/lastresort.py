@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 
+from jaxform.errors import cut
+
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -21,7 +23,7 @@ def in_words(error: BaseException) -> str | None:
 
 def _of_the_system(error: OSError) -> str:
     what = " ".join((error.strerror or str(error) or type(error).__name__).split())
-    place = f"{error.filename}: " if isinstance(error.filename, str) else ""
+    place = f"{cut(error.filename)}: " if isinstance(error.filename, str) else ""
     if error.errno in _NO_ROOM:
         return f"{place}{what}; make room, or choose another folder"
     if isinstance(error, FileNotFoundError):

@@ -24,25 +24,31 @@ from jaxform.errors import InputError
 MOST, LEAST, MOST_LENGTH = 1e30, 1e-30, 1e6
 
 
-def _possible(value: float) -> float:
-    if abs(value) > MOST or 0 < abs(value) < LEAST:
-        raise wrong("is beyond what can be computed with", f"give 0, or {LEAST:g} to {MOST:g}", value=value)
+def _finite(value: float) -> float:
+    if abs(value) > MOST:
+        raise wrong("is beyond what can be computed with", f"give a number of up to {MOST:g}", value=value)
     return value
 
 
-def _possible_length(value: float) -> float:
+def _not_lost(value: float) -> float:
+    if value < LEAST:
+        raise wrong("is beyond what can be computed with", f"give a number of at least {LEAST:g}", value=value)
+    return value
+
+
+def _short(value: float) -> float:
     if abs(value) > MOST_LENGTH:
         raise wrong("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
-    return _possible(value)
+    return value
 
 
-Number = Annotated[float, AfterValidator(_possible)]
-"""Any number that arithmetic neither loses nor makes infinite."""
-Positive = Annotated[float, Field(gt=0), AfterValidator(_possible)]
-NotNegative = Annotated[float, Field(ge=0), AfterValidator(_possible)]
-Coordinate = Annotated[float, AfterValidator(_possible_length)]
+Number = Annotated[float, AfterValidator(_finite)]
+"""Any number whose products with others stay finite."""
+NotNegative = Annotated[Number, Field(ge=0)]
+Positive = Annotated[Number, Field(gt=0), AfterValidator(_not_lost)]
+Coordinate = Annotated[float, AfterValidator(_short)]
 """A place along an axis [m]."""
-Length = Annotated[float, Field(gt=0), AfterValidator(_possible_length)]
+Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
 """[m]"""
 
 
