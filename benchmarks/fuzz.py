@@ -20,6 +20,7 @@ import random
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
 import warnings
@@ -150,27 +151,39 @@ def _environment() -> dict[str, str]:
 
 
 class _Watch:
-    """Ends a process that says nothing for too long; its start is not counted."""
+    """Ends a process that works on one thing for too long, or sleeps; on a busy machine it may wait for its turn."""
 
     def __init__(self, worker: subprocess.Popen[str]) -> None:
-        import threading
-
-        self.fired, self._threading, self._worker = False, threading, worker
-        self._timer = threading.Timer(5 * MOST_SECONDS, self._fire)
-        self._timer.start()
-
-    def _fire(self) -> None:
-        self.fired = True
-        self._worker.kill()
+        self.fired, self._worker = False, worker
+        self._begin, self._asleep, self._ended = 0.0, 0, threading.Event()
+        self.rest()
+        threading.Thread(target=self._look, daemon=True).start()
 
     def rest(self) -> None:
-        self._timer.cancel()
-        # Longer than is asked, for machines with other work: what took too long of its own is told with its time.
-        self._timer = self._threading.Timer(5 * MOST_SECONDS, self._fire)
-        self._timer.start()
+        self._begin, self._asleep = _state(self._worker.pid)[1], 0
 
     def stop(self) -> None:
-        self._timer.cancel()
+        self._ended.set()
+
+    def _look(self) -> None:
+        before = self._begin
+        while not self._ended.wait(1.0):
+            state, seconds = _state(self._worker.pid)
+            self._asleep = self._asleep + 1 if state == "S" and seconds == before else 0
+            before = seconds
+            if seconds - self._begin > MOST_SECONDS + 5 or self._asleep > 2 * MOST_SECONDS:
+                self.fired = True
+                self._worker.kill()
+                return
+
+
+def _state(process: int) -> tuple[str, float]:
+    """Whether a process runs (R) or sleeps (S), and the seconds of CPU that it has had."""
+    try:
+        facts = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return "", 0.0
+    return facts[0], (int(facts[11]) + int(facts[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _work(kind: str, numbers: list[int]) -> None:
