@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -64,6 +64,11 @@ design: environment
 # the random scenes. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
 stability: environment
 	.venv/bin/python -m benchmarks.stability
+
+# Damaged scenes, studies, meshes and caches in thousands: no traceback, no hang, no memory without bounds; about half
+# an hour. Parts by name: `.venv/bin/python -m benchmarks.fuzz meshes=100`; one case: `... meshes:17`.
+fuzz: environment
+	.venv/bin/python -m benchmarks.fuzz
 
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
+import os
+import re
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from jaxform import disk
 from jaxform.errors import InputError
 
 Kind = Literal["scene", "study"]
+_MOST_PARTS = 50  # of a dotted key; two are used
+_LONG_KEY = re.compile(rf"""(?<![\w-])(?>(?>[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{_MOST_PARTS},}}""")
 
 
 @dataclass(frozen=True)
@@ -51,8 +56,8 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> So
     known = built_in(kind)
     if name in known:
         return Source(f"{name} (built-in {kind})", known[name], _tables(known[name], name))
-    path = (folder or Path()) / Path(name).expanduser()
-    if not path.is_file():
+    path = disk.located(name, folder)
+    if not disk.is_file(path):
         raise _missing(name, path, kind, known)
     return Source(str(path), path, _tables(path, str(path)))
 
@@ -85,7 +90,7 @@ def _folders(kind: Kind) -> list[Path]:
 
 
 def _missing(name: str, path: Path, kind: Kind, known: Iterable[str]) -> InputError:
-    if path.is_dir():
+    if os.path.isdir(path):
         return InputError("is a folder", f"name the {kind}'s .toml file in it", value=name)
     close = difflib.get_close_matches(name, list(known), n=1)
     built = f"did you mean {close[0]}?" if close else f"the built-in ones are {', '.join(known) or 'none'}"
@@ -94,11 +99,42 @@ def _missing(name: str, path: Path, kind: Kind, known: Iterable[str]) -> InputEr
 
 def _tables(path: Path, file: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = disk.read_text(path)
+    except InputError as error:
+        # The file is the subject, not a value in it.
+        raise replace(error, value=None, file=file) from None
+    _check_keys(text, file)
+    try:
+        tables = tomllib.loads(text)
+        _check_integers(tables, "", file)
+    except RecursionError:
+        raise InputError("cannot be read (nested too deeply)", "check the file", file=file) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not valid TOML: {error}", "correct that place", file=file) from None
-    except UnicodeDecodeError:
-        raise InputError("is not a text file in UTF-8", "save it as UTF-8", file=file) from None
-    except (OSError, RecursionError) as error:
-        problem = getattr(error, "strerror", None) or "nested too deeply"
-        raise InputError(f"cannot be read ({problem})", "check the file", file=file) from None
+    except InputError:
+        raise
+    except ValueError:
+        # Python converts no more than some thousand digits.
+        raise InputError("has a number with too many digits", "correct that place", file=file) from None
+    return tables
+
+
+def _check_keys(text: str, file: str) -> None:
+    """Raises where a dotted key is so long that the reader takes time and memory with the square of its parts."""
+    found = _LONG_KEY.search(text)
+    if found:
+        line = text.count("\n", 0, found.start()) + 1
+        problem = f"has a dotted key of more than {_MOST_PARTS} parts (line {line})"
+        raise InputError(problem, "correct that place", file=file)
+
+
+def _check_integers(value: Any, key: str, file: str) -> None:
+    """Raises for integers that TOML does not have: no array holds them, and the longest cannot even be printed."""
+    if isinstance(value, dict):
+        for name, item in value.items():
+            _check_integers(item, f"{key}.{name}" if key else name, file)
+    elif isinstance(value, list):
+        for item in value:
+            _check_integers(item, key, file)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise InputError("has a number with too many digits", "give one of 64 bits at most", key=key, file=file)

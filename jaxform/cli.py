@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxform import catalog
+from jaxform import cachefolder, catalog, disk, lastresort
 from jaxform.errors import InputError, InputWarning, heard
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from jaxform.store import Store
 
 DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
+_guard = contextlib.ExitStack()  # of the compiled programs, while a command uses them
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,12 +39,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         with heard(_warn) as arguments.warned:
             return arguments.command(arguments)
     except InputError as error:
-        print(f"jaxform: {error}", file=sys.stderr)
+        _complain(str(error))
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("jaxform: interrupted", file=sys.stderr)
+        _complain("interrupted")
         return INTERRUPTED
+    except (OSError, MemoryError, RuntimeError) as error:
+        words = lastresort.in_words(error)
+        if words is None:
+            raise
+        _complain(words)
+        return BAD_INPUT
     finally:
+        _guard.close()
         if argv is None:
             # The process ends: to look through all that is left for garbage takes a quarter of a second.
             gc.freeze()
@@ -51,6 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             # For a caller that goes on, wherever the command ended.
             gc.unfreeze()
         gc.enable()
+
+
+def _complain(words: str) -> None:
+    """The one line on standard error, where there is one."""
+    with contextlib.suppress(OSError):
+        print(f"jaxform: {words}", file=sys.stderr, flush=True)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -94,6 +108,8 @@ def _say(words: str) -> None:
     """Prints a line for people; where nobody reads it any more, the work goes on in silence."""
     try:
         print(words, flush=True)
+    except UnicodeEncodeError:
+        print(words.encode("ascii", "backslashreplace").decode(), flush=True)
     except BrokenPipeError:
         # All that is still to come goes nowhere, what Python flushes at the end included.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -112,37 +128,37 @@ def _prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Stor
     jax.config.update("jax_traceback_in_locations_limit", 0)
     folder = _cache_folder()
     if folder is not None:
-        _use_compile_cache(folder / "compiled")
-    store = Store(None if folder is None else folder / "made")
+        _use_compile_cache(folder / cachefolder.COMPILED)
+    store = Store(None if folder is None else folder / cachefolder.MADE)
     gc.freeze()
     gc.enable()
     return (lambda _: None) if arguments.quiet else _say, store
 
 
 def _cache_folder() -> Path | None:
-    """In the user's cache folder; None where that cannot be written."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxform"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return folder
+    """In the user's cache folder; None where that is not the user's alone, or cannot be written."""
+    return cachefolder.own_folder()
 
 
 def _use_compile_cache(folder: Path) -> None:
     """Keeps compiled programs between runs, in a folder or where the environment says."""
+    import warnings
+
     import jax
 
     if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        _guard.enter_context(cachefolder.guarded(folder))
         jax.config.update("jax_compilation_cache_dir", str(folder))
     # Many small programs together take longer than one large one.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    # What cannot be kept, or read back, is compiled again: nothing that anybody must know, on a full disk for each one.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
 
 
 def _open_folder(folder: Path, force: bool) -> None:
     """Makes the output folder, or refuses before anything is computed."""
-    if folder.exists() and not folder.is_dir():
+    if disk.is_file(folder):
         raise InputError("is a file", "name a folder", "--out", str(folder))
     try:
         if folder.exists() and any(folder.iterdir()) and not force:
@@ -151,8 +167,10 @@ def _open_folder(folder: Path, force: bool) -> None:
         probe = folder / ".jaxform-writes"
         probe.touch()
         probe.unlink()
-    except OSError as error:
-        problem = f"cannot be written ({error.strerror})"
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        problem = f"cannot be written ({disk.reason(error)})"
         raise InputError(problem, "choose another folder", "--out", str(folder)) from None
 
 

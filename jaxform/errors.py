@@ -38,10 +38,9 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         """The one line for people."""
-        named = (
-            self.key if self.value is None else f"{self.key} = {_short(self.value)}" if self.key else _short(self.value)
-        )
-        head = ": ".join(part for part in (self.file, named, self.problem) if part)
+        key, value = cut(self.key), None if self.value is None else _short(self.value)
+        named = key if value is None else f"{key} = {value}" if key else value
+        head = ": ".join(part for part in (cut(self.file), named, cut(self.problem)) if part)
         line = f"{head}; {self.mend}" if self.mend else head
         return " ".join(line.split())
 
@@ -76,6 +75,10 @@ def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
 
 
 def _short(value: Any, limit: int = 160) -> str:
-    """The value as it would be typed; of a long one the begin and the end, where a path has its name."""
-    text = repr(value)
+    """The value as it would be typed, cut to the limit."""
+    return cut(repr(value), limit)
+
+
+def cut(text: str, limit: int = 1000) -> str:
+    """The text for people; of a long one the begin and the end, where a path has its name."""
     return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"

@@ -37,19 +37,22 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
         InputError: The file is no mesh, has no such field, or is not at those positions.
     """
     try:
-        mesh = meshes.read_mesh(path)
+        mesh = meshes.used(meshes.read_mesh(path))
+        if name in mesh.cell_fields:
+            # The mean over the triangles around a node wants all of them to know it.
+            mesh = meshes.weld(mesh)
         return carried(mesh, _values(mesh, name, f"{key}.field" if key else "field"), positions)
     except InputError as error:
         raise error.within(key=f"{key}.file" if key else "file") from None
 
 
 def _values(mesh: Mesh, name: str, key: str) -> Array:
-    if name not in mesh.fields:
-        known = ", ".join(sorted(mesh.fields)) or "none"
-        raise InputError("the file has no such field", f"its fields: {known}", key, name)
-    if not np.isfinite(mesh.fields[name]).all():
+    known = meshes.nodal_fields(mesh)
+    if name not in known:
+        raise InputError("the file has no such field", f"its fields: {', '.join(sorted(known)) or 'none'}", key, name)
+    if not np.isfinite(known[name]).all():
         raise InputError("the field is not finite everywhere", "repair the file", key, name)
-    return mesh.fields[name]
+    return known[name]
 
 
 def carried(mesh: Mesh, values: Array, positions: Array) -> Array:

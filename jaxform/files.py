@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import csv
+import io
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import bisection, catalog, fields, materials, meshes, molds, schema, shapes
+from jaxform import bisection, catalog, disk, fields, materials, meshes, molds, schema, shapes
 from jaxform.building import build_scene, grown_parison
 from jaxform.errors import InputError
 from jaxform.mold import Mold, make_mold
@@ -156,14 +157,12 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
     name = document.model.output.reference
     if name is None:
         return None
-    path = document.folder / name
     with _told_of(document.file, "output.reference"):
+        path = disk.located(name, document.folder)
+        text = disk.read_text(path)
         try:
-            with path.open(newline="", encoding="utf-8-sig") as stream:
-                rows = list(csv.DictReader(stream))
+            rows = list(csv.DictReader(io.StringIO(text, newline="")))
             columns = {key: np.array([float(row[key]) for row in rows]) for key in REFERENCE_COLUMNS}
-        except OSError as error:
-            raise InputError(f"cannot be read ({error.strerror})", "correct the path", value=str(path)) from None
         except (KeyError, TypeError, ValueError, csv.Error):
             columns = {}
         if not columns or not all(len(x) and np.isfinite(x).all() for x in columns.values()):
@@ -213,7 +212,7 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
     table = document.model.parison
     if isinstance(table, schema.FileParison):
         with _told_of("", "parison.path"):
-            mesh = meshes.read_mesh(document.folder / table.path, scale=table.scale)
+            mesh = meshes.read_mesh(disk.located(table.path, document.folder), scale=table.scale)
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
     if isinstance(table, schema.Rectangle):
         return shapes.rectangle(
@@ -245,7 +244,9 @@ def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float
     if isinstance(table, schema.Profile):
         return _profile(table, key)(sheet.positions)
     if isinstance(table, schema.FieldReference):
-        return fields.nodal_field(document.folder / table.file, table.field, sheet.positions, key)
+        with _told_of("", f"{key}.file"):
+            path = disk.located(table.file, document.folder)
+        return fields.nodal_field(path, table.field, sheet.positions, key)
     if isinstance(table, str):
         name = table.removeprefix("field:")
         if name not in sheet.fields:
@@ -277,7 +278,9 @@ def _mold(document: SceneDocument) -> Mold | None:
         shape = molds.bottle_half(**table.model_dump(exclude={"shape"}))
     else:
         with _told_of("", "mold.path"):
-            mesh = meshes.read_mesh(document.folder / table.path, scale=table.scale)
+            names = [table.path] if isinstance(table.path, str) else table.path
+            parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
+            mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
             shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
     return make_mold(shape.vertices, shape.triangles, shape.dropped)
 
@@ -320,7 +323,9 @@ def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> None:
     for section in sections:
         table = table.get(section) if isinstance(table, dict) else None
     if isinstance(table, dict) and last in table:
-        table[last] = str(folder / table[last])
+        names = table[last]
+        moved = [str(disk.located(name, folder)) for name in ([names] if isinstance(names, str) else names)]
+        table[last] = moved[0] if isinstance(names, str) else moved
 
 
 def _write_field(document: SceneDocument, value: NDArray[Any], path: Path) -> dict[str, str]:

@@ -1,14 +1,10 @@
-"""Triangle meshes in and out, cleaned and examined, on the host: the only importer of meshio."""
+"""Triangle meshes in and out, cleaned and examined, on the host."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
-import re
-import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -16,15 +12,16 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform import topology
+from jaxform import facets, formats, polygons, topology
 from jaxform.errors import InputError
 
-FORMATS = {".stl": "stl", ".obj": "obj", ".ply": "ply", ".vtu": "vtu", ".msh": "gmsh"}
+FORMATS = formats.ENDINGS
 WELD_TOLERANCE = 1e-9
 """Distance below which nodes are one, relative to the diagonal of the bounding box."""
 DEGENERATE_HEIGHT = 1e-6
 """Height below which a triangle has no area, relative to its longest side: the noise of float32 files."""
-_REEXPORT = "export it again as STL, OBJ, PLY, VTU or MSH"
+LARGEST, SMALLEST = 1e6, 1e-9
+"""Coordinates up to which, and a size [m] from which a mesh can be meant."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +32,17 @@ class Mesh:
         positions: Node positions [m], shape (n, 3), float64.
         triangles: Node indices of each triangle, right-hand rule, shape (m, 3), int32.
         fields: Scalars at the nodes by name, shape (n,), float64, in the units of the file.
+        cell_fields: Scalars in the triangles by name, shape (m,), float64.
     """
 
     positions: NDArray[np.float64]
     triangles: NDArray[np.int32]
     fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    cell_fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
-    """The triangles of an STL, OBJ, PLY, VTU or MSH (Gmsh) file.
+    """The triangles of an STL, OBJ, PLY, OFF, VTK (legacy), VTU or MSH (Gmsh) file.
 
     Quadrilaterals and polygons are split in triangles, points, lines and solids are ignored.
 
@@ -52,22 +51,53 @@ def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
         scale: Metres per unit of length of the file.
 
     Returns:
-        Positions [m] of shape (n, 3), triangles of shape (m, 3) and the scalar point data as fields of shape
-        (n,), nodes as the file has them (not welded).
+        Positions [m] of shape (n, 3), triangles of shape (m, 3), the scalar point data as fields of shape (n,) and
+        the scalar cell data as cell fields of shape (m,); nodes as the file has them (not welded).
 
     Raises:
-        InputError: The file is missing or no mesh, has no triangles, coordinates that are not finite, or
-            triangles of nodes that do not exist.
+        InputError: The file is missing or no mesh, has no triangles, coordinates that are not finite or of no
+            possible size, or triangles of nodes that do not exist.
     """
     if not (np.isreal(scale) and np.isfinite(scale) and scale > 0):
         raise InputError("is not a positive number", "give the metres per unit of the file", key="scale", value=scale)
     path = Path(path)
-    raw = _parse(path, _content(path))
-    positions = _coordinates(path, raw.points, float(scale))
-    triangles = _surface(path, raw.cells)
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= len(positions)):
-        raise InputError("has triangles of nodes that do not exist", _REEXPORT, value=str(path))
-    return Mesh(positions, triangles.astype(np.int32), _scalars(raw.point_data, len(positions)))
+    faces = formats.read_faces(path)
+    count = len(faces.points)
+    if not (faces.counts >= 3).any():
+        raise replace(facets.no_surface(solid=False), value=str(path))
+    if faces.corners.size and (faces.corners.min() < 0 or faces.corners.max() >= count):
+        raise InputError("has triangles of nodes that do not exist", formats.REEXPORT, value=str(path))
+    positions = _finite(path, faces.points, np.unique(faces.corners), float(scale))
+    try:
+        triangles, owner = polygons.split(positions, faces.corners, faces.counts)
+    except InputError as error:
+        raise replace(error, value=str(path)) from None
+    cells = {name: values[owner] for name, values in _scalars(faces.cell_data, len(faces.counts)).items()}
+    return Mesh(positions, triangles.astype(np.int32), _scalars(faces.point_data, count), cells)
+
+
+def merged(parts: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one, without their fields; nodes are not welded."""
+    starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
+    return Mesh(np.concatenate([part.positions for part in parts]), np.concatenate(triangles).astype(np.int32))
+
+
+def nodal_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
+    """The fields at the nodes (n,), and where only the triangles have one, its mean over those around by area.
+
+    Nodes that no triangle with an area uses get NaN from the triangles.
+    """
+    corners = mesh.positions[mesh.triangles]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    count, weight = len(mesh.positions), np.repeat(doubled / (doubled.max(initial=0.0) or 1.0), 3)
+
+    def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(mesh.triangles.reshape(-1), values, count)
+
+    with np.errstate(all="ignore"):
+        found = {name: summed(weight * np.repeat(x, 3)) / summed(weight) for name, x in mesh.cell_fields.items()}
+    return found | mesh.fields
 
 
 def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
@@ -90,8 +120,7 @@ def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
     cluster = topology.connected(pairs[:, 0], pairs[:, 1], len(unique)) if len(unique) else inverse
     leader = np.full(len(unique), len(mesh.positions), dtype=np.int64)
     np.minimum.at(leader, cluster, first)
-    merged = leader[cluster[inverse.reshape(-1)]]
-    return _used(mesh, merged[mesh.triangles])
+    return used(replace(mesh, triangles=leader[cluster[inverse.reshape(-1)]][mesh.triangles]))
 
 
 def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
@@ -101,7 +130,8 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
         The cleaned mesh, and how many triangles went.
     """
     bad = degenerate(mesh.positions, mesh.triangles)
-    return _used(mesh, mesh.triangles[~bad]), int(bad.sum())
+    cells = {name: value[~bad] for name, value in mesh.cell_fields.items()}
+    return used(replace(mesh, triangles=mesh.triangles[~bad], cell_fields=cells)), int(bad.sum())
 
 
 def degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -187,11 +217,12 @@ def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]]) -> None:
     Path(path).write_text("\n".join([*lines, *rows, "  </Collection>", "</VTKFile>", ""]), encoding="utf-8")
 
 
-def _used(mesh: Mesh, triangles: NDArray[np.integer]) -> Mesh:
-    kept, renumbered = np.unique(triangles, return_inverse=True)
+def used(mesh: Mesh) -> Mesh:
+    """The same without the nodes that no triangle uses."""
+    kept, renumbered = np.unique(mesh.triangles, return_inverse=True)
     kept = kept.astype(np.int64)
     fields = {name: value[kept] for name, value in mesh.fields.items()}
-    return Mesh(mesh.positions[kept], renumbered.reshape(-1, 3).astype(np.int32), fields)
+    return Mesh(mesh.positions[kept], renumbered.reshape(-1, 3).astype(np.int32), fields, mesh.cell_fields)
 
 
 def _plain(value: ArrayLike) -> NDArray[Any]:
@@ -199,118 +230,29 @@ def _plain(value: ArrayLike) -> NDArray[Any]:
     return array.astype(np.int8) if array.dtype == bool else array
 
 
-def _content(path: Path) -> bytes:
+def _finite(path: Path, points: Any, used: NDArray[np.int64], scale: float) -> NDArray[np.float64]:
+    """Positions [m] (n, 3); nodes that nothing uses may be anywhere, and those that are nowhere are put at 0."""
     value = str(path)
-    if path.is_dir():
-        raise InputError("is a folder, not a mesh file", "name the file in it", value=value)
-    if path.suffix.lower() not in FORMATS:
-        raise InputError("is of no known mesh format", f"use one of {', '.join(FORMATS)}", value=value)
-    if not path.is_file():
-        raise InputError("does not exist", "correct the path", value=value)
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", "check its permissions", value=value) from None
-
-
-def _parse(path: Path, content: bytes) -> Any:
-    """What meshio makes of the file; it prints, warns, exits and raises all kinds of errors on bad input."""
-    silence = io.StringIO()
-    try:
-        with (
-            contextlib.redirect_stdout(silence),
-            contextlib.redirect_stderr(silence),
-            warnings.catch_warnings(),
-            np.errstate(all="ignore"),
-        ):
-            warnings.simplefilter("ignore")
-            import meshio
-
-            source = _PREPARE[path.suffix.lower()](path, content)
-            raw = meshio.read(source, file_format=FORMATS[path.suffix.lower()])
-            _check_complete(path, content, raw)
-            return raw
-    except (Exception, SystemExit):
-        kind = path.suffix[1:].upper()
-        problem = "is empty" if not content else f"is not a readable {kind} file, or not all of it is there"
-        raise InputError(problem, _REEXPORT, value=str(path)) from None
-
-
-def _check_complete(path: Path, content: bytes, raw: Any) -> None:
-    if np.ndim(raw.points) != 2 or not len(raw.points):
-        raise ValueError("no points")
-    # Of a truncated PLY file meshio reads what is left, without a word.
-    if path.suffix.lower() == ".ply":
-        faces, nodes = (re.search(rb"element %s (\d+)" % name, content) for name in (b"face", b"vertex"))
-        if faces and nodes and (int(faces[1]), int(nodes[1])) != (sum(map(len, raw.cells)), len(raw.points)):
-            raise ValueError("fewer elements than the header says")
-
-
-def _whole_stl(path: Path, content: bytes) -> str:
-    # A binary file says how long it is, an ascii file says where it ends.
-    binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
-    if not binary and b"endsolid" not in content[-4096:]:
-        raise ValueError("truncated")
-    return str(path)
-
-
-def _obj_faces(path: Path, content: bytes) -> io.StringIO:
-    # Positions and faces only: meshio refuses files with more (or fewer) normals than nodes, and most have.
-    text = content.decode("utf-8", errors="replace").replace("\\\n", " ")
-    return io.StringIO("\n".join(line for line in map(str.strip, text.splitlines()) if line[:2] in ("v ", "f ")))
-
-
-def _ply_header(path: Path, content: bytes) -> io.BytesIO:
-    # Without its end meshio looks for it for ever; and it knows only one of the two names of the face list.
-    head, end, body = content.partition(b"end_header")
-    if not end:
-        raise ValueError("no end of the header")
-    return io.BytesIO(re.sub(rb"vertex_index\b", b"vertex_indices", head) + end + body)
-
-
-def _whole_msh(path: Path, content: bytes) -> str:
-    if b"$EndElements" not in content:
-        raise ValueError("truncated")
-    return str(path)
-
-
-_PREPARE: dict[str, Callable[[Path, bytes], Any]] = {
-    ".stl": _whole_stl,
-    ".obj": _obj_faces,
-    ".ply": _ply_header,
-    ".vtu": lambda path, content: str(path),
-    ".msh": _whole_msh,
-}
-
-
-def _coordinates(path: Path, points: Any, scale: float) -> NDArray[np.float64]:
     with np.errstate(all="ignore"):
         points = np.asarray(points, dtype=np.float64)[:, :3]
         positions = np.zeros((len(points), 3))
         positions[:, : points.shape[1]] = points * scale
-    if not np.isfinite(positions).all():
-        node = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
-        raise InputError(f"has coordinates that are not finite (node {node})", _REEXPORT, value=str(path))
-    return positions
+    found = positions[used]
+    if not np.isfinite(found).all():
+        node = int(used[~np.isfinite(found).all(axis=1)][0])
+        raise InputError(f"has coordinates that are not finite (node {node})", formats.REEXPORT, value=value)
+    largest, extent = float(np.abs(found).max()), size(found)
+    if largest > LARGEST:
+        problem = f"has coordinates of up to {largest:.3g} m"
+        raise InputError(problem, f"give a scale that keeps them under {LARGEST:g} m", value=value)
+    if extent < SMALLEST:
+        problem = f"is {extent:.3g} m large"
+        raise InputError(problem, f"give a scale that makes it larger than {SMALLEST:g} m", value=value)
+    return np.where(np.isfinite(positions), positions, 0.0)
 
 
-def _surface(path: Path, blocks: Any) -> NDArray[np.int64]:
-    """The faces as triangles, shape (m, 3); ignoring a face with curved sides would leave a hole."""
-    fans = [np.zeros((0, 3), np.int64)]
-    for block in blocks:
-        if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
-            corners = np.asarray(block.data, dtype=np.int64)
-            fans += [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
-        elif block.type.startswith(("triangle", "quad")):
-            raise InputError(f"has curved faces ({block.type})", "export it with straight triangles", value=str(path))
-    triangles = np.concatenate(fans)
-    if not len(triangles):
-        raise InputError("has no triangles", "export the surface as triangles", value=str(path))
-    return triangles
-
-
-def _scalars(point_data: Mapping[str, Any], node_count: int) -> dict[str, NDArray[np.float64]]:
-    arrays = {name: np.asarray(value) for name, value in point_data.items()}
-    arrays = {name: value.reshape(-1) for name, value in arrays.items() if value.size == node_count}
+def _scalars(data: Mapping[str, Any], count: int) -> dict[str, NDArray[np.float64]]:
+    arrays = {name: np.asarray(value) for name, value in data.items()}
+    arrays = {name: value.reshape(-1) for name, value in arrays.items() if value.size == count}
     with np.errstate(all="ignore"):
         return {name: value.astype(np.float64) for name, value in arrays.items() if value.dtype.kind in "biuf"}

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxform import meshes
+from jaxform.errors import InputError
 from jaxform.result import Result, only_used, summarize
 from jaxform.scene import Scene
 from jaxform.simulation import Moment
@@ -105,11 +106,13 @@ class Frames:
         folder: Where frames.pvd goes, and the folder of the frames.
         count: How many.
         times: Of the frames written so far [s].
+        failure: Why no more can be written; told at the end, when the results are safe.
     """
 
     folder: Path
     count: int
     times: list[float] = field(default_factory=list)
+    failure: OSError | InputError | None = None
 
     def begin(self, scene: Scene) -> None:
         """Writes the sheet before the first step, where there is more than one frame."""
@@ -120,10 +123,20 @@ class Frames:
         """Writes a frame if one is due; the last one is left to `finish`."""
         written = len(self.times)
         if written < self.count - 1 and moment.time >= written * moment.end_time / (self.count - 1):
-            write_part(scene, moment.result(), self._next(moment.time))
+            try:
+                write_part(scene, moment.result(), self._next(moment.time))
+            except (OSError, InputError) as error:
+                self.count, self.failure = 0, error
 
     def finish(self, scene: Scene, result: Result) -> None:
-        """Writes the last frame, where frames are wanted and it is not there yet, and the list of all."""
+        """Writes the last frame, where frames are wanted and it is not there yet, and the list of all.
+
+        Raises:
+            OSError: A frame could not be written, now or before.
+            InputError: The same.
+        """
+        if self.failure is not None:
+            raise self.failure
         if not self.count:
             return
         if not self.times or self.times[-1] < float(result.time):

@@ -10,10 +10,24 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag, field_validator, model_validator
 
-from jaxform.validation import NotNegative, Positive, Table, check_increasing, choice, form, wrong
+from jaxform.validation import (
+    Coordinate,
+    Length,
+    NotNegative,
+    Number,
+    Positive,
+    Table,
+    check_increasing,
+    choice,
+    form,
+    wrong,
+)
 
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Triple = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+"""Of what no memory is taken for beforehand."""
 Place = Literal["radius", "x", "y", "z"]
 
 _THICKNESS_FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
@@ -23,7 +37,7 @@ class Profile(Table):
     """A positive quantity, piecewise linear along a place in the initial sheet."""
 
     along: Place
-    at: Annotated[list[float], Field(min_length=1)]
+    at: Annotated[list[Coordinate], Field(min_length=1)]
     value: list[Positive]
 
     @model_validator(mode="after")
@@ -36,7 +50,7 @@ class TargetProfile(Table):
     """A wanted thickness, piecewise linear along a place in the initial sheet or in the formed part."""
 
     along: Literal["initial-radius", "initial-x", "initial-y", "initial-z", "radius", "x", "y", "z"]
-    at: Annotated[list[float], Field(min_length=1)]
+    at: Annotated[list[Coordinate], Field(min_length=1)]
     value: list[Positive]
 
     @model_validator(mode="after")
@@ -115,7 +129,7 @@ StiffnessRatio = Annotated[NotNegative, BeforeValidator(_one_number)]
 class _BuiltIn(Table):
     """What the built-in parisons share: exactly one of element_size and elements, cut planes, thickness."""
 
-    elements: Annotated[int, Field(gt=0)] | None = None
+    elements: Count | None = None
     symmetry: Literal["none", "half", "quarter"] = "none"
     thickness: Thickness
 
@@ -132,7 +146,7 @@ class Disc(_BuiltIn):
     """A round sheet about the origin in z = 0 with a clamped rim."""
 
     shape: Literal["disc"]
-    radius: Positive
+    radius: Length
     element_size: ElementSize | None = None
 
     @field_validator("element_size")
@@ -147,30 +161,30 @@ class Rectangle(_BuiltIn):
     """A sheet over [0, a] x [0, b] in z = 0 with clamped edges."""
 
     shape: Literal["rectangle"]
-    size: Annotated[list[Positive], Field(min_length=2, max_length=2)]
-    element_size: Positive | None = None
+    size: Annotated[list[Length], Field(min_length=2, max_length=2)]
+    element_size: Length | None = None
 
 
 class Sphere(_BuiltIn):
     """A closed sphere about the origin, nothing clamped."""
 
     shape: Literal["sphere"]
-    radius: Positive
-    element_size: Positive | None = None
+    radius: Length
+    element_size: Length | None = None
 
 
 class BottleHalfParison(Table):
     """Half of a flattened parison, pinched along the outline of a bottle with a handle."""
 
     shape: Literal["bottle-half"]
-    height: Positive = 0.23
-    radius: Positive = 0.04
-    neck_radius: Positive = 0.014
-    hole: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
-    element_size: Positive = 0.0071
+    height: Length = 0.23
+    radius: Length = 0.04
+    neck_radius: Length = 0.014
+    hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
+    element_size: Length = 0.0071
     swell: Annotated[float, Field(gt=0, lt=1)] = 0.3
     neck_swell: Annotated[float, Field(gt=0, lt=1)] | None = None
-    inset: Positive = 1.0e-3
+    inset: Length = 1.0e-3
     thickness: Thickness
 
 
@@ -233,8 +247,8 @@ Material = Annotated[
 class Pressure(Table):
     """Pressure difference over time, held before the first and after the last knot."""
 
-    time: Annotated[list[float], Field(min_length=1)]
-    value: Annotated[list[float], Field(min_length=1)]
+    time: Annotated[list[Number], Field(min_length=1)]
+    value: Annotated[list[Number], Field(min_length=1)]
     interpolation: Literal["linear", "cubic-ramp"] = "linear"
 
 
@@ -242,40 +256,46 @@ class RevolvedMold(Table):
     """A profile [[r, z], ...] from the axis outwards, turned about the z axis."""
 
     shape: Literal["revolved"]
-    profile: Annotated[list[Pair], Field(min_length=2)]
-    segments: Annotated[int, Field(ge=3)]
+    profile: Annotated[list[Point], Field(min_length=2)]
+    segments: Annotated[int, Field(ge=3, le=1_000_000)]
 
 
 class BoxInsertMold(Table):
     """A box, open at z = 0, with a raised block in the middle of its bottom."""
 
     shape: Literal["box-insert"]
-    size: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.3, 0.2])
-    depth: Positive = 0.08
-    insert_size: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
+    size: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.3, 0.2])
+    depth: Length = 0.08
+    insert_size: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(
         default_factory=lambda: [0.12, 0.08]
     )
-    insert_height: Positive = 0.04
+    insert_height: Length = 0.04
     draft: NotNegative = 0.0
-    divisions: Annotated[int, Field(ge=1)] = 1
+    divisions: Annotated[int, Field(ge=1, le=200)] = 1
 
 
 class BottleHalfMold(Table):
     """Half of a soap bottle with a handle, z >= 0."""
 
     shape: Literal["bottle-half"]
-    height: Positive = 0.23
-    radius: Positive = 0.04
-    neck_radius: Positive = 0.014
-    hole: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
-    element_size: Positive = 0.00595
+    height: Length = 0.23
+    radius: Length = 0.04
+    neck_radius: Length = 0.014
+    hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
+    element_size: Length = 0.00595
+
+
+Paths = Annotated[
+    Annotated[str, Tag("<one>")] | Annotated[Annotated[list[str], Field(min_length=1)], Tag("<several>")],
+    form(lambda value: "several" if isinstance(value, list) else "one"),
+]
 
 
 class FileMold(Table):
-    """A user's mesh: scaled, turned about x, y, z [degrees], then moved [m]."""
+    """A user's mesh, in one file or several: scaled, turned about x, y, z [degrees], then moved [m]."""
 
     shape: Literal["file"]
-    path: str
+    path: Paths
     scale: Positive = 1.0
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -294,7 +314,7 @@ class Refinement(Table):
     """Where the mesh becomes finer; see `jaxform.scene.Refinement`."""
 
     angle: Annotated[float, Field(gt=0, le=180)] = 4.0
-    interval: Annotated[int, Field(ge=1)] = 100
+    interval: Count = 100
     max_level: Annotated[int, Field(ge=0, le=14)] = 6
     min_area: NotNegative = 0.0
     base_level: Annotated[int, Field(ge=0, le=14)] = 0
@@ -302,7 +322,7 @@ class Refinement(Table):
     scaled_levels: Annotated[int, Field(ge=0, le=14)] = 0
     at_rest: bool = True
     jump: Positive | None = None
-    elements: Annotated[int, Field(ge=1)] | None = None
+    elements: Count | None = None
 
 
 class Solver(Table):
@@ -317,7 +337,7 @@ class Solver(Table):
 class Output(Table):
     """What to write beyond the result; `reference` is an exact solution to dot over the thickness picture."""
 
-    frames: Annotated[int, Field(ge=0)] = 0
+    frames: Annotated[int, Field(ge=0, le=100_000)] = 0
     reference: str | None = None
 
 
@@ -349,8 +369,8 @@ class ThicknessProfile(Table):
 
     kind: Literal["thickness-profile"]
     along: Place
-    knots: Annotated[int, Field(ge=2)] | None = None
-    at: Annotated[list[float], Field(min_length=2)] | None = None
+    knots: Annotated[int, Field(ge=2, le=10_000)] | None = None
+    at: Annotated[list[Coordinate], Field(min_length=2)] | None = None
     bounds: Limits
     interpolation: Literal["linear", "cubic", "zones"] = "linear"
     slope: Positive | None = None
@@ -466,13 +486,13 @@ Objectives = Annotated[
 class _Search(Table):
     """What all methods share; see `optimize.Study`."""
 
-    iterations: Annotated[int, Field(ge=1)] = 30
+    iterations: Count = 30
     tolerance: Positive | None = None
     improvement: NotNegative | None = None
     goal: Positive | None = None
-    warm_start: Annotated[int, Field(ge=0)] = 0
-    starts: Annotated[int, Field(ge=1)] = 1
-    rounds: Annotated[int, Field(ge=1)] | None = None
+    warm_start: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 1
+    rounds: Count | None = None
 
 
 class Lbfgs(_Search):

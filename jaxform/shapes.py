@@ -296,7 +296,7 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     if clamped.all():
         raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)
     triangles = mesh.triangles[:, [0, 2, 1]] if flip else mesh.triangles
-    return Sheet(positions, triangles, clamped, fixed, mesh.fields)
+    return Sheet(positions, triangles, clamped, fixed, meshes.nodal_fields(mesh))
 
 
 def _parts(symmetry: str) -> int:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import io
 import os
 import tempfile
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxform import disk
 from jaxform.compiling import compiled, crowded
+from jaxform.errors import InputError
 
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
+_SEAL = hashlib.sha256().digest_size
 _MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
 
 
@@ -49,13 +52,13 @@ class Store:
         path = self._path(name, key)
         if path is None:
             return make()
-        with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            with np.load(path, allow_pickle=False) as kept:
-                found = {key: kept[key] for key in kept.files}
-            os.utime(path)
-            return found
-        arrays = make()
-        self._write(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
+        kept = _kept(path)
+        if kept is not None:
+            with np.load(io.BytesIO(kept), allow_pickle=False) as found:
+                return {key: found[key] for key in found.files}
+        arrays, file = make(), io.BytesIO()
+        np.savez(file, allow_pickle=False, **arrays)
+        self._write(path, file.getbuffer())
         return arrays
 
     def program(self, function: Any, *arguments: Any) -> Callable[..., Any]:
@@ -81,13 +84,11 @@ class Store:
     def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:
         from jax import export
 
-        # A file that is damaged can fail in many ways, and each means the same.
-        with contextlib.suppress(Exception):
-            kept = export.deserialize(bytearray(path.read_bytes()))
-            os.utime(path)
-            return kept
+        kept = _kept(path)
+        if kept is not None:
+            return export.deserialize(bytearray(kept))
         made = export.export(function)(*arguments)
-        self._write(path, lambda file: file.write(made.serialize()))
+        self._write(path, made.serialize())
         return made
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
@@ -102,13 +103,14 @@ class Store:
                 digest.update(repr(part).encode())
         return self.folder / f"{name.strip('_')}-{digest.hexdigest()[:32]}"
 
-    def _write(self, path: Path, write: Callable[[Any], object]) -> None:
-        """All or nothing, since another run may read at any moment."""
+    def _write(self, path: Path, content: Any) -> None:
+        """All or nothing, since another run may read at any moment; the content behind its seal."""
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
                 try:
-                    write(file)
+                    file.write(_seal(path, content))
+                    file.write(content)
                 except BaseException:
                     Path(file.name).unlink()
                     raise
@@ -123,6 +125,26 @@ class Store:
             used += status.st_size
             if used > _MOST_BYTES:
                 file.unlink(missing_ok=True)
+
+
+def _seal(path: Path, content: Any) -> bytes:
+    """A digest of a file's name and its content: what is damaged, or has another's name, does not have it."""
+    digest = hashlib.sha256(path.name.encode())
+    digest.update(content)
+    return digest.digest()
+
+
+def _kept(path: Path) -> memoryview | None:
+    """The content of a file that is what was written under its name; None where there is none."""
+    try:
+        whole = memoryview(disk.read_bytes(path, _MOST_BYTES))
+        seal, content = whole[:_SEAL], whole[_SEAL:]
+        if seal != _seal(path, content):
+            return None
+        os.utime(path)
+    except (OSError, InputError):
+        return None
+    return content
 
 
 @functools.cache

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -20,8 +21,35 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.errors import InputError
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+MOST, LEAST, MOST_LENGTH = 1e30, 1e-30, 1e6
+
+
+def _finite(value: float) -> float:
+    if abs(value) > MOST:
+        raise wrong("is beyond what can be computed with", f"give a number of up to {MOST:g}", value=value)
+    return value
+
+
+def _not_lost(value: float) -> float:
+    if value < LEAST:
+        raise wrong("is beyond what can be computed with", f"give a number of at least {LEAST:g}", value=value)
+    return value
+
+
+def _short(value: float) -> float:
+    if abs(value) > MOST_LENGTH:
+        raise wrong("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
+    return value
+
+
+Number = Annotated[float, AfterValidator(_finite)]
+"""Any number whose products with others stay finite."""
+NotNegative = Annotated[Number, Field(ge=0)]
+Positive = Annotated[Number, Field(gt=0), AfterValidator(_not_lost)]
+Coordinate = Annotated[float, AfterValidator(_short)]
+"""A place along an axis [m]."""
+Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
+"""[m]"""
 
 
 class Table(BaseModel):
