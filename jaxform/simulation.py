@@ -20,12 +20,13 @@ from numpy.typing import ArrayLike
 from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.compiling import compiled
-from jaxform.derivatives import Rule, recomputed
+from jaxform.derivatives import Rule, apart, recomputed
 from jaxform.errors import InputError
 from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
 from jaxform.scene import Scene, replace
+from jaxform.sealed import manual_axes
 from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
 from jaxform.stepping import energy_rounding, window, window_in_place, with_room
 from jaxform.store import Store
@@ -49,6 +50,13 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
             which its steps are taken back. More: the state at every so many borders; windows are worked out once more
             in between, for less memory. 0: every step, by JAX's own derivative.
     """
+    whole = functools.partial(_simulated, windows_per_checkpoint)
+    if manual_axes(jax.tree.leaves((scene, schedule))):
+        return apart(whole, scene, schedule)
+    return whole(scene, schedule)
+
+
+def _simulated(windows_per_checkpoint: int, scene: Scene, schedule: Schedule | None) -> Result:
     first, state = body(scene), initial_state(scene)
     count = scene.tables.window_count
     if windows_per_checkpoint > 1:
