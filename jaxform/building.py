@@ -17,8 +17,8 @@ from jaxform.mold import Mold
 from jaxform.packing import make_assembly, make_paired_assembly
 from jaxform.penetration import first_crossing
 from jaxform.pytree import as_index, as_real
+from jaxform.ranges import check_one
 from jaxform.scene import (
-    DESIGNABLE,
     LONG_WINDOW,
     SHORT_WINDOW,
     Assembly,
@@ -31,7 +31,6 @@ from jaxform.scene import (
     Solver,
     Tables,
     make_parison,
-    require,
 )
 from jaxform.search import SearchGrid, build_grid
 from jaxform.store import Store
@@ -124,11 +123,7 @@ def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refineme
 
 def _check_material(material: Material) -> None:
     for field in dataclasses.fields(material):
-        key, value = f"material.{field.name}", float(getattr(material, field.name))
-        if DESIGNABLE[key] is None:
-            require(np.isfinite(value) and value >= 0, "must not be negative", key, value)
-        else:
-            require(np.isfinite(value) and value > 0, "must be positive", key, value)
+        check_one(f"material.{field.name}", getattr(material, field.name))
 
 
 def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:

@@ -19,9 +19,16 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.errors import InputError
+from jaxform.ranges import RANGES
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+
+
+def within(key: str) -> Any:
+    """The range that is declared for a number of a scene, for `Annotated`."""
+    allowed = RANGES[key]
+    return Field(gt=allowed.above, ge=allowed.least, le=allowed.most)
 
 
 class Table(BaseModel):
