@@ -278,6 +278,6 @@ batching.primitive_batchers[_reversed_p] = _batched
 _change_p = Primitive("with_own_reverse_change")
 _change_p.multiple_results = True
 _change_p.def_impl(_no_change)
-_change_p.def_abstract_eval(lambda first, *_, shapes, **__: [typed_as(*shape, first) for shape in shapes])
+_change_p.def_abstract_eval(lambda first, *_, shapes, **__: [typed_as(shape, dtype, first) for shape, dtype in shapes])
 ad.primitive_transposes[_change_p] = _transpose
 mlir.register_lowering(_change_p, mlir.lower_fun(_no_change, multiple_results=True))

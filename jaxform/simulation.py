@@ -21,11 +21,12 @@ from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.compiling import compiled
 from jaxform.derivatives import Rule, apart, recomputed
+from jaxform.energy import UNBALANCED
 from jaxform.errors import InputError
 from jaxform.ranges import RANGES, as_numbers
 from jaxform.refinement import can_have_more_room, refined, with_more_room
 from jaxform.replacing import check_numbers, replace, with_stand_ins
-from jaxform.result import UNBALANCED, Result, Seconds, make_result, warnings_of
+from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
 from jaxform.scene import Scene
 from jaxform.sealed import manual_axes
