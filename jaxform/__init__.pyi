@@ -6,6 +6,7 @@ from .files import load
 from .materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
 from .mold import Mold, make_mold
 from .refinement import fitted
+from .replacing import replace
 from .result import Result, explain, summarize
 from .scene import (
     Parison,
@@ -17,7 +18,6 @@ from .scene import (
     make_pressure,
     make_refinement,
     make_solver,
-    replace,
 )
 from .simulation import Moment, run, simulate, simulate_batch
 from .state import Schedule

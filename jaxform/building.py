@@ -16,8 +16,8 @@ from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.packing import make_assembly, make_paired_assembly
 from jaxform.pytree import as_index, as_real
+from jaxform.ranges import MOST_STEPS, check_one
 from jaxform.scene import (
-    DESIGNABLE,
     LONG_WINDOW,
     SHORT_WINDOW,
     Assembly,
@@ -30,12 +30,10 @@ from jaxform.scene import (
     Solver,
     Tables,
     make_parison,
-    require,
 )
 from jaxform.search import SearchGrid, build_grid
 from jaxform.store import Store
 
-_MOST_STEPS = 20_000_000
 _PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
 _BEND = 10.0  # degrees, from which two triangles of the mold make a bend
 _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
@@ -131,11 +129,7 @@ def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refineme
 
 def _check_material(material: Material) -> None:
     for field in dataclasses.fields(material):
-        key, value = f"material.{field.name}", float(getattr(material, field.name))
-        if DESIGNABLE[key] is None:
-            require(np.isfinite(value) and value >= 0, "must not be negative", key, value)
-        else:
-            require(np.isfinite(value) and value > 0, "must be positive", key, value)
+        check_one(f"material.{field.name}", getattr(material, field.name))
 
 
 def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
@@ -305,7 +299,7 @@ def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> in
     """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
     step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material))
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
-    if not steps < _MOST_STEPS:
+    if not steps < MOST_STEPS:
         raise InputError(
             f"the run would take {steps:.2g} steps of {step:.2g} s",
             "shorten it, coarsen the smallest elements or soften the material",

@@ -18,6 +18,9 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
+from jaxform.pytree import pytree, static
+from jaxform.sealed import lowered_apart, manual_axes, sealed, typed_as, varying
+
 
 class Cotangents:
     """What a reverse derivative is to find, and has found: of some leaves of the arguments.
@@ -49,7 +52,8 @@ class Rule(NamedTuple):
     """How a function is worked out and differentiated; called, it is that function.
 
     Attributes:
-        value: From the arguments the result, and what the reverse derivative keeps.
+        value: From which of the arguments' leaves move, and the arguments: the result, and what the reverse derivative
+            keeps. Forward derivatives of it must be right as well: second ones are made of them.
         plain: The result alone, by operations that JAX can differentiate.
         pull: Takes what was kept, the `Cotangents` to be found, and the result's: its tree, with None for leaves that
             carry no derivative.
@@ -66,14 +70,14 @@ class Rule(NamedTuple):
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
         leaves, structure = jax.tree.flatten(arguments)
-        results = _reversed_p.bind(*leaves, rule=self, structure=structure)
+        results = _reversed_p.bind(*varying(leaves), rule=self, structure=structure)
         return jax.tree.unflatten(jax.tree.structure(self.like(*_shapes(arguments))), results)
 
 
 def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: Callable[[Any], Any]) -> Rule:
     """A function of which nothing but the arguments is kept; as `jax.checkpoint`, which no `Rule` within sees."""
 
-    def value(*arguments: Any) -> tuple[Any, Any]:
+    def value(_: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
         return function(*arguments), arguments
 
     def pull(arguments: Any, cotangents: Cotangents, end: Any) -> None:
@@ -87,6 +91,44 @@ def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: C
         cotangents.found = _merged(cotangents.wanted, jax.vjp(moved, *wanted)[1](jax.tree.leaves(end)))
 
     return Rule(value, jax.checkpoint(function), pull, like, smooth)
+
+
+@pytree
+class _Pullback:
+    """What JAX keeps for the reverse derivative, and of which leaves it is one."""
+
+    apply: Any
+    moving: tuple[bool, ...] = static()
+
+
+def apart(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The function's result as one operation, with JAX's own derivatives; nothing is worked out again."""
+    shapes = _shapes(arguments)
+    results = jax.eval_shape(function, *shapes)
+
+    def smooth(result: Any) -> Any:
+        return jax.tree.map(lambda leaf: jnp.issubdtype(leaf.dtype, jnp.floating), result)
+
+    def value(moving: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
+        if not any(moving):
+            return function(*arguments), None
+        leaves, structure = jax.tree.flatten(arguments)
+
+        def moved(*new: Any) -> tuple[list[Any], Any]:
+            result = function(*jax.tree.unflatten(structure, _merged(moving, new, leaves)))
+            return _smooth_leaves(result, smooth)[0], result
+
+        _, apply, result = jax.vjp(moved, *_only(leaves, moving), has_aux=True)
+        return result, _Pullback(apply, moving)
+
+    def pull(kept: _Pullback, cotangents: Cotangents, end: Any) -> None:
+        cotangents.found = _merged(kept.moving, kept.apply(jax.tree.leaves(end)))
+
+    return Rule(value, function, pull, lambda *_: results, smooth)(*arguments)
+
+
+def _only(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
+    return [value for value, own in zip(values, here, strict=True) if own]
 
 
 def _merged(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
@@ -106,23 +148,24 @@ def _smooth_leaves(result: Any, smooth: Callable[[Any], Any]) -> tuple[list[Any]
 
 
 def _value(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
-    return jax.tree.leaves(rule.value(*jax.tree.unflatten(structure, leaves))[0])
+    still = (False,) * len(leaves)
+    return jax.tree.leaves(rule.value(still, *jax.tree.unflatten(structure, leaves))[0])
 
 
 def _like(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
-    return jax.tree.leaves(rule.like(*jax.tree.unflatten(structure, _shapes(list(leaves)))))
+    results = jax.tree.leaves(rule.like(*jax.tree.unflatten(structure, _shapes(list(leaves)))))
+    return [typed_as(result.shape, result.dtype, leaves[0]) for result in results]
 
 
 def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
     moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
-    given = [t for t, here in zip(tangents, moving, strict=True) if here]
+    given = _only(tangents, moving)
     if any(isinstance(t, pe.JaxprTracer) for t in given):
-        result, kept = rule.value(*jax.tree.unflatten(structure, primals))
+        result, kept = sealed(partial(rule.value, moving), *jax.tree.unflatten(structure, primals))
         carried, smooth = _smooth_leaves(result, rule.smooth)
         leaves, kept_structure = jax.tree.flatten(kept)
         changes = _change_p.bind(
-            *leaves,
-            *given,
+            *varying([*leaves, *given]),
             rule=rule,
             structure=structure,
             moving=moving,
@@ -132,17 +175,33 @@ def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[An
             shapes=tuple((leaf.shape, leaf.dtype) for leaf in carried),
         )
     else:
-
-        def plain(*moved: Any) -> tuple[list[Any], Any]:
-            result = rule.plain(*jax.tree.unflatten(structure, _merged(moving, moved, primals)))
-            return _smooth_leaves(result, rule.smooth)[0], result
-
-        moved = [p for p, here in zip(primals, moving, strict=True) if here]
-        _, changes, result = jax.jvp(plain, moved, given, has_aux=True)
+        result, changes = _forward(rule, structure, moving, primals, given)
         smooth = _smooth_leaves(result, rule.smooth)[1]
     results = jax.tree.leaves(result)
     none = [ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results]
     return results, _merged(smooth, changes, none)
+
+
+def _forward(rule: Rule, structure: Any, moving: tuple[bool, ...], primals: Any, given: Any) -> tuple[Any, list[Any]]:
+    """The result, and the tangents of its leaves that carry one; reverse derivatives of these are JAX's own."""
+
+    def both(primals: Any, given: Any) -> tuple[Any, list[Any]]:
+        def plain(*moved: Any) -> tuple[list[Any], Any]:
+            result = rule.plain(*jax.tree.unflatten(structure, _merged(moving, moved, primals)))
+            return _smooth_leaves(result, rule.smooth)[0], result
+
+        _, changes, result = jax.jvp(plain, _only(primals, moving), given, has_aux=True)
+        return result, changes
+
+    if not manual_axes(primals):
+        return both(primals, given)
+
+    def like(primals: Any, _: Any) -> list[Any]:
+        return _smooth_leaves(rule.like(*jax.tree.unflatten(structure, primals)), rule.smooth)[0]
+
+    # Apart from the result, which must not depend on the tangents, or `jacfwd` would give one for each of them.
+    changes = recomputed(lambda *given: both(*given)[1], like, lambda changes: [True] * len(changes))
+    return rule(*jax.tree.unflatten(structure, primals)), changes(list(primals), given)
 
 
 def _transpose(
@@ -159,9 +218,15 @@ def _transpose(
     count = kept.num_leaves
     end = jax.tree.unflatten(like, _merged(smooth, map(ad.instantiate_zeros, cotangents)))
     change = map(ad.is_undefined_primal, leaves[count:])
-    wanted = Cotangents(structure, tuple(_merged(moving, change, itertools.repeat(False))))
-    rule.pull(jax.tree.unflatten(kept, leaves[:count]), wanted, end)
-    return [None] * count + [found for found, here in zip(wanted.found, moving, strict=True) if here]
+    wanted = tuple(_merged(moving, change, itertools.repeat(False)))
+
+    def pull(kept: Any, end: Any) -> list[Any]:
+        own = Cotangents(structure, wanted)
+        rule.pull(kept, own, end)
+        return own.found
+
+    found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end)
+    return [None] * count + _only(found, moving)
 
 
 def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
@@ -171,6 +236,9 @@ def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any
     def side_by_side(function: Callable[..., Any]) -> Callable[..., Any]:
         together = jax.vmap(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)), axes)
         return lambda *arguments: together(*jax.tree.leaves(arguments))
+
+    def value(moving: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
+        return side_by_side(partial(rule.value, moving))(*arguments)
 
     def pull(kept: Any, cotangents: Cotangents, end: Any) -> None:
         def one(kept: Any, end: Any) -> list[Any]:
@@ -190,8 +258,8 @@ def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any
         one = rule.like(*jax.tree.unflatten(structure, shapes))
         return jax.tree.map(lambda leaf: ShapedArray((size, *leaf.shape), leaf.dtype), one)
 
-    many = Rule(side_by_side(rule.value), side_by_side(rule.plain), pull, like, rule.smooth)
-    results = _reversed_p.bind(*leaves, rule=many, structure=structure)
+    many = Rule(value, side_by_side(rule.plain), pull, like, rule.smooth)
+    results = _reversed_p.bind(*varying(leaves), rule=many, structure=structure)
     return results, (0,) * len(results)
 
 
@@ -203,13 +271,13 @@ _reversed_p = Primitive("with_own_reverse")
 _reversed_p.multiple_results = True
 _reversed_p.def_impl(lambda *leaves, **static: jax.jit(partial(_value, **static))(*leaves))
 _reversed_p.def_abstract_eval(_like)
-mlir.register_lowering(_reversed_p, mlir.lower_fun(_value, multiple_results=True))
+mlir.register_lowering(_reversed_p, lowered_apart(_value))
 ad.primitive_jvps[_reversed_p] = _jvp
 batching.primitive_batchers[_reversed_p] = _batched
 
 _change_p = Primitive("with_own_reverse_change")
 _change_p.multiple_results = True
 _change_p.def_impl(_no_change)
-_change_p.def_abstract_eval(lambda *_, shapes, **__: [ShapedArray(*shape) for shape in shapes])
+_change_p.def_abstract_eval(lambda first, *_, shapes, **__: [typed_as(shape, dtype, first) for shape, dtype in shapes])
 ad.primitive_transposes[_change_p] = _transpose
 mlir.register_lowering(_change_p, mlir.lower_fun(_no_change, multiple_results=True))

@@ -138,6 +138,7 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
                 damping=solver.damping,
                 safety=solver.safety,
                 quasi_static=solver.quasi_static,
+                max_steps=solver.max_steps,
             ),
             mold=_mold(document),
             name=document.name,

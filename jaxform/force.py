@@ -13,16 +13,13 @@ formulations that lost.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 
 from jaxform.blocks import Halves, PerBlock, entry, halves, once, over_blocks, put
+from jaxform.differentiated import Differentiated
 from jaxform.materials import Material
 from jaxform.membrane import (
     Metric,
@@ -112,10 +109,7 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
     The volume is what the pressure works on: its derivative with respect to the positions of nodes that can move,
     times the pressure, is the nodal force of the pressure.
     """
-    leaves, structure = jax.tree.flatten((load, elements))
-    smooth = len(jax.tree.leaves(load))
-    nodal, volume = _force_p.bind(*leaves, structure=structure, smooth=smooth)
-    return nodal, volume
+    return _differentiated(load, elements)
 
 
 def corner_changes(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> Corners:
@@ -522,69 +516,4 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
     return found
 
 
-# How the functions above become primitives. Leaves of (load, elements) are flat arguments; `structure` and `smooth`
-# (the number of leaves of the load) are static; `present` says which of the load's leaves have a tangent.
-
-
-def _force_flat(*leaves: Any, structure: Any, smooth: int) -> tuple[jax.Array, jax.Array]:
-    return _force(*jax.tree.unflatten(structure, leaves))
-
-
-def _tangent_flat(*leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]) -> tuple[jax.Array, jax.Array]:
-    count = structure.num_leaves
-    load, elements = jax.tree.unflatten(structure, leaves[:count])
-    given = iter(leaves[count:])
-    changes = [next(given) if here else None for here in present]
-    return _tangent(load, elements, jax.tree.unflatten(jax.tree.structure(load), changes))
-
-
-def _force_jvp(primals: Any, tangents: Any, *, structure: Any, smooth: int) -> tuple[Any, Any]:
-    value = _force_p.bind(*primals, structure=structure, smooth=smooth)
-    moving = [not isinstance(t, ad.Zero) for t in tangents]
-    if any(moving[smooth : smooth + 3]):
-        raise TypeError("the force has no derivative with respect to the initial mesh")
-    given = [t for t, here in zip(tangents[:smooth], moving, strict=False) if here]
-    present = tuple(moving[:smooth])
-    change = _tangent_p.bind(*primals, *given, structure=structure, smooth=smooth, present=present)
-    return value, change
-
-
-def _tangent_transpose(
-    cotangents: Any, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]
-) -> list[Any]:
-    count = structure.num_leaves
-    load, elements = jax.tree.unflatten(structure, leaves[:count])
-    nodal, volume = (None if isinstance(c, ad.Zero) else c for c in cotangents)
-    given = iter(leaves[count:])
-    wanted = [here and ad.is_undefined_primal(next(given)) for here in present]
-    found = _cotangent(load, elements, wanted, nodal, volume)
-    return [None] * count + [value for value, here in zip(found, present, strict=True) if here]
-
-
-def _batch(function: Callable[..., Any], arguments: Any, axes: Any, **static: Any) -> tuple[Any, Any]:
-    return jax.vmap(partial(function, **static), axes)(*arguments), (0, 0)
-
-
-def _primitive(name: str, function: Callable[..., Any]) -> Primitive:
-    """A primitive with two results that does what the function does, under jit and vmap."""
-    primitive = Primitive(name)
-    primitive.multiple_results = True
-    primitive.def_impl(lambda *leaves, **static: jax.jit(partial(function, **static))(*leaves))
-    primitive.def_abstract_eval(lambda positions, *_, **__: _abstract(positions))
-    mlir.register_lowering(primitive, mlir.lower_fun(function, multiple_results=True))
-    batching.primitive_batchers[primitive] = partial(_batch, function)
-    return primitive
-
-
-def _abstract(positions: Any) -> list[Any]:
-    """Shapes of force and volume; known, so that the function is not traced to find them."""
-    return [ShapedArray(positions.shape, positions.dtype), ShapedArray((), positions.dtype)]
-
-
-_force_p = _primitive("membrane_force", _force_flat)
-_tangent_p = _primitive("membrane_force_tangent", _tangent_flat)
-ad.primitive_jvps[_force_p] = _force_jvp
-ad.primitive_transposes[_tangent_p] = _tangent_transpose
-ad.primitive_jvps[_tangent_p] = lambda primals, tangents, **static: jax.jvp(
-    partial(_tangent_flat, **static), primals, jax.tree.map(ad.instantiate_zeros, tangents)
-)
+_differentiated = Differentiated("membrane_force", _force, _tangent, _cotangent)

@@ -7,11 +7,13 @@ triple (11, 12, 22) of its components in the basis of the triangle's two edges f
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 
 from jaxform.materials import Material
 
@@ -50,6 +52,11 @@ def summed_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
     """
     if jax.default_backend() != "cpu":
         return [jnp.sum(gather(row, index), axis=0) for row in rows]
+    return _summed_in_one_loop(list(rows), index)
+
+
+@jax.custom_jvp
+def _summed_in_one_loop(rows: list[jax.Array], index: jax.Array) -> list[jax.Array]:
     # Else every entry would be cut out anew, and looked up for every step of the loop.
     index = jax.lax.optimization_barrier(index)
     found = [gather(row, index) for row in rows]
@@ -59,6 +66,17 @@ def summed_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
     none = [jnp.asarray(-0.0, values.dtype) for values in found]
     add = lambda a, b: [x + y for x, y in zip(a, b, strict=True)]  # noqa: E731
     return jax.lax.reduce(found, none, add, (0,))
+
+
+@functools.partial(_summed_in_one_loop.defjvp, symbolic_zeros=True)
+def _(primals: Any, tangents: Any) -> tuple[list[jax.Array], list[Any]]:
+    """Linear in the rows; JAX's own derivative of such a reduction is no loop, and none where a row has no tangent."""
+    (rows, index), (changes, _) = primals, tangents
+    moving = [change for change in changes if not isinstance(change, SymbolicZero)]
+    found, moved = _summed_in_one_loop(rows, index), iter(_summed_in_one_loop(moving, index) if moving else [])
+    none = [SymbolicZero(jax.typeof(values).to_tangent_aval()) for values in found]
+    pairs = zip(changes, none, strict=True)
+    return found, [zero if isinstance(change, SymbolicZero) else next(moved) for change, zero in pairs]
 
 
 def columns(values: jax.Array | Vector, index: jax.Array) -> Vector:

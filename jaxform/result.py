@@ -3,69 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxform import membrane
 from jaxform.body import Body, Mesh, levels, present_body
+from jaxform.energy import Energy, unmoved
+from jaxform.errors import InputError
 from jaxform.penetration import Penetration, penetration, resting_directions
 from jaxform.pytree import pytree
 from jaxform.recovery import nodal_ratio
+from jaxform.replacing import in_words
 from jaxform.review import thinnest, warnings_of_part
 from jaxform.scene import Scene
 from jaxform.state import Schedule, State, Status, Taken, kinetic_energy, last_work, strain_energy
+from jaxform.stepping import energy_rounding
 
-_DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
 _NODES_BEYOND = 1e-6  # of the sheet's size, that a node may be beyond the mold
 _ELEMENTS_BEYOND = 0.5  # of the longest side of an element, the same of an element
-
-
-@pytree
-class Energy:
-    """Energy account of the modelled part [J]; every term is computed by itself, none by difference.
-
-    Attributes:
-        strain: Strain energy at the end.
-        kinetic: Kinetic energy at the end.
-        external_work: Sum of P dV.
-        damping_loss: Work done against damping.
-        contact_loss: Kinetic energy of the nodes when they stuck.
-        refinement_loss: Strain and kinetic energy that new nodes took away.
-        kinetic_peak: Largest kinetic energy at the end of a window.
-    """
-
-    strain: jax.Array
-    kinetic: jax.Array
-    external_work: jax.Array
-    damping_loss: jax.Array
-    contact_loss: jax.Array
-    refinement_loss: jax.Array
-    kinetic_peak: jax.Array
-
-    @property
-    @jax.jit
-    def balance_error(self) -> jax.Array:
-        """What the account misses, relative to the external work (0 where nothing was done)."""
-        kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss + self.refinement_loss
-        work = jnp.abs(self.external_work)
-        return jnp.where(work > 0, jnp.abs(kept - self.external_work) / jnp.where(work > 0, work, 1.0), 0.0)
-
-    @property
-    @jax.jit
-    def haste(self) -> jax.Array:
-        """About how far, relative, the wall is from that of the same process done slowly (0 where nothing was done).
-
-        The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
-        went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones
-        several times too high.
-        """
-        work = jnp.abs(self.external_work)
-        work = jnp.where(work > 0, work, jnp.inf)
-        return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
 
 
 @pytree
@@ -105,6 +66,8 @@ class Result:
         status: Bits of `Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
+        out_of_range: Which numbers of the scene were out of range, as bits, in the order of `replacing.DESIGNABLE`; 0
+            where none was. None from the host's loop, which refuses them.
     """
 
     positions: jax.Array
@@ -130,6 +93,7 @@ class Result:
     status: jax.Array
     schedule: Schedule | None = None
     seconds: Seconds | None = None
+    out_of_range: jax.Array | None = None
 
 
 def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = None) -> Result:
@@ -185,6 +149,8 @@ def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = N
             contact_loss=state.contact_loss,
             refinement_loss=state.refinement_loss,
             kinetic_peak=state.kinetic_peak,
+            peak_work=jax.lax.stop_gradient(state.peak_work),
+            rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
         ),
         time=state.time,
         steps=state.steps,
@@ -211,6 +177,7 @@ _WORDS = {
     Status.STOPPED: "stopped by the caller",
     Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than there is room for",
     Status.RUNAWAY: "the sheet ran away: it is ten thousand times as large as it was",
+    Status.INPUT: "a number of the scene is out of its range, so nothing was simulated",
     Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
 }
 _MENDS = {
@@ -222,17 +189,39 @@ _MENDS = {
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
     Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",
+    Status.INPUT: "keep what is designed within its range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
 }
 
 
-def explain(result: Result) -> str:
-    """The status in words: "ok", or what stopped the run, when and where, and what may help."""
+def explain(result: Result) -> Any:
+    """The status in words: "ok", or what stopped the run, when and where, and what may help.
+
+    Of results side by side (from `vmap` or `simulate_batch`) a list with a sentence for each.
+
+    Raises:
+        InputError: If it is no result, or one that is traced.
+    """
+    if not isinstance(result, Result):
+        raise InputError("is no result", "give what `simulate`, `run` or `simulate_batch` returns", "result", result)
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(result)):
+        raise InputError("is traced, its numbers are not known yet", "explain it outside of the function", "result")
+    count = np.shape(result.status)
+    if not count:
+        return _explained(result)
+    # Each leaf is brought to the host once; what the host's loop adds is no array.
+    leaves = jax.tree.map(np.asarray, dataclasses.replace(result, schedule=None, seconds=None))
+    return [explain(jax.tree.map(operator.itemgetter(k), leaves)) for k in range(count[0])]
+
+
+def _explained(result: Result) -> str:
     status = int(result.status)
     if status == 0:
         return "ok"
     what = [words for bit, words in _WORDS.items() if status & bit]
     mend = [words for bit, words in _MENDS.items() if status & bit]
+    if status & Status.INPUT:
+        return "; ".join([f"{what[0]}: {in_words(int(result.out_of_range or 0))}", *what[1:], *mend])
     speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
     node = int(np.argmax(speed))
     place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
@@ -277,7 +266,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     """The contents of summary.json as plain numbers and words."""
     area = formed_areas(result)
     seconds = result.seconds or Seconds(0.0, 0.0)
-    energy = {name: float(getattr(result.energy, name)) for name in Energy.__dataclass_fields__}
+    kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
+    energy = {name: float(getattr(result.energy, name)) for name in kinds}
     beyond = penetrated(result, scene)
     return {
         "scene": scene.name,
@@ -309,6 +299,11 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:
     """What to mind about a part that was formed as asked for: a sentence each, with the mend."""
+    still = int(result.status) == 0 and bool(np.any(np.asarray(scene.pressure.value)))
+    return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
+
+
+def _hasty(result: Result, scene: Scene) -> list[str]:
     haste = float(result.energy.haste)
     if not scene.solver.quasi_static or not haste > SLOW_ENOUGH:
         return []

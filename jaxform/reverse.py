@@ -67,7 +67,9 @@ class _Kept:
     velocities: jax.Array
 
 
-def _value(state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> tuple[State, _Kept]:
+def _value(
+    _: tuple[bool, ...], state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None
+) -> tuple[State, _Kept]:
     end, landed, impact = window_and_impacts(state, scene, sheet_body, schedule)
     positions, velocities = end.positions, end.velocities
     if impact is not None:

@@ -1,4 +1,4 @@
-"""What is simulated: `Scene` and its parts, their validation, and `replace`.
+"""What is simulated: `Scene` and its parts, and their validation.
 
 A scene is a pytree. Every number in it is a leaf that can be designed; every choice (which law, is there a mold) is
 static. What the host must build from it (reference geometry, search structure, number of windows) is built once by
@@ -7,26 +7,21 @@ static. What the host must build from it (reference geometry, search structure, 
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from numpy.typing import ArrayLike
 
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
 from jaxform.pytree import as_index, as_real, pytree, static
+from jaxform.ranges import MOST_STEPS, as_numbers, check, check_one
 from jaxform.search import SearchGrid
 
 SHORT_WINDOW, LONG_WINDOW = 64, 256  # steps
-MOST_STEPS = 20_000_000
-_DEEPEST = 14
 _INTERPOLATIONS = ("linear", "cubic-ramp")
 _FEW_KNOTS = 256
 
@@ -300,21 +295,6 @@ class Scene:
         return self.mold is not None and self.solver.skip_stuck
 
 
-# What `replace` may put in, and the least value it may have (None: any).
-DESIGNABLE: dict[str, float | None] = {
-    "parison.thickness": 0.0,
-    "pressure.time": None,
-    "pressure.value": None,
-    "material.c": 0.0,
-    "material.alpha": None,
-    "material.a01": 0.0,
-    "material.a02": None,
-    "material.density": 0.0,
-    "solver.end_time": 0.0,
-    "solver.damping": None,
-}
-
-
 def make_parison(
     positions: np.ndarray,
     triangles: np.ndarray,
@@ -332,16 +312,13 @@ def make_parison(
         fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
 
     Raises:
-        InputError: If a thickness is not positive or not finite, or does not fit the mesh.
+        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh.
     """
     count = len(positions)
-    given = np.asarray(thickness, float)
+    given = as_numbers("parison.thickness", thickness)
     if given.ndim and given.shape != (count,):
         raise InputError(f"needs one value per node: {count}, not {given.shape}", "match the mesh", "parison.thickness")
-    bad = ~(np.isfinite(given) & (given > 0))
-    if np.any(bad):
-        value = float(given[bad].flat[0]) if given.ndim else float(given)
-        raise InputError("the thickness must be positive and finite", "give metres > 0", "parison.thickness", value)
+    check("parison.thickness", given)
     return Parison(
         positions=as_real(positions),
         triangles=as_index(triangles),
@@ -357,20 +334,16 @@ def make_pressure(time: ArrayLike, value: ArrayLike, interpolation: str = "linea
     Raises:
         InputError: If the knots do not increase, are not finite, or do not match.
     """
-    times, values = np.atleast_1d(np.asarray(time, float)), np.atleast_1d(np.asarray(value, float))
-    if times.shape != values.shape or times.ndim != 1:
+    times = np.atleast_1d(as_numbers("pressure.time", time))
+    values = np.atleast_1d(as_numbers("pressure.value", value))
+    if times.shape != values.shape or times.ndim != 1 or not times.size:
         raise InputError(
             f"{times.size} times and {values.size} values do not match",
             "give one value per time",
             "pressure.value",
         )
-    for key, knots in (("pressure.time", times), ("pressure.value", values)):
-        if not np.all(np.isfinite(knots)):
-            raise InputError("a knot is not finite", "give finite numbers", key, knots.tolist())
-    if np.any(np.diff(times) <= 0):
-        raise InputError(
-            "the knots do not increase", "sort the times and drop repeats", "pressure.time", times.tolist()
-        )
+    check("pressure.time", times)
+    check("pressure.value", values)
     if interpolation not in _INTERPOLATIONS:
         raise InputError(
             "unknown", f"choose one of {', '.join(_INTERPOLATIONS)}", "pressure.interpolation", interpolation
@@ -379,19 +352,24 @@ def make_pressure(time: ArrayLike, value: ArrayLike, interpolation: str = "linea
 
 
 def make_solver(
-    *, end_time: float, damping: float | None = None, safety: float = 0.9, quasi_static: bool = False
+    *,
+    end_time: float,
+    damping: float | None = None,
+    safety: float = 0.9,
+    quasi_static: bool = False,
+    max_steps: int = MOST_STEPS,
 ) -> Solver:
     """Options of the time integration; see `Solver`.
 
     Raises:
         InputError: If a number is out of its range.
     """
-    require(np.isfinite(end_time) and end_time > 0, "must be positive", "solver.end_time", end_time)
-    if damping is not None:
-        require(np.isfinite(damping) and damping >= 0, "must not be negative", "solver.damping", damping)
-    require(0 < safety <= 1, "must be in (0, 1]", "solver.safety", safety)
+    numbers = {"end_time": end_time, "damping": damping, "safety": safety, "max_steps": max_steps}
+    for name, value in numbers.items():
+        if value is not None:
+            check_one(f"solver.{name}", value)
     damped = None if damping is None else as_real(damping)
-    return Solver(as_real(end_time), damped, float(safety), quasi_static=bool(quasi_static))
+    return Solver(as_real(end_time), damped, float(safety), quasi_static=bool(quasi_static), max_steps=int(max_steps))
 
 
 def make_refinement(
@@ -412,16 +390,11 @@ def make_refinement(
     Raises:
         InputError: If a number is out of its range.
     """
-    require(0 < angle <= 180, "must be in (0, 180]", "refinement.angle", angle)
-    require(np.isfinite(min_area) and min_area >= 0, "must not be negative", "refinement.min_area", min_area)
-    require(interval >= 1, "must be at least 1", "refinement.interval", interval)
-    require(0 <= max_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.max_level", max_level)
-    require(0 <= base_level <= _DEEPEST, f"must be from 0 to {_DEEPEST}", "refinement.base_level", base_level)
+    given = {"angle": angle, "min_area": min_area, "interval": interval, "max_level": max_level}
+    given |= {"base_level": base_level, "base_reach": base_reach, "scaled_levels": scaled_levels, "elements": elements}
+    for name, value in (given if jump is None else given | {"jump": jump}).items():
+        check_one(f"refinement.{name}", value)
     require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
-    require(np.isfinite(base_reach) and base_reach > 0, "must be positive", "refinement.base_reach", base_reach)
-    require(scaled_levels >= 0, "must not be negative", "refinement.scaled_levels", scaled_levels)
-    require(jump is None or jump > 0, "must be positive", "refinement.jump", jump)
-    require(elements >= 1, "must be at least 1", "refinement.elements", elements)
     uneven = None if jump is None else as_real(jump)
     return Refinement(
         angle=as_real(angle),
@@ -435,55 +408,6 @@ def make_refinement(
         at_rest=at_rest,
         elements=elements,
     )
-
-
-def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
-    """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
-
-    A number takes its old shape, or may be broadcast to it. Meshes are not replaced but built anew.
-
-    Raises:
-        InputError: If a path does not exist or does not fit the scene, or a value has another shape or, where it is
-            known (not traced), is not finite or out of range.
-    """
-    for path, value in changes.items():
-        part, _, name = path.partition(".")
-        old = _designable(scene, path)
-        new = _fitted(path, value, old)
-        owner = dataclasses.replace(getattr(scene, part), **{name: new})
-        scene = dataclasses.replace(scene, **{part: owner})
-    return scene
-
-
-def _designable(scene: Scene, path: str) -> jax.Array:
-    part, _, name = path.partition(".")
-    old = getattr(getattr(scene, part, None), name, None)
-    if path in DESIGNABLE and old is not None:
-        return old
-    if old is not None:
-        raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)
-    known = [p for p in DESIGNABLE if getattr(getattr(scene, p.split(".")[0]), p.split(".")[1], None) is not None]
-    close = difflib.get_close_matches(path, known, n=1)
-    mend = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
-    raise InputError("this scene has no such number", mend, path)
-
-
-def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
-    new = as_real(value)
-    try:
-        new = jnp.broadcast_to(new, old.shape)
-    except ValueError:
-        raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
-    least = DESIGNABLE[path]
-    if not isinstance(new, Tracer):
-        seen = np.asarray(new)
-        if not np.all(np.isfinite(seen)):
-            raise InputError("is not finite", "give finite numbers", path)
-        if least is not None and np.any(seen <= least):
-            raise InputError("must be positive", "give numbers > 0", path, float(seen.min()))
-        if path == "pressure.time" and np.any(np.diff(seen) <= 0):
-            raise InputError("the knots do not increase", "sort the times and drop repeats", path, seen.tolist())
-    return new
 
 
 def require(good: bool, problem: str, key: str, value: Any) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Tag, field_validator, model_validator
 
+from jaxform.ranges import MOST_STEPS
 from jaxform.validation import (
     Coordinate,
     Length,
@@ -20,6 +21,7 @@ from jaxform.validation import (
     check_increasing,
     choice,
     form,
+    within,
     wrong,
 )
 
@@ -92,9 +94,10 @@ def _quantity_form(value: Any) -> str:
 
 
 _Number = Annotated[Positive, Tag("<number>")]
+_Wall = Annotated[float, within("parison.thickness")]
 _Reference = Annotated[FieldReference, Tag("<reference>")]
 Thickness = Annotated[
-    _Number
+    Annotated[_Wall, Tag("<number>")]
     | Annotated[Profile, Tag("<profile>")]
     | _Reference
     | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
@@ -122,8 +125,8 @@ def _one_number(value: Any) -> Any:
     return value
 
 
-Stiffness = Annotated[Positive, BeforeValidator(_one_number)]
-StiffnessRatio = Annotated[NotNegative, BeforeValidator(_one_number)]
+_OneNumber = BeforeValidator(_one_number)
+Density = Annotated[float, within("material.density")]
 
 
 class _BuiltIn(Table):
@@ -214,26 +217,26 @@ class NeoHookean(Table):
     """W = c (I1 - 3)."""
 
     model: Literal["neo-hookean"]
-    c: Stiffness
-    density: Positive
+    c: Annotated[float, within("material.c"), _OneNumber]
+    density: Density
 
 
 class MooneyRivlin(Table):
     """W = c [(I1 - 3) + alpha (I2 - 3)]."""
 
     model: Literal["mooney-rivlin"]
-    c: Stiffness
-    alpha: StiffnessRatio
-    density: Positive
+    c: Annotated[float, within("material.c"), _OneNumber]
+    alpha: Annotated[float, within("material.alpha"), _OneNumber]
+    density: Density
 
 
 class ModifiedMooneyRivlin(Table):
     """W = a01 (I1 - 3) + a02 (I2 - 3)^2."""
 
     model: Literal["modified-mooney-rivlin"]
-    a01: Stiffness
-    a02: StiffnessRatio
-    density: Positive
+    a01: Annotated[float, within("material.a01"), _OneNumber]
+    a02: Annotated[float, within("material.a02"), _OneNumber]
+    density: Density
 
 
 Material = Annotated[
@@ -313,25 +316,26 @@ Mold = Annotated[
 class Refinement(Table):
     """Where the mesh becomes finer; see `jaxform.scene.Refinement`."""
 
-    angle: Annotated[float, Field(gt=0, le=180)] = 4.0
-    interval: Count = 100
-    max_level: Annotated[int, Field(ge=0, le=14)] = 6
-    min_area: NotNegative = 0.0
-    base_level: Annotated[int, Field(ge=0, le=14)] = 0
-    base_reach: Positive = 1.0
-    scaled_levels: Annotated[int, Field(ge=0, le=14)] = 0
+    angle: Annotated[float, within("refinement.angle")] = 4.0
+    interval: Annotated[int, within("refinement.interval")] = 100
+    max_level: Annotated[int, within("refinement.max_level")] = 6
+    min_area: Annotated[float, within("refinement.min_area")] = 0.0
+    base_level: Annotated[int, within("refinement.base_level")] = 0
+    base_reach: Annotated[float, within("refinement.base_reach")] = 1.0
+    scaled_levels: Annotated[int, within("refinement.scaled_levels")] = 0
     at_rest: bool = True
-    jump: Positive | None = None
-    elements: Count | None = None
+    jump: Annotated[float, within("refinement.jump")] | None = None
+    elements: Annotated[int, within("refinement.elements")] | None = None
 
 
 class Solver(Table):
     """Time integration; `quasi_static` says that the process is meant to be slow, so that haste is warned of."""
 
-    end_time: Positive
-    damping: NotNegative | None = None
-    safety: Annotated[float, Field(gt=0, le=1)] = 0.9
+    end_time: Annotated[float, within("solver.end_time")]
+    damping: Annotated[float, within("solver.damping")] | None = None
+    safety: Annotated[float, within("solver.safety")] = 0.9
     quasi_static: bool = False
+    max_steps: Annotated[int, within("solver.max_steps")] = MOST_STEPS
 
 
 class Output(Table):

@@ -14,34 +14,39 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray
+from jax.core import ShapedArray, Tracer
 from numpy.typing import ArrayLike
 
 from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.compiling import compiled
-from jaxform.derivatives import Rule, recomputed
+from jaxform.derivatives import Rule, apart, recomputed
+from jaxform.energy import UNBALANCED
 from jaxform.errors import InputError, InputWarning
+from jaxform.ranges import RANGES, as_numbers
 from jaxform.refinement import refined
+from jaxform.replacing import check_numbers, replace, with_stand_ins
 from jaxform.result import Result, Seconds, make_result, warnings_of
 from jaxform.reverse import carries, differentiable_window
 from jaxform.review import warnings_of_part
 from jaxform.room import roomier, windows_left
-from jaxform.scene import Scene, replace
+from jaxform.scene import Scene
+from jaxform.sealed import manual_axes
 from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
 from jaxform.stepping import energy_rounding, window, window_in_place, with_room
 from jaxform.store import Store
 from jaxform.working import Working, still_worked_through, wholly_worked_through
 
 _IN_MEMORY = Store()
-_UNBALANCED = 0.01  # of the largest work
 
 
 @functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
 def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_checkpoint: int = 1) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
-    Differentiate through `replace`.
+    Differentiate through `replace`: first derivatives in either mode, second ones forward over either
+    (`jax.hessian`). Where a number that was traced is out of its range nothing is simulated: the result is the sheet as
+    it was at first, finite, with the thickness 0 where the given one is out of range, and its status says so.
 
     Args:
         scene: The scene.
@@ -51,7 +56,16 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
             which its steps are taken back. More: the state at every so many borders; windows are worked out once more
             in between, for less memory. 0: every step, by JAX's own derivative.
     """
+    whole = functools.partial(_simulated, windows_per_checkpoint)
+    if manual_axes(jax.tree.leaves((scene, schedule))):
+        return apart(whole, scene, schedule)
+    return whole(scene, schedule)
+
+
+def _simulated(windows_per_checkpoint: int, scene: Scene, schedule: Schedule | None) -> Result:
+    given, (scene, out_of_range) = scene, with_stand_ins(scene)
     first, state = body(scene), initial_state(scene)
+    state = dataclasses.replace(state, status=jnp.where(out_of_range == 0, state.status, Status.INPUT))
     count = scene.tables.window_count
     if windows_per_checkpoint > 1:
         several = _recomputed_windows(windows_per_checkpoint)
@@ -60,7 +74,9 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
         taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
         state, taken = _windows(state, scene, first, schedule, count=count, kept=windows_per_checkpoint == 0)
-    return make_result(_closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
+    result = make_result(_closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
+    thick = RANGES["parison.thickness"].holds(given.parison.thickness)
+    return dataclasses.replace(result, thickness=jnp.where(thick, result.thickness, 0.0), out_of_range=out_of_range)
 
 
 def _windows(
@@ -116,17 +132,32 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     Raises:
         InputError: If a path or a row does not fit the scene, or the numbers of rows differ.
     """
-    rows = {path: np.asarray(values) for path, values in changes.items()}
-    counts = {path: len(values) if values.ndim else 0 for path, values in rows.items()}
-    if not rows or min(counts.values()) == 0 or len(set(counts.values())) > 1:
-        raise InputError("needs as many rows for one path as for another", "stack a row per design", "changes", counts)
-    designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(max(counts.values()))]
+    rows = _rows(changes)
+    if workers is not None and not (isinstance(workers, int) and workers > 0):
+        raise InputError("must be a positive whole number", "leave it out for one per core", "workers", workers)
+    designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if jax.default_backend() != "cpu":
         return _side_by_side(scene, rows)
     whole = compiled(_whole, designs[0])
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         results = list(pool.map(lambda design: jax.block_until_ready(whole(design)), designs))
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *results)
+
+
+def _rows(changes: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
+    """What is to be changed, as arrays with a row for each design."""
+    if not isinstance(changes, Mapping):
+        raise InputError("is no mapping of paths to rows of values", "stack a row per design", "changes", changes)
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(dict(changes))):
+        raise InputError("is traced, but a batch is not differentiable", "map `simulate` for that", "changes")
+    return {str(path): as_numbers(str(path), values) for path, values in changes.items()}
+
+
+def _row_count(rows: Mapping[str, np.ndarray]) -> int:
+    counts = {path: len(values) if values.ndim else 0 for path, values in rows.items()}
+    if not rows or min(counts.values()) == 0 or len(set(counts.values())) > 1:
+        raise InputError("needs as many rows for one path as for another", "stack a row per design", "changes", counts)
+    return next(iter(counts.values()))
 
 
 def _side_by_side(scene: Scene, rows: Mapping[str, ArrayLike]) -> Result:
@@ -146,7 +177,7 @@ def _closed(state: State, scene: Scene, first: Body) -> State:
     """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
     short = jnp.where(finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
     least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
-    missing = jnp.abs(state.imbalance) > _UNBALANCED * state.peak_work + least
+    missing = jnp.abs(state.imbalance) > UNBALANCED * state.peak_work + least
     status = jnp.where((state.status | short) == 0, jnp.where(missing, Status.UNBALANCED, 0), state.status | short)
     return dataclasses.replace(state, status=status.astype(jnp.int32))
 
@@ -177,10 +208,15 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             Without it the whole loop runs at once.
         store: Where traced programs are kept between runs; nowhere by default.
 
+    Raises:
+        InputError: If a number of the scene is out of its range.
+
     Warns:
-        InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, nothing touched the
-            mold, the sheet left the mold's box, or a free wall became thinner than makes any sense.
+        InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, the pressure moved
+            nothing that could be measured, nothing touched the mold, the sheet left the mold's box, or a free wall
+            became thinner than makes any sense.
     """
+    check_numbers(scene)
     store = store or _IN_MEMORY
     began = time.perf_counter()
     state, first, taken = store.program(_begin, scene)(scene)

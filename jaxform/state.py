@@ -30,6 +30,7 @@ class Status(enum.IntFlag):
     REFINEMENT_OVERFLOW = 64
     RUNAWAY = 128
     UNBALANCED = 256
+    INPUT = 512
 
 
 Taken = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)

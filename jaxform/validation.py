@@ -20,6 +20,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.errors import InputError
+from jaxform.ranges import RANGES
 
 MOST, LEAST, MOST_LENGTH = 1e30, 1e-30, 1e6
 
@@ -50,6 +51,12 @@ Coordinate = Annotated[float, AfterValidator(_short)]
 """A place along an axis [m]."""
 Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
 """[m]"""
+
+
+def within(key: str) -> Any:
+    """The range that is declared for a number of a scene, for `Annotated`."""
+    allowed = RANGES[key]
+    return Field(gt=allowed.above, ge=allowed.least, le=allowed.most)
 
 
 class Table(BaseModel):
