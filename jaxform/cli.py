@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxform import catalog
 from jaxform.errors import InputError
+from jaxform.writing import PREFIX
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -148,10 +149,12 @@ def _open_folder(folder: Path, force: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError("is a file", "name a folder", "--out", str(folder))
     try:
-        if folder.exists() and any(folder.iterdir()) and not force:
+        # What was killed while it wrote may have left a file that is no result.
+        results = (file for file in folder.iterdir() if not file.name.startswith(PREFIX)) if folder.exists() else ()
+        if any(results) and not force:
             raise InputError("exists and is not empty", "choose another folder or give --force", "--out", str(folder))
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".jaxform-writes"
+        probe = folder / f"{PREFIX}writes"
         probe.touch()
         probe.unlink()
     except OSError as error:
@@ -239,18 +242,28 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
         return run(scene, on_window=on_window if watched else None, store=store)
 
 
-def _write_part(folder: Path, scene: Scene, result: Result, reference: dict[str, Any] | None) -> dict[str, Any]:
+def _write_part(
+    folder: Path,
+    scene: Scene,
+    result: Result,
+    reference: dict[str, Any] | None,
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+) -> dict[str, Any]:
     from jaxform import output, plots
 
-    with _meanwhile(lambda: output.write_result(scene, result, folder)) as summary:
+    with _meanwhile(lambda: output.write_result(scene, result, folder, amend)) as summary:
         plots.thickness_picture(folder / "thickness.png", scene, result, reference)
     return summary.result()
 
 
 def _warn(summary: dict[str, Any]) -> None:
-    """On standard error, --quiet or not."""
     for sentence in summary["warnings"]:
-        print(f"jaxform: warning: {sentence}", file=sys.stderr)
+        _warn_of(sentence)
+
+
+def _warn_of(sentence: str) -> None:
+    """On standard error, --quiet or not."""
+    print(f"jaxform: warning: {sentence}", file=sys.stderr)
 
 
 def _exit_status(result: Result) -> int:
@@ -341,86 +354,9 @@ def _plan(document: SceneDocument, scene: Scene) -> Iterator[str]:
 
 
 def _optimize(arguments: argparse.Namespace) -> int:
-    say, store = _prepare(arguments)
-    import optimize
-    from jaxform import files
+    from jaxform import designing
 
-    study = optimize.load_study(arguments.source, store)
-    reference = files.read_reference(study.document)
-    folder: Path = arguments.out
-    notes = folder / "search.jsonl"
-    _open_folder(folder, arguments.force or (arguments.resume and notes.exists()))
-    journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
-    rows: list[dict[str, Any]] = []
-    with _progress(not arguments.quiet, "designing") as bar:
-
-        def on_evaluation(row: dict[str, Any]) -> None:
-            rows.append(row)
-            # Written anew each time: a search that is killed leaves what it did.
-            optimize.write_history(folder / "history.csv", rows)
-            if bar is not None:
-                bar(min(row["iteration"] / study.iterations, 1.0), _progress_words(row))
-
-        def on_check(error: float) -> None:
-            say(f"gradient along one direction: relative difference to central differences {error:.1e}")
-
-        try:
-            design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
-        except InputError as error:
-            raise error.within(file=study.file) from None
-    if journal.replayed:
-        say(f"{journal.replayed} answers were known from before")
-    _write_design(folder, study, design, reference)
-    _tell_design(say, design, folder)
-    return _exit_status(design.result)
-
-
-def _progress_words(row: dict[str, Any]) -> str:
-    error = row["thickness_rms_error"]
-    what = f"objective {row['objective']:.4g}" if error == "" else f"deviation {100 * error:.3g} %"
-    return (
-        f"evaluation {row['evaluation']}, {what}, wall from {1e3 * row['wall_min']:.3g} mm, {1e3 * row['mass']:.4g} g"
-    )
-
-
-def _write_design(folder: Path, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
-    from jaxform import files, output, plots
-
-    files.write_scene(study.document, design.changes, folder)
-    _write_part(folder, design.scene, design.result, reference if not _redesigned(design.changes) else None)
-    plots.convergence_picture(folder / "convergence.png", design.history)
-    before, after = (design.first_scene, design.first_result), (design.scene, design.result)
-    plots.design_picture(folder / "design.png", before, after, study.objective.uniform)
-    output.write_json(folder / "design.json", design.summary())
-
-
-def _redesigned(changes: dict[str, Any]) -> bool:
-    """Whether an exact solution for the scene's own sheet no longer applies."""
-    return any(key.startswith(("parison.", "material.")) for key in changes)
-
-
-def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
-    facts = design.summary()
-    first, best = facts["before"], facts["after"]
-    if best["thickness_rms_error"] is not None:
-        say(
-            f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
-            f"{100 * best['thickness_rms_error']:.3g} %"
-        )
-    say(
-        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, its variation "
-        f"{100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
-        f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
-    )
-    if facts["multiplier"] is not None:
-        say(
-            f"limits are kept to {100 * facts['violation']:.2g} %; multiplier {facts['multiplier']:.3g}: what the "
-            "objective gains per relative change of the limit"
-        )
-    say(
-        f"{facts['evaluations']} simulations with and without gradient (the time of {facts['simulations']:.0f} "
-        f"simulations, {facts['seconds']:.0f} s); {facts['message']}; results in {folder}"
-    )
+    return designing.optimize_study(arguments)
 
 
 if __name__ == "__main__":

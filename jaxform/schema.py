@@ -467,8 +467,10 @@ class _Search(Table):
     """What all methods share; see `optimize.Study`."""
 
     iterations: Annotated[int, Field(ge=1)] = 30
-    tolerance: Positive | None = None
-    improvement: NotNegative | None = None
+    max_simulations: Positive | None = None
+    minutes: Positive | None = None
+    tolerance: NotNegative | None = None
+    gradient_tolerance: NotNegative | None = None
     goal: Positive | None = None
     warm_start: Annotated[int, Field(ge=0)] = 0
     starts: Annotated[int, Field(ge=1)] = 1

@@ -153,7 +153,7 @@ def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
     """The multiplier is the derivative of the least mass by the minimum: mass and wall scale with the sheet."""
     scene = scenes.cup()
     study = optimize.Study(
-        scene, (_profile(scene),), optimize.LeastMass(scene, 0.0055), warm_start=3, iterations=10, rounds=10
+        scene, (_profile(scene),), optimize.LeastMass(scene, 0.0055), warm_start=3, iterations=60, rounds=10
     )
     design = optimize.solve(study)
     wall = np.asarray(design.result.element_thickness)
