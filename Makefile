@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
+.PHONY: validate stability killed bench contact refine design scenes paper notebooks pictures demo test lint lock clean environment
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -64,6 +64,10 @@ design: environment
 # the random scenes. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
 stability: environment
 	.venv/bin/python -m benchmarks.stability
+
+# What `kill -9` at random moments loses: simulate and optimize killed 40 times each, then run again; ten minutes.
+killed: environment
+	.venv/bin/python -m benchmarks.killed
 
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment
