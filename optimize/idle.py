@@ -19,6 +19,7 @@ from optimize.search import Search
 from optimize.variables import Scale, SheetVariable, Variable
 
 _IDLE = 0.01  # of the value: what changes it by less than this over its whole bounds does nothing
+_FARTHEST = 10.0  # of an unbounded number: where one is at a bound its map is flat, and a search stays there
 _STEP = 0.5  # of all unbounded numbers at once: in the middle of the bounds an eighth of the way between them
 
 
@@ -34,11 +35,13 @@ def look(search: Search, point: Point, first: Result, warn: Callable[[str], obje
     size = max(abs(point.value), abs(point.objective))
     if not np.all(np.isfinite(point.gradient)) or not 0.0 < size < np.inf:
         return
+    slow = float(first.energy.haste) <= SLOW_ENOUGH
     begin, found = 0, []
     for index, (variable, own) in enumerate(search.parts(point.free)):
         gradient = point.gradient[begin : begin + own.size]
         change = float(np.abs(gradient) @ _spans(variable, own)) / size
-        if change < _IDLE and _still(search, point, slice(begin, begin + own.size), size):
+        known = slow and not isinstance(variable, SheetVariable)
+        if change < _IDLE and (known or _still(search, point, slice(begin, begin + own.size), size)):
             found.append((index, variable, change))
         begin += own.size
     for index, variable, change in found:
@@ -46,9 +49,12 @@ def look(search: Search, point: Point, first: Result, warn: Callable[[str], obje
 
 
 def _spans(variable: Variable, free: np.ndarray) -> np.ndarray:
-    """How far each unbounded number (n,) would go from one end of its bounds to the other, at its present slope."""
+    """How far each unbounded number (n,) would go from one end of its bounds to the other, at its present slope.
+
+    No farther than a search would take it.
+    """
     slopes = np.abs(np.asarray(jax.jacobian(variable.shares)(jnp.asarray(free)))).max(0)
-    return 1.0 / np.maximum(slopes, 1e-12)
+    return 1.0 / np.maximum(slopes, 1.0 / _FARTHEST)
 
 
 def _still(search: Search, point: Point, own: slice, size: float) -> bool:

@@ -22,8 +22,11 @@ from tests import scenes
 BOUNDS = (0.004, 0.03)
 
 
-def _search(strength: float, centre: float) -> tuple[Search, Point]:
-    """Sheet and pressure, whose value is 1 + (share - centre)^2 of the sheet, and so of the pressure by a strength."""
+def _search(strength: float, centre: float, edge: float = 0.0) -> tuple[Search, Point]:
+    """Sheet and pressure, whose value is 1 + (share - centre)^2 of the sheet, and so of the pressure by a strength.
+
+    The pressure's first knot, which begins at its lower bound, counts by another strength.
+    """
     scene = scenes.cup()
     sheet = optimize.ThicknessProfile(scene, along="radius", bounds=BOUNDS, knots=4)
     pressure = optimize.PressureKnots(scene, bounds=(0.0, 0.4))
@@ -32,7 +35,7 @@ def _search(strength: float, centre: float) -> tuple[Search, Point]:
 
     def value(free: Any) -> jax.Array:
         one, other = sheet.shares(free[:4]), pressure.shares(free[4:])
-        return 1.0 + jnp.sum(jnp.square(one - centre)) + strength * jnp.sum(jnp.square(other - 1.0))
+        return 1.0 + jnp.sum(jnp.square(one - centre)) + strength * jnp.sum(jnp.square(other - 1.0)) - edge * other[0]
 
     answer = {"status": 0, "spent": 1.0}
     search._forward = lambda free: answer | {"value": float(value(free))}  # pyright: ignore
@@ -51,6 +54,15 @@ def test_a_variable_that_does_nothing_is_named_with_the_reason(haste: float, wor
     idle.look(*_search(1e-3, 0.5), _result(haste), found.append)
     assert len(found) == 1 and found[0].startswith("variable[1] (pressure) does next to nothing")
     assert re.search(words, found[0]) and "hardly gain anything" not in found[0]
+
+
+def test_a_knot_at_its_bound_does_not_hide_a_slow_process() -> None:
+    """All of its bounds would change the value by a tenth, but no search comes far from there."""
+    found: list[str] = []
+    search, point = _search(1e-3, 0.5, edge=0.1)
+    idle.look(search, point, _result(1e-4), found.append)
+    assert len(found) == 1 and "process is slow" in found[0]
+    assert search.simulations == 1.0
 
 
 def test_a_variable_that_does_something_is_not() -> None:
