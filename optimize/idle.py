@@ -77,7 +77,7 @@ def _sentence(index: int, variable: Variable, change: float, first: Result, ever
             "neither pressure nor stiffness nor density: design the sheet's thickness (thickness-profile), or make the "
             "process faster (a steeper pressure, a shorter solver.end_time)"
         )
-    return f"{what}: by the first gradient its whole bounds change the objective by {100 * change:.2g} %; {mend}"
+    return f"{what}: by the first gradient a search over it changes the objective by {100 * change:.2g} %; {mend}"
 
 
 def _kind(variable: Variable) -> str:

@@ -93,6 +93,7 @@ class Design:
         names = ("objective", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv", "mass")
         before, after = ({name: _number(row[name]) for name in names} for row in (self.history[0], self.best_row))
         return {
+            "status": self.broken or "ok",
             "message": self.message,
             "stopped_by": self.stopped_by,
             "before": before,

@@ -16,6 +16,7 @@ from optimize import reach
 from optimize.designs import Point
 from optimize.endings import Ending, done, spent
 from optimize.price import price
+from optimize.rounds import rounds
 from optimize.search import Search
 from tests import scenes
 
@@ -205,3 +206,65 @@ def test_a_search_stops_at_each_limit_and_says_at_which(
     assert len(design.history) == count
     assert design.history[-1]["simulations"] <= limits.get("max_simulations", np.inf)
     assert max(row["iteration"] for row in design.history) <= study.iterations
+
+
+class _Rounds:
+    """A search with limits whose simulations are made up: each round leaves a part of the violation."""
+
+    def __init__(self, study: optimize.Study, factor: float, costs: float) -> None:
+        self.study, self.iteration, self.pause, self.limits = study, 0, np.inf, object()
+        self.multiplier: float | None = None
+        self.best: Point | None = None
+        self.pressed, self._factor, self._costs = 0, factor, costs
+        self.point = self._made(1.0, 0.4)
+
+    def _made(self, objective: float, violation: float) -> Point:
+        row = {"multiplier": 1.0}
+        point = Point(np.zeros(4), objective, np.zeros(4), objective, np.array([violation]), row)
+        if self.best is None or point.rank < self.best.rank:
+            self.best = point
+        return point
+
+    def begin(self) -> Ending | None:
+        return Search.begin(self)  # pyright: ignore
+
+    def press(self, point: Point, before: float) -> None:
+        self.pressed += 1
+
+    def __call__(self, free: np.ndarray) -> Point:
+        return self.point
+
+    def parts(self, free: np.ndarray) -> list[Any]:
+        return []
+
+    def plain(self, free: np.ndarray) -> None:
+        raise AssertionError
+
+    def method(self, search: Any, study: optimize.Study, point: Point) -> tuple[Point, Ending]:
+        """A round to the end of its iterations."""
+        while True:
+            ending = self.begin()
+            if ending:
+                self.point = self._made(point.objective * self._costs, point.violation * self._factor)
+                return self.point, ending
+
+
+@pytest.mark.parametrize(
+    ("iterations", "factor", "costs", "by", "rounds_done"),
+    [
+        (6, 0.5, 0.9, "iterations", 1),  # the total, not that of each round
+        (30, 0.5, 0.9, "iterations", 3),
+        (200, 0.1, 0.9995, "tolerance", 2),  # kept after the second, which gains nothing
+        (200, 0.97, 0.9, "no-progress", 3),  # as near after two rounds as before them
+        (200, 0.5, 0.9, "rounds", 8),
+    ],
+)
+def test_rounds_end_by_what_they_reach_and_iterations_are_their_total(
+    iterations: int, factor: float, costs: float, by: str, rounds_done: int
+) -> None:
+    study = _study(optimize.Uniform(), iterations=iterations)
+    search = _Rounds(dataclasses.replace(study, variables=()), factor, costs)
+    ending = rounds(search, search.study, search.point, search.method)  # pyright: ignore
+    assert ending.by == by
+    assert search.iteration == min(iterations, 12 * rounds_done)
+    assert search.multiplier == 1.0
