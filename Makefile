@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -69,6 +69,10 @@ stability: environment
 # an hour. Parts by name: `.venv/bin/python -m benchmarks.fuzz meshes=100`; one case: `... meshes:17`.
 fuzz: environment
 	.venv/bin/python -m benchmarks.fuzz
+
+# What `kill -9` at random moments loses: simulate and optimize killed 40 times each, then run again; ten minutes.
+killed: environment
+	.venv/bin/python -m benchmarks.killed
 
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment

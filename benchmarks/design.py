@@ -72,7 +72,7 @@ def show_recovery(scene: jaxform.Scene | None = None, knots: int = 12, iteration
     scene = scene or jaxform.load("dish-coarse")
     found: Found = {"knots": knots, "elements": len(scene.parison.triangles), "hidden": hidden_profile(knots).tolist()}
     for method, most in zip(("lbfgs", "least-squares"), iterations, strict=True):
-        design = optimize.solve(recovery(scene, knots, method=method, iterations=most, tolerance=1e-9))
+        design = optimize.solve(recovery(scene, knots, method=method, iterations=most, gradient_tolerance=1e-9))
         rows = [{name: row[name] for name in ("iteration", "thickness_rms_error", "simulations", "gradient_norm")}
                 for row in design.history]  # fmt: skip
         found[method] = {"rows": rows, "gradient_error": design.gradient_error}
@@ -217,7 +217,7 @@ def cases() -> dict[str, Callable[[], Case]]:
 
 
 def _recover_case() -> Case:
-    study = recovery(jaxform.load("dish-coarse"), tolerance=1e-9)
+    study = recovery(jaxform.load("dish-coarse"), gradient_tolerance=1e-9)
     own = {
         "L-BFGS": {"method": "lbfgs", "iterations": 20},
         "least squares": {"method": "least-squares", "iterations": 4},

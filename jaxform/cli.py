@@ -1,7 +1,7 @@
 """The command: `jaxform scenes | simulate | optimize | check`. The one room that knows both jaxform and optimize.
 
 Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
-computed written; 130 interrupted. Heavy imports wait until a command needs them.
+computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxform import cachefolder, catalog, disk, lastresort
-from jaxform.errors import InputError, InputWarning, heard
+from jaxform.errors import InputError, heard
+from jaxform.writing import PREFIX
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -161,10 +162,12 @@ def _open_folder(folder: Path, force: bool) -> None:
     if disk.is_file(folder):
         raise InputError("is a file", "name a folder", "--out", str(folder))
     try:
-        if folder.exists() and any(folder.iterdir()) and not force:
+        # What was killed while it wrote may have left a file that is no result.
+        results = (file for file in folder.iterdir() if not file.name.startswith(PREFIX)) if folder.exists() else ()
+        if any(results) and not force:
             raise InputError("exists and is not empty", "choose another folder or give --force", "--out", str(folder))
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".jaxform-writes"
+        probe = folder / f"{PREFIX}writes"
         probe.touch()
         probe.unlink()
     except InputError:
@@ -255,17 +258,22 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
 
 
 def _write_part(
-    arguments: argparse.Namespace, scene: Scene, result: Result, reference: dict[str, Any] | None
+    arguments: argparse.Namespace,
+    scene: Scene,
+    result: Result,
+    reference: dict[str, Any] | None,
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Writes files and picture; warns of what was not warned of before."""
+    """Writes files and picture, the summary amended on request; warns of what was not told before."""
     from jaxform import output, plots
 
-    told, folder = list(arguments.warned), arguments.out
-    with _meanwhile(lambda: output.write_result(scene, result, folder, told)) as written:
+    folder, told = arguments.out, list(arguments.warned)
+    with _meanwhile(lambda: output.write_result(scene, result, folder, told, amend)) as written:
         plots.thickness_picture(folder / "thickness.png", scene, result, reference)
     summary = written.result()
-    for sentence in summary["warnings"][len(told) :]:
-        _warn(sentence)
+    for sentence in summary["warnings"]:
+        if sentence not in told:
+            _warn(sentence)
     return summary
 
 
@@ -326,90 +334,9 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _optimize(arguments: argparse.Namespace) -> int:
-    say, store = _prepare(arguments)
-    import optimize
-    from jaxform import files
+    from jaxform import designing
 
-    study = optimize.load_study(arguments.source, store)
-    reference = files.read_reference(study.document)
-    folder: Path = arguments.out
-    notes = folder / "search.jsonl"
-    _open_folder(folder, arguments.force or (arguments.resume and notes.exists()))
-    journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
-    rows: list[dict[str, Any]] = []
-    with _progress(not arguments.quiet, "designing") as bar:
-
-        def on_evaluation(row: dict[str, Any]) -> None:
-            rows.append(row)
-            # Written anew each time: a search that is killed leaves what it did.
-            optimize.write_history(folder / "history.csv", rows)
-            if bar is not None:
-                bar(min(row["iteration"] / study.iterations, 1.0), _progress_words(row))
-
-        def on_check(error: float) -> None:
-            say(f"gradient along one direction: relative difference to central differences {error:.1e}")
-
-        try:
-            # What is hardly meant in a design on the way is no news; the last one's summary says it.
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", InputWarning)
-                design = optimize.solve(study, on_evaluation, on_check=on_check, journal=journal)
-        except InputError as error:
-            raise error.within(file=study.file) from None
-    if journal.replayed:
-        say(f"{journal.replayed} answers were known from before")
-    _write_design(arguments, study, design, reference)
-    _tell_design(say, design, folder)
-    return _exit_status(design.result)
-
-
-def _progress_words(row: dict[str, Any]) -> str:
-    error = row["thickness_rms_error"]
-    what = f"objective {row['objective']:.4g}" if error == "" else f"deviation {100 * error:.3g} %"
-    return (
-        f"evaluation {row['evaluation']}, {what}, wall from {1e3 * row['wall_min']:.3g} mm, {1e3 * row['mass']:.4g} g"
-    )
-
-
-def _write_design(arguments: argparse.Namespace, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
-    from jaxform import files, output, plots
-
-    folder: Path = arguments.out
-    files.write_scene(study.document, design.changes, folder)
-    _write_part(arguments, design.scene, design.result, reference if not _redesigned(design.changes) else None)
-    plots.convergence_picture(folder / "convergence.png", design.history)
-    before, after = (design.first_scene, design.first_result), (design.scene, design.result)
-    plots.design_picture(folder / "design.png", before, after, study.objective.uniform)
-    output.write_json(folder / "design.json", design.summary())
-
-
-def _redesigned(changes: dict[str, Any]) -> bool:
-    """Whether an exact solution for the scene's own sheet no longer applies."""
-    return any(key.startswith(("parison.", "material.")) for key in changes)
-
-
-def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
-    facts = design.summary()
-    first, best = facts["before"], facts["after"]
-    if best["thickness_rms_error"] is not None:
-        say(
-            f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
-            f"{100 * best['thickness_rms_error']:.3g} %"
-        )
-    say(
-        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, its variation "
-        f"{100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
-        f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
-    )
-    if facts["multiplier"] is not None:
-        say(
-            f"limits are kept to {100 * facts['violation']:.2g} %; multiplier {facts['multiplier']:.3g}: what the "
-            "objective gains per relative change of the limit"
-        )
-    say(
-        f"{facts['evaluations']} simulations with and without gradient (the time of {facts['simulations']:.0f} "
-        f"simulations, {facts['seconds']:.0f} s); {facts['message']}; results in {folder}"
-    )
+    return designing.optimize_study(arguments)
 
 
 if __name__ == "__main__":

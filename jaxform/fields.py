@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
     """A field of a mesh file at other places: exactly where nodes agree, linear in the nearest triangle elsewhere.
 
     Args:
-        path: The file; its positions are initial positions in m.
+        path: The file; its positions are initial positions in m, or it has such as point data `reference` [m].
         name: The field, point data of one number per node.
         positions: Where it is wanted [m], shape (n, 3).
         key: Where the file is named, for messages.
@@ -41,9 +42,20 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
         if name in mesh.cell_fields:
             # The mean over the triangles around a node wants all of them to know it.
             mesh = meshes.weld(mesh)
-        return carried(mesh, _values(mesh, name, f"{key}.field" if key else "field"), positions)
+        values = _values(mesh, name, f"{key}.field" if key else "field")
+        return carried(_as_it_began(mesh, positions), values, positions)
     except InputError as error:
         raise error.within(key=f"{key}.file" if key else "file") from None
+
+
+def _as_it_began(mesh: Mesh, positions: Array) -> Mesh:
+    """A formed mesh at its initial positions, unless the places (n, 3) [m] are nodes of it as it is formed."""
+    if not all(name in mesh.fields for name in meshes.REFERENCE):
+        return mesh
+    initial = np.stack([mesh.fields[name] for name in meshes.REFERENCE], axis=1)
+    same = _tree(mesh.positions).query(positions)[0] <= SAME_PLACE * meshes.size(mesh.positions)
+    # A sheet that is formed a second time is this mesh itself.
+    return mesh if same.all() or not np.isfinite(initial).all() else replace(mesh, positions=initial)
 
 
 def _values(mesh: Mesh, name: str, key: str) -> Array:

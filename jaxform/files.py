@@ -26,6 +26,7 @@ from jaxform.scene import Parison, Refinement, Scene, make_parison, make_pressur
 from jaxform.store import Store
 from jaxform.survey import warn_of_scene
 from jaxform.validation import validate
+from jaxform.writing import whole
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
 
@@ -314,7 +315,8 @@ def write_scene(
             value = _write_field(document, np.asarray(value), folder / f"{Path(name).stem}-thickness.vtu")
         _put(data, key, value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
     path = folder / name
-    path.write_text(_toml(data), encoding="utf-8")
+    with whole(path) as fresh:
+        fresh.write_text(_toml(data), encoding="utf-8")
     return path
 
 
@@ -331,7 +333,8 @@ def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> None:
 
 def _write_field(document: SceneDocument, value: NDArray[Any], path: Path) -> dict[str, str]:
     sheet = _sheet(document)
-    meshes.write_vtu(path, sheet.positions, sheet.triangles, {"thickness": np.asarray(value, float)})
+    with whole(path) as fresh:
+        meshes.write_vtu(fresh, sheet.positions, sheet.triangles, {"thickness": np.asarray(value, float)})
     return {"file": path.name, "field": "thickness"}
 
 

@@ -18,6 +18,8 @@ from jaxform.errors import InputError
 FORMATS = formats.ENDINGS
 WELD_TOLERANCE = 1e-9
 """Distance below which nodes are one, relative to the diagonal of the bounding box."""
+REFERENCE = ("reference.x", "reference.y", "reference.z")
+"""Fields of a mesh that was formed, as the components of its point data `reference`: initial positions [m]."""
 DEGENERATE_HEIGHT = 1e-6
 """Height below which a triangle has no area, relative to its longest side: the noise of float32 files."""
 LARGEST, SMALLEST = 1e6, 1e-9
@@ -253,6 +255,9 @@ def _finite(path: Path, points: Any, used: NDArray[np.int64], scale: float) -> N
 
 def _scalars(data: Mapping[str, Any], count: int) -> dict[str, NDArray[np.float64]]:
     arrays = {name: np.asarray(value) for name, value in data.items()}
+    initial = arrays.get(REFERENCE[0].partition(".")[0])
+    if initial is not None and initial.shape == (count, 3):
+        arrays |= dict(zip(REFERENCE, initial.T, strict=True))
     arrays = {name: value.reshape(-1) for name, value in arrays.items() if value.size == count}
     with np.errstate(all="ignore"):
         return {name: value.astype(np.float64) for name, value in arrays.items() if value.dtype.kind in "biuf"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,16 @@ from jaxform.errors import InputError
 from jaxform.result import Result, only_used, summarize
 from jaxform.scene import Scene
 from jaxform.simulation import Moment
+from jaxform.writing import whole
 
 
-def write_result(scene: Scene, result: Result, folder: str | Path, warned: Sequence[str] = ()) -> dict[str, Any]:
+def write_result(
+    scene: Scene,
+    result: Result,
+    folder: str | Path,
+    warned: Sequence[str] = (),
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+) -> dict[str, Any]:
     """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl and, with a mold, mold.vtu.
 
     Args:
@@ -26,49 +33,55 @@ def write_result(scene: Scene, result: Result, folder: str | Path, warned: Seque
         result: The part.
         folder: Where to write.
         warned: Warnings that were given before; they come first in the summary's.
+        amend: Makes the summary that is written of that of the part; the same by default.
 
     Returns:
         The summary.
     """
     folder = Path(folder)
     summary = summarize(result, scene)
-    summary["warnings"] = list(dict.fromkeys([*warned, *summary["warnings"]]))
+    summary["warnings"] = [*warned, *summary["warnings"]]
+    if amend is not None:
+        summary = amend(summary)
+    summary["warnings"] = list(dict.fromkeys(summary["warnings"]))
     write_json(folder / "summary.json", summary)
     write_part(scene, result, folder / "final.vtu")
     shown, part = only_used(scene, result)
-    meshes.write_stl(folder / "formed.stl", np.asarray(part.positions), np.asarray(shown.parison.triangles))
+    with whole(folder / "formed.stl") as fresh:
+        meshes.write_stl(fresh, np.asarray(part.positions), np.asarray(shown.parison.triangles))
     if scene.mold is not None:
-        meshes.write_vtu(folder / "mold.vtu", np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles))
+        with whole(folder / "mold.vtu") as fresh:
+            meshes.write_vtu(fresh, np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles))
     return summary
 
 
 def write_json(path: Path, facts: dict[str, Any]) -> None:
     """Writes plain numbers, words, lists and tables; null for numbers that are not finite."""
     text = json.dumps(_valid(facts), indent=2, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
+    with whole(path) as fresh:
+        fresh.write_text(text + "\n", encoding="utf-8")
 
 
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:
     """Writes the part as a mesh with data: initial position, thicknesses, time of contact, stretches, level."""
     scene, result = only_used(scene, result)
     stretches = np.asarray(result.stretches, float)
-    meshes.write_vtu(
-        path,
-        np.asarray(result.positions),
-        np.asarray(scene.parison.triangles),
-        point_data={
-            "reference": np.asarray(scene.parison.positions, float),
-            "thickness": np.asarray(result.thickness, float),
-            "initial_thickness": np.asarray(scene.parison.thickness, float),
-            "contact_time": np.asarray(result.contact_time, float),
-        },
-        cell_data={
-            "thickness": np.asarray(result.element_thickness, float),
-            "stretch_1": stretches[:, 0],
-            "stretch_2": stretches[:, 1],
-            "level": np.asarray(result.level, np.int32),
-        },
-    )
+    point_data = {
+        "reference": np.asarray(scene.parison.positions, float),
+        "thickness": np.asarray(result.thickness, float),
+        "initial_thickness": np.asarray(scene.parison.thickness, float),
+        "contact_time": np.asarray(result.contact_time, float),
+    }
+    cell_data = {
+        "thickness": np.asarray(result.element_thickness, float),
+        "stretch_1": stretches[:, 0],
+        "stretch_2": stretches[:, 1],
+        "level": np.asarray(result.level, np.int32),
+    }
+    with whole(path) as fresh:
+        meshes.write_vtu(
+            fresh, np.asarray(result.positions), np.asarray(scene.parison.triangles), point_data, cell_data
+        )
 
 
 def write_sheet(scene: Scene, path: str | Path) -> None:
@@ -142,7 +155,8 @@ class Frames:
         if not self.times or self.times[-1] < float(result.time):
             write_part(scene, result, self._next(float(result.time)))
         names = [f"frames/{_frame_name(index)}" for index in range(len(self.times))]
-        meshes.write_pvd(self.folder / "frames.pvd", list(zip(self.times, names, strict=True)))
+        with whole(self.folder / "frames.pvd") as fresh:
+            meshes.write_pvd(fresh, list(zip(self.times, names, strict=True)))
 
     def _next(self, time: float) -> Path:
         """Where the frame of a time [s] goes."""

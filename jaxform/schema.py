@@ -491,8 +491,10 @@ class _Search(Table):
     """What all methods share; see `optimize.Study`."""
 
     iterations: Count = 30
-    tolerance: Positive | None = None
-    improvement: NotNegative | None = None
+    max_simulations: Positive | None = None
+    minutes: Positive | None = None
+    tolerance: NotNegative | None = None
+    gradient_tolerance: NotNegative | None = None
     goal: Positive | None = None
     warm_start: Annotated[int, Field(ge=0, le=1_000_000)] = 0
     starts: Annotated[int, Field(ge=1, le=10_000)] = 1

@@ -13,6 +13,7 @@ import numpy as np
 import optax
 
 from optimize.designs import Point, Study
+from optimize.endings import NO_STEP, STOPPED, Ending, done
 from optimize.search import Search
 
 _SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
@@ -21,21 +22,17 @@ _INSIDE = (0.1, 0.8)  # of an interval, where the next trial is
 _MEMORY = 10
 _FIRST_STEP = 1.0  # in the unbounded numbers, of the largest of them
 
-NO_STEP = "no step along the search direction makes it better"
-STOPPED = "stopped by the caller"
 
-
-def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     """Optax's L-BFGS direction with a weak Wolfe line search; the last point and why it ended."""
     transform = optax.scale_by_lbfgs(memory_size=_MEMORY)
     first, values, fresh = point, [point.value], search.memory is None
     # What an earlier round learnt of the curvature holds for other multipliers, nearly.
     state = transform.init(jnp.asarray(point.free)) if search.memory is None else search.memory
-    for _ in range(study.iterations):
-        search.iteration += 1
-        message = search.done(point, values, first)
-        if message:
-            return point, message
+    while True:
+        ending = search.begin() or done(study, point, values, first)
+        if ending:
+            return point, ending
         update, state = transform.update(jnp.asarray(point.gradient), state, jnp.asarray(point.free))
         direction = -np.asarray(update)
         if direction @ point.gradient >= 0:
@@ -53,7 +50,6 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, str]:
             return point, NO_STEP
         values.append(step.value)
         point = search.refreshed(step)
-    return point, f"{study.iterations} iterations done"
 
 
 class _End(NamedTuple):
@@ -100,17 +96,16 @@ def _between(short: _End, long: _End) -> float:
     return short.length + width * float(np.clip(share, *_INSIDE))
 
 
-def adam(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+def adam(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     """Optax's Adam; after a failed simulation from the best design with half the rate."""
     rate = study.learning_rate
     transform = optax.scale_by_adam()
     first = point
     state = transform.init(jnp.asarray(point.free))
-    for _ in range(study.iterations):
-        search.iteration += 1
-        message = search.done(point, [], first)
-        if message:
-            return point, message
+    while True:
+        ending = search.begin() or done(study, point, [], first)
+        if ending:
+            return point, ending
         update, state = transform.update(jnp.asarray(point.gradient), state)
         trial = search(point.free - rate * np.asarray(update))
         if search.stopped:
@@ -120,4 +115,3 @@ def adam(search: Search, study: Study, point: Point) -> tuple[Point, str]:
         else:
             assert search.best is not None
             rate, point, state = 0.5 * rate, search.best, transform.init(jnp.asarray(search.best.free))
-    return point, f"{study.iterations} iterations done"

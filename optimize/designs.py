@@ -38,10 +38,12 @@ class Study:
         variables: What may change.
         objective: What is wanted.
         method: "lbfgs", "adam", "least-squares" or "fixed-point".
-        iterations: Accepted steps at most; with constraints, in each of the rounds between which multipliers change.
-        tolerance: The search ends when the gradient's norm is below this fraction of the first one.
-        improvement: It ends when five steps together made the value smaller by less than this fraction of it.
+        iterations: Steps at most in all: those of the warm start, and of every round between which multipliers change.
+        tolerance: The search ends when five steps together, or two rounds, gain less than this fraction of the value.
+        gradient_tolerance: It ends when the gradient's norm is below this fraction of the first one.
         goal: It ends when the objective is at most this; None for never.
+        max_simulations: It ends before it costs more than the time of so many simulations; None for never.
+        minutes: It ends after so many minutes [min] of the clock; None for never.
         learning_rate: Of Adam, in the unbounded numbers.
         warm_start: So many updates of the fixed point before the search.
         starts: From so many designs, strewn about the first one, the best is where the search begins.
@@ -56,9 +58,11 @@ class Study:
     objective: Objective
     method: str = "lbfgs"
     iterations: int = 30
-    tolerance: float = 1e-4
-    improvement: float = 1e-3
+    tolerance: float = 1e-3
+    gradient_tolerance: float = 1e-4
     goal: float | None = None
+    max_simulations: float | None = None
+    minutes: float | None = None
     learning_rate: float = 0.1
     warm_start: int = 0
     starts: int = 1

@@ -9,8 +9,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from optimize.descent import STOPPED
 from optimize.designs import Point, Study
+from optimize.endings import GOAL, STOPPED, Ending
 from optimize.search import Search
 from optimize.variables import SheetVariable
 
@@ -18,27 +18,29 @@ _EXPONENT = 0.5
 _MOST = 2.0  # times, or one over it, that the sheet changes at once
 
 
-def fixed_point(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+def fixed_point(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     """Updates from a design; the last one and why it ended."""
     return updates(search, study, point.free, study.iterations)
 
 
-def updates(search: Search, study: Study, free: np.ndarray, count: int) -> tuple[Point, str]:
+def updates(search: Search, study: Study, free: np.ndarray, count: int) -> tuple[Point, Ending]:
     """So many updates of a design (n,); ends early when one makes it worse."""
     last, ratio = search.plain(free)
     for _ in range(count):
-        search.iteration += 1
+        ending = search.begin()
         if search.stopped:
             return last, STOPPED
         if study.goal is not None and last.rank <= (0.0, study.goal):
-            return last, "the goal is reached"
+            return last, GOAL
+        if ending:
+            return last, ending
         if not np.isfinite(last.value):
-            return last, "an update fails"
+            return last, Ending("failure", "an update fails")
         new, ratio = search.plain(_updated(search, last.free, ratio))
         if new.value > last.value and search.limits is None:
-            return last, "an update makes it worse"
+            return last, Ending("no-step", "an update makes it worse")
         last = new
-    return last, f"{count} updates done"
+    return last, Ending("iterations", f"{count} updates done")
 
 
 def _updated(search: Search, free: np.ndarray, ratio: np.ndarray) -> np.ndarray:

@@ -1,20 +1,45 @@
 """What a search asked and was told, kept on disk as it goes, so that one that was killed goes on where it was.
 
 A search is deterministic: begun again, it asks the same questions. Those that are in the journal are answered from
-there, without a simulation; nothing else of the search has to be kept. A line that was being written when the process
-died is left out.
+there, without a simulation; nothing else of the search has to be kept. Each line ends with a checksum of itself: a line
+that was being written when the process died is left out, and one that was damaged in another way is refused. Lines are
+read one at a time, when they are asked for: a journal may be larger than the memory.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import shutil
+import stat
+import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
 from jaxform import InputError
+from jaxform.writing import unwritten, whole
 
 Answer = dict[str, Any]
+
+MOST_LINE = 1 << 27
+"""Bytes of a line at most: an answer about a mesh of a million elements has a third of that."""
+_GO_ON = "make room, then go on with --resume"
+_ANEW = "search anew with --force"
+_KEYS = {"number", "kind", "at", "answer"}
+_BEGIN = b'{"'  # of every line
+
+
+class _Span(NamedTuple):
+    """Where a line is in the file: its first byte and its length."""
+
+    begin: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        return self.begin + self.length
 
 
 class Journal:
@@ -29,57 +54,153 @@ class Journal:
         replayed: How many questions were answered from the file so far.
 
     Raises:
-        InputError: If the journal is of another study or cannot be read.
+        InputError: If the journal is of another study, damaged, or cannot be read or written.
     """
 
     def __init__(self, path: Path | None = None, study: str = "", resume: bool = False) -> None:
         """See the class."""
         self._path, self.replayed = path, 0
-        self._known = _read(path, study) if path is not None and resume and path.exists() else []
-        if path is not None:
-            self._write_anew([{"study": study}, *self._known])
+        self._known: list[_Span] = []
+        self._count = 0
+        if path is None:
+            return
+        if resume and os.path.exists(path):
+            self._known = _read(path, study)
+            self._count = len(self._known)
+            return
+        with whole(path, _GO_ON) as fresh:
+            fresh.write_bytes(_line({"study": study}))
 
     def ask(self, kind: str, at: list[float], compute: Callable[[], Answer]) -> tuple[Answer, bool]:
-        """The answer to a question, and whether it was known from the file."""
+        """The answer to a question, and whether it was known from the file.
+
+        Raises:
+            InputError: If the file cannot be read or written any more.
+        """
         if self.replayed < len(self._known):
-            entry = self._known[self.replayed]
+            entry = self._entry(self._known[self.replayed])
             if entry["kind"] == kind and entry["at"] == at:
                 self.replayed += 1
                 return entry["answer"], True
-            # Another version of the program would search otherwise: from here on nothing is known.
-            self._known = self._known[: self.replayed]
-            self._write_anew([self._first, *self._known])
+            self._part()
         answer = compute()
-        self._append({"kind": kind, "at": at, "answer": answer})
+        self._append(_line({"number": self._count + 1, "kind": kind, "at": at, "answer": answer}))
+        self._count += 1
         return answer, False
 
-    def _write_anew(self, entries: list[dict[str, Any]]) -> None:
+    def _entry(self, span: _Span) -> dict[str, Any]:
+        assert self._path is not None
+        try:
+            with self._path.open("rb") as file:
+                file.seek(span.begin)
+                entry = _parsed(file.read(span.length))
+        except OSError as error:
+            raise _unread(self._path, error) from None
+        if entry is None:
+            raise _damaged(self._path, self.replayed + 2)
+        return entry
+
+    def _part(self) -> None:
+        """Another version of the program searches otherwise: from here on nothing is known. The whole is kept aside."""
+        assert self._path is not None
+        try:
+            shutil.copyfile(self._path, self._path.with_suffix(".old"))
+            os.truncate(self._path, self._known[self.replayed].begin)
+        except OSError as error:
+            raise unwritten(self._path, error, _GO_ON) from None
+        self._known, self._count = self._known[: self.replayed], self.replayed
+
+    def _append(self, line: bytes) -> None:
         if self._path is None:
             return
-        self._first = entries[0]
-        text = "".join(json.dumps(entry) + "\n" for entry in entries)
-        fresh = self._path.with_suffix(".new")
-        fresh.write_text(text, encoding="utf-8")
-        fresh.replace(self._path)
-
-    def _append(self, entry: dict[str, Any]) -> None:
-        if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(entry) + "\n")
-
-
-def _read(path: Path, study: str) -> list[dict[str, Any]]:
-    entries = []
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError):
-        raise InputError("cannot be read", "search anew with --force", "--resume", str(path)) from None
-    for line in lines:
+        end = None
         try:
-            entries.append(json.loads(line))
-        except json.JSONDecodeError:
-            break
-    if not entries or entries[0].get("study") != study:
-        mend = "name its own folder, or search anew with --force"
-        raise InputError("is of another study, or of another version of it", mend, "--resume", str(path))
-    return entries[1:]
+            # Not made anew where it is gone: a journal without its begin is none.
+            with self._path.open("r+b", buffering=0) as file:
+                end = file.seek(0, os.SEEK_END)
+                if file.write(line) != len(line):
+                    raise OSError(None, "the disk is full")
+        except OSError as error:
+            if end is not None:
+                with contextlib.suppress(OSError):
+                    os.truncate(self._path, end)
+            raise unwritten(self._path, error, _GO_ON) from None
+
+
+def _line(entry: dict[str, Any]) -> bytes:
+    """An entry as a line of JSON, with the checksum of all before it as its last item."""
+    body = json.dumps(entry).encode()
+    return b'%b, "sum": %d}\n' % (body[:-1], zlib.crc32(body))
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    """What a line says; None where it is not as it was written."""
+    head, _, tail = line.rpartition(b', "sum": ')
+    body = head + b"}"
+    if tail != b"%d}\n" % zlib.crc32(body):
+        return None
+    try:
+        entry = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    whole_one = isinstance(entry, dict) and ("study" in entry or set(entry) == _KEYS)
+    return entry if whole_one else None
+
+
+def _read(path: Path, study: str) -> list[_Span]:
+    """Where the entries of a journal are; cuts off a last line that was not written to its end."""
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise InputError("is no regular file", _ANEW, "--resume", str(path))
+        with path.open("rb") as file:
+            spans = _spans(path, file, study)
+            size = file.seek(0, os.SEEK_END)
+        if spans[-1].end < size:
+            os.truncate(path, spans[-1].end)
+    except OSError as error:
+        raise _unread(path, error) from None
+    return spans[1:]
+
+
+def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
+    """Those of all whole lines, the first one included."""
+    spans: list[_Span] = []
+    begin = 0
+    while line := file.readline(MOST_LINE):
+        entry = _parsed(line)
+        if entry is None:
+            last = not file.read(1)
+            if spans and last and _was_cut(line):
+                return spans
+            raise _damaged(path, len(spans) + 1)
+        if not spans and entry.get("study") != study:
+            mend = "name its own folder, or search anew with --force"
+            raise InputError("is of another study, or of another version of it", mend, "--resume", str(path))
+        if spans and entry.get("number") != len(spans):
+            raise _damaged(path, len(spans) + 1)
+        spans.append(_Span(begin, len(line)))
+        begin += len(line)
+    if not spans:
+        raise InputError("is empty", _ANEW, "--resume", str(path))
+    return spans
+
+
+def _was_cut(line: bytes) -> bool:
+    """Whether a line begins as one of ours and ends before it is one."""
+    if _parsed(line + b"\n"):
+        return True
+    try:
+        json.loads(line)
+    except (ValueError, RecursionError):
+        return line.startswith(_BEGIN) or _BEGIN.startswith(line)
+    return False
+
+
+def _damaged(path: Path, number: int) -> InputError:
+    problem = f"is damaged in line {number}, which is not what a search wrote"
+    mend = "delete that line and all after it to go on from there, or search anew with --force" if number > 1 else _ANEW
+    return InputError(problem, mend, "--resume", str(path))
+
+
+def _unread(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot be read ({error.strerror or error})", _ANEW, "--resume", str(path))

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from optimize.descent import NO_STEP, STOPPED
 from optimize.designs import Point, Study
+from optimize.endings import NO_STEP, STOPPED, Ending, done
 from optimize.search import Search
 
 _FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 8
@@ -18,15 +18,17 @@ _IDLE_STEPS = 3  # that bring next to nothing; where contact makes the value rou
 _FLOOR = 1e-6  # of the largest diagonal entry: where a number does nothing, the step stays small
 
 
-def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, str]:
+def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     """Levenberg-Marquardt from a point; the last point and why it ended. A step is a matrix and a trial or more."""
     first, values, damping = search.curvature(point.free)[0], [point.value], _FIRST_DAMPING
-    for _ in range(study.iterations):
-        search.iteration += 1
+    while True:
+        ending = search.begin()
+        if ending:
+            return point, ending
         point, matrix = search.curvature(point.free)
-        message = search.done(point, values, first, steps=_IDLE_STEPS)
-        if message or search.stopped:
-            return point, message or STOPPED
+        ending = done(study, point, values, first, steps=_IDLE_STEPS)
+        if ending or search.stopped:
+            return point, ending or STOPPED
         step, damping = _trials(search, point, matrix, damping)
         if search.stopped:
             return step or point, STOPPED
@@ -34,7 +36,6 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, st
             return point, NO_STEP
         values.append(step.value)
         point = search.refreshed(step)
-    return point, f"{study.iterations} iterations done"
 
 
 def _trials(search: Search, point: Point, matrix: np.ndarray, damping: float) -> tuple[Point | None, float]:

@@ -97,6 +97,7 @@ class Target(Objective):
 
     Attributes:
         uniform: The target where it is one number, else None [m].
+        nodal: The target at the nodes (n_node,) [m]; along a place in the formed part, all its values (n,).
 
     Raises:
         InputError: If a target is not positive or does not fit the mesh.
@@ -123,6 +124,7 @@ class Target(Objective):
         if not np.all(np.isfinite(given) & (given > 0)):
             raise InputError("must be positive", "give metres > 0", "objective.thickness")
         self._nodal = jnp.asarray(np.broadcast_to(given, (count,)))
+        self.nodal = self._nodal if self._profile is None else jnp.asarray(self._profile.value)
 
     def wanted(self, result: Result) -> jax.Array:
         """The target at the nodes (n_node,) [m]."""

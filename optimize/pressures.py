@@ -107,6 +107,14 @@ class PressureKnots:
         time = time * self._stretch(free)
         return {"pressure.time": time, "pressure.value": self._values(free[:-1], time)}
 
+    def shares(self, free: jax.Array) -> jax.Array:
+        """How far pressures, and the history's end where it is designed, are between their bounds."""
+        low, high = self.bounds
+        if self.end_time is None:
+            return (self._values(free, jnp.asarray(self._time)) - low) / (high - low)
+        pressures = self._values(free[:-1], jnp.asarray(self._time) * self._stretch(free))
+        return jnp.append((pressures - low) / (high - low), bounded(free[-1], (0.0, 1.0)))
+
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The same as lists."""
         return {path: np.asarray(values, float).tolist() for path, values in self.changes(free).items()}

@@ -21,12 +21,12 @@ import jaxform
 from jaxform import Result, Scene
 from jaxform.compiling import compiled
 from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
+from optimize.endings import Ending, SpentError, spent
 from optimize.journal import Answer, Journal
 from optimize.variables import Variable
 from optimize.walls import wall
 
 _REFRESH = 5  # iterations with the same decisions about the mesh
-_IDLE_STEPS = 5
 _FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
 # Of steps in the unbounded numbers, for the gradient's check: until one agrees. Large ones meet other decisions of the
 # windows, small ones rounding.
@@ -46,14 +46,16 @@ class Search:
         history: Rows so far.
         simulations: Cost so far in simulations without gradient.
         iteration: Which step of the search is being tried.
+        pause: The step at which a round ends, though the search goes on.
         best: The best design so far.
         stopped: Whether the caller wants no more.
+        last: Whether what the search may cost is spent, but for a simulation that was put by.
         schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
         journal: What was asked and answered.
         limits: Multipliers and penalty; None without constraints.
         seconds: So far, those of earlier parts of the search included [s].
         gradient_error: What `check` found; None before.
-        multiplier: The weighted sum of the multipliers when they were last brought up to date.
+        multiplier: The weighted sum of the multipliers at the end of the last round; None before.
         memory: What the method keeps from one round to the next; its own affair.
     """
 
@@ -63,14 +65,16 @@ class Search:
     history: list[dict[str, Any]] = field(default_factory=list)
     simulations: float = 1.0
     iteration: int = 0
+    pause: float = np.inf
     best: Point | None = None
     stopped: bool = False
+    last: bool = False
     schedule: jaxform.Schedule | None = None
     journal: Journal = field(default_factory=Journal)
     limits: Limits | None = None
     seconds: float = 0.0
     gradient_error: float | None = None
-    multiplier: float = 0.0
+    multiplier: float | None = None
     memory: Any = None
 
     def __post_init__(self) -> None:
@@ -78,6 +82,7 @@ class Search:
         self._splits = [int(split) for split in splits]
         self._began, self._clock = time.perf_counter(), time.process_time()
         self._programs: dict[str, Any] = {}
+        self._costs: dict[str, float] = {}
         self._curved: tuple[Point, np.ndarray] | None = None
         if self.study.objective.constrained:
             multipliers = self.study.objective.first_multipliers(self.study.scene)
@@ -148,9 +153,14 @@ class Search:
     # --- What searches ask ----------------------------------------------------------------------------------------
 
     def asked(self, kind: str, free: np.ndarray, work: Callable[[], Answer]) -> Answer:
-        """An answer of the journal, or of some work whose cost is counted."""
+        """An answer of the journal, or of some work whose cost is counted.
+
+        Raises:
+            SpentError: If the study's limit on simulations or minutes leaves no room for the work.
+        """
 
         def compute() -> Answer:
+            self._check_budget(kind)
             self._clock = time.process_time()
             answer = work()
             spent = answer.pop("spent", time.process_time() - self._clock)
@@ -160,8 +170,20 @@ class Search:
         if known:
             self._began = time.perf_counter() - answer["elapsed"]
         self.simulations += answer["cost"]
+        self._costs[kind] = answer["cost"]
         self.seconds = answer["elapsed"]
         return answer
+
+    def _check_budget(self, kind: str) -> None:
+        """Refuses work that would cost too much, if it costs what its kind did before; the first design is free."""
+        if not self.history or self.last:
+            return
+        cost = self.simulations + self._costs.get(kind, 1.0)
+        if self.limits is not None:
+            cost += self._costs.get("value", 1.0)  # put by for a design that keeps the limits
+        ending = spent(self.study, cost, time.perf_counter() - self._began)
+        if ending is not None:
+            raise SpentError(ending)
 
     def __call__(self, free: np.ndarray) -> Point:
         """Value and gradient at a design, infinite where its simulation fails; a row of the history."""
@@ -226,15 +248,20 @@ class Search:
         direction /= np.linalg.norm(direction)
         slope, differences = float(point.gradient @ direction), []
         for size in _CHECK_SIZES:
-            up, down = (self._probed(point.free + sign * size * direction) for sign in (1.0, -1.0))
+            up, down = (self._valued("check", point.free + sign * size * direction) for sign in (1.0, -1.0))
             differences.append(abs((up - down) / (2.0 * size) - slope) / max(abs(slope), 1e-300))
             if differences[-1] < _AGREES:
                 break
         self.gradient_error = float(np.nanmin(differences))
         return self.gradient_error
 
-    def _probed(self, free: np.ndarray) -> float:
-        return self.asked("check", free, lambda: self._forward(free))["value"]
+    def probed(self, free: np.ndarray) -> float:
+        """The value of a design that is no part of the search; infinite where its simulation fails."""
+        return self._valued("probe", free)
+
+    def _valued(self, kind: str, free: np.ndarray) -> float:
+        answer = self.asked(kind, free, lambda: self._forward(free))
+        return np.inf if kind == "probe" and answer["status"] else answer["value"]
 
     def taken(self, free: np.ndarray, answer: Answer) -> Point:
         """The point of an answer; it is the best one if it is, and a row of the history."""
@@ -274,6 +301,13 @@ class Search:
 
     # --- Between iterations ------------------------------------------------------------------------------------------
 
+    def begin(self) -> Ending | None:
+        """Begins an iteration; why there is none, where the study or the round allows no more."""
+        if self.iteration >= min(self.study.iterations, self.pause):
+            return Ending("iterations", f"{self.iteration} iterations done")
+        self.iteration += 1
+        return None
+
     def refreshed(self, point: Point) -> Point:
         """The point with the decisions that a run of its design takes, where the mesh is refined and it is time.
 
@@ -305,21 +339,7 @@ class Search:
         multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
         if point.violation > max(_ENOUGH * before, KEPT):
             penalty = _LARGER_PENALTY * penalty
-        self.limits, self.multiplier = Limits(multipliers, penalty), point.row["multiplier"]
-
-    def done(self, point: Point, values: list[float], first: Point, steps: int = _IDLE_STEPS) -> str:
-        """Why the search ends at a point, after steps with these values; an empty text where it goes on.
-
-        So many steps together must have brought something.
-        """
-        study = self.study
-        if study.goal is not None and point.rank <= (0.0, study.goal):
-            return "the goal is reached"
-        if float(np.linalg.norm(point.gradient)) <= study.tolerance * float(np.linalg.norm(first.gradient)):
-            return "the gradient is small enough"
-        if len(values) > steps and values[-1 - steps] - values[-1] <= study.improvement * abs(values[-1]):
-            return "the last steps brought next to nothing"
-        return ""
+        self.limits = Limits(multipliers, penalty)
 
 
 def _plain(report: dict[str, jax.Array]) -> Answer:

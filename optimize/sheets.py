@@ -41,6 +41,10 @@ class _Sheet:
         """Nodal thickness (n_node,) [m]."""
         return {"parison.thickness": self._weights @ self._values(free)}
 
+    def shares(self, free: jax.Array) -> jax.Array:
+        """How far the numbers (n,) are between their bounds."""
+        return (self._values(free) - self.bounds[0]) / (self.bounds[1] - self.bounds[0])
+
     def document(self, free: jax.Array) -> dict[str, Any]:
         """Thickness at the nodes of the mesh (n_node,) [m], before it is refined."""
         return {"parison.thickness": np.asarray(self.changes(free)["parison.thickness"], float)[: self._first_nodes]}

@@ -13,18 +13,22 @@ import numpy as np
 
 import jaxform
 from jaxform import InputError, Result, Scene
-from optimize.descent import NO_STEP, STOPPED, adam, lbfgs
-from optimize.designs import COLUMNS, KEPT, LIMIT_COLUMNS, Point, Study
+from optimize import idle, reach
+from optimize.descent import adam, lbfgs
+from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
+from optimize.endings import STOPPED, Ending, SpentError
 from optimize.fixed_point import fixed_point, updates
 from optimize.journal import Answer, Journal
 from optimize.least_squares import least_squares
+from optimize.price import price
+from optimize.rounds import fall_back, rounds
 from optimize.search import Search
 from optimize.variables import SheetVariable
 
 __all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
 
 Row = dict[str, Any]
-Method = Callable[[Search, Study, Point], tuple[Point, str]]
+Method = Callable[[Search, Study, Point], tuple[Point, Ending]]
 
 METHODS: dict[str, Method] = {
     "lbfgs": lbfgs,
@@ -33,7 +37,6 @@ METHODS: dict[str, Method] = {
     "fixed-point": fixed_point,
 }
 _WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the begin; the latter takes its own
-_MOST_THICKENED = 0.5
 _SPREAD = 1.0  # of several starts, in the unbounded numbers
 
 
@@ -47,13 +50,17 @@ class Design:
         changes: Best design as dotted keys of a scene file with plain values, or nodal arrays.
         history: A row per simulation of the search, with the columns `COLUMNS` (and `LIMIT_COLUMNS`).
         document: Of the study.
-        message: Why the search ended.
+        message: Why the search ended, in words.
+        stopped_by: The same in one word: a key of the study, or one that `optimize.endings.Ending` names.
+        broken: Which limits the design does not keep, by how much, and what to do about it; empty where it keeps all.
+        warnings: What to mind about the study, a sentence each.
         objective: Of the best design.
         violation: By how much it breaks the worst limit, relative to it; 0 without constraints.
         gradient_error: Relative difference of the gradient to central differences along one direction, before the
             search; None where it takes no gradient.
         best_row: Of the history.
-        multiplier: The weighted sum of the constraints' multipliers; None without constraints.
+        multiplier: The weighted sum of the constraints' multipliers; None without constraints, or before
+            a round has ended.
     """
 
     scene: Scene
@@ -64,26 +71,42 @@ class Design:
     history: list[Row]
     document: Any
     message: str
+    stopped_by: str
+    broken: str
+    warnings: list[str]
     objective: float
     violation: float
     gradient_error: float | None
     best_row: Row
     multiplier: float | None
 
+    def amended(self, summary: dict[str, Any]) -> dict[str, Any]:
+        """The summary of the part with what is to be said of the search: broken limits, warnings, and its facts."""
+        status = summary["status"]
+        if self.broken:
+            status = self.broken if status == "ok" else f"{status}; {self.broken}"
+        warnings = [*self.warnings, *summary["warnings"]]
+        return summary | {"status": status, "warnings": warnings, "design": self.summary()}
+
     def summary(self) -> dict[str, Any]:
         """Plain facts: what it was before and after, what that took, and how far it can be trusted."""
         names = ("objective", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv", "mass")
         before, after = ({name: _number(row[name]) for name in names} for row in (self.history[0], self.best_row))
         return {
+            "status": self.broken or "ok",
             "message": self.message,
+            "stopped_by": self.stopped_by,
             "before": before,
             "after": after,
             "violation": self.violation,
             "multiplier": self.multiplier,
             "gradient_error": self.gradient_error,
+            "iterations": self.history[-1]["iteration"],
             "evaluations": len(self.history),
             "simulations": self.history[-1]["simulations"],
             "seconds": self.history[-1]["seconds"],
+            "price": price(self.history),
+            "warnings": self.warnings,
         }
 
 
@@ -96,6 +119,7 @@ def solve(
     on_evaluation: Callable[[Row], object] | None = None,
     *,
     on_check: Callable[[float], object] | None = None,
+    on_warning: Callable[[str], object] | None = None,
     journal: Journal | None = None,
 ) -> Design:
     """Searches for the best design.
@@ -104,13 +128,15 @@ def solve(
         study: What is designed and how.
         on_evaluation: Called with every row of the history as it comes; a true answer ends the search.
         on_check: Called with the gradient's relative difference to central differences, before the search.
+        on_warning: Called with what to mind about the study, a sentence each, before the search.
         journal: What is kept on disk, so that a search that was killed goes on; nothing by default.
 
     Raises:
         InputError: If the study asks for what its objective or variables do not have, or the scene to begin with
-            cannot be simulated to its end.
+            cannot be simulated to its end, or it asks for what no design within the bounds can reach.
     """
     _check(study)
+    reach.check(study)
     first = jaxform.run(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "mend the scene first", "scene")
@@ -118,30 +144,46 @@ def solve(
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule
     search = Search(study, on_evaluation, forward_seconds, schedule=schedule, journal=journal or Journal())
+    warnings: list[str] = []
+
+    def warn(sentence: str) -> None:
+        warnings.append(sentence)
+        if on_warning is not None:
+            on_warning(sentence)
+
+    for sentence in reach.doubts(study):
+        warn(sentence)
     try:
-        message = _searched(search, study, on_check)
+        ending = _searched(search, study, on_check, lambda point: idle.look(search, point, first, warn))
+    except SpentError as spent:
+        ending = spent.ending
+        fall_back(search)
     except KeyboardInterrupt:
         if search.best is None:
             raise
-        message = "interrupted"  # what was found is worth keeping
+        ending = Ending("interrupted", "interrupted")  # what was found is worth keeping
     best = search.best
     if best is None:
         raise InputError("the first design, moved into the bounds, fails", "widen the bounds", "variable.bounds")
     scene = search.scene(best.free)
+    result = jaxform.run(scene)
     return Design(
         scene=scene,
-        result=jaxform.run(scene),
+        result=result,
         first_scene=study.scene,
         first_result=first,
         changes=search.document(best.free),
         history=search.history,
         document=study.document,
-        message=message,
+        message=ending.words,
+        stopped_by=ending.by,
+        broken=reach.broken(study, scene, result, best, ending),
+        warnings=warnings,
         objective=best.objective,
         violation=best.violation,
         gradient_error=search.gradient_error,
         best_row=best.row,
-        multiplier=None if search.limits is None else search.multiplier,
+        multiplier=search.multiplier,
     )
 
 
@@ -176,8 +218,13 @@ def _check(study: Study) -> None:
         raise InputError("changes the sheet, which is no variable here", mend, rule)
 
 
-def _searched(search: Search, study: Study, on_check: Callable[[float], object] | None) -> str:
-    """Warm starts, the gradient's check and the search; why it ended."""
+def _searched(
+    search: Search,
+    study: Study,
+    on_check: Callable[[float], object] | None,
+    look: Callable[[Point], object],
+) -> Ending:
+    """Warm starts, a look at the first gradient, its check and the search; why it ended."""
     free = search.start
     if study.starts > 1:
         free = _best_start(search, study)
@@ -190,51 +237,15 @@ def _searched(search: Search, study: Study, on_check: Callable[[float], object] 
     if search.stopped:
         return STOPPED
     if not np.isfinite(point.value):
-        return "the first design fails"
+        return Ending("failure", "the first design fails")
     if study.method != "fixed-point":
         known = search.curvature(free)[0] if study.method == "least-squares" else point
+        look(known)
         error = search.check(known)
         if on_check is not None:
             on_check(error)
-    return _rounds(search, study, point) if study.objective.constrained else _search(search, study, point)[1]
-
-
-def _search(search: Search, study: Study, point: Point) -> tuple[Point, str]:
-    return METHODS[study.method](search, study, point)
-
-
-def _rounds(search: Search, study: Study, point: Point) -> str:
-    """Searches between which the multipliers are brought up to date, until limits are kept and nothing changes."""
-    before = np.inf
-    for number in range(1, study.rounds + 1):
-        last = point.objective
-        point, message = _search(search, study, point)
-        if search.stopped:
-            return message
-        if point.violation <= KEPT and abs(point.objective - last) <= study.improvement * abs(last) and number > 1:
-            return f"limits are kept and nothing more is gained, after {number} rounds"
-        _thicken(search, point)
-        search.press(point, before)
-        before = point.violation
-        point = search(point.free)
-    return f"{study.rounds} rounds done, the last ended since: {message}" if message != NO_STEP else message
-
-
-def _thicken(search: Search, point: Point) -> None:
-    """Tries the design with so much thicker a sheet that the limit ought to be kept: a good design to fall back on.
-
-    The wall is proportional to the sheet, nearly. The search itself goes on from where it was.
-    """
-    sheets = [variable for variable in search.study.variables if isinstance(variable, SheetVariable)]
-    if not sheets or not search.study.objective.aims or not KEPT < point.violation < _MOST_THICKENED:
-        return
-    parts = []
-    for variable, own in search.parts(point.free):
-        if isinstance(variable, SheetVariable):
-            sheet = np.asarray(variable.changes(jax.numpy.asarray(own))["parison.thickness"], float)
-            own = variable.nearest(sheet / (1.0 - point.violation))
-        parts.append(own)
-    search.plain(np.concatenate(parts))
+    method = METHODS[study.method]
+    return rounds(search, study, point, method) if study.objective.constrained else method(search, study, point)[1]
 
 
 def _best_start(search: Search, study: Study) -> np.ndarray:

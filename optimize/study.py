@@ -18,11 +18,14 @@ from jaxform.errors import InputError
 from jaxform.profiles import Profile
 from jaxform.result import only_used
 from jaxform.store import Store
+from jaxform.writing import whole
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.variables import Scale, Variable
+
+_HOW_LONG = ("iterations", "max_simulations", "minutes", "rounds", "goal", "tolerance", "gradient_tolerance")
 
 
 def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
@@ -56,7 +59,7 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
 def _digest(document: files.StudyDocument, scene: Scene) -> str:
     """Of all that decides how a search goes, but how long: one that has ended can be told to go on."""
     data = {key: value for key, value in document.data.items() if key != "description"}
-    data["solver"] = {key: value for key, value in data["solver"].items() if key != "iterations"}
+    data["solver"] = {key: value for key, value in data["solver"].items() if key not in _HOW_LONG}
     digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode())
     for leaf in jax.tree.leaves(scene):
         digest.update(np.asarray(leaf).tobytes())
@@ -128,10 +131,14 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
 
 
 def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Writes the rows of a history as CSV with the columns `COLUMNS`, and `LIMIT_COLUMNS` where there are limits."""
+    """Writes the rows of a history as CSV with the columns `COLUMNS`, and `LIMIT_COLUMNS` where there are limits.
+
+    Raises:
+        InputError: It cannot be written; what was there before is kept.
+    """
     rows = list(rows)
     limits = LIMIT_COLUMNS if rows and LIMIT_COLUMNS[0] in rows[0] else ()
-    with open(path, "w", newline="") as file:
+    with whole(path, "make room, then go on with --resume") as fresh, fresh.open("w", newline="") as file:
         writer = csv.DictWriter(file, [*COLUMNS, *limits], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

@@ -40,6 +40,10 @@ class Variable(Protocol):
         """What `jaxform.replace` takes, of unbounded numbers shaped like `start`."""
         ...
 
+    def shares(self, free: jax.Array) -> jax.Array:
+        """How far the bounded numbers (n,) are between their bounds, nearly: 0 at the lower one, 1 at the upper one."""
+        ...
+
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The same as dotted keys of a scene file with plain values."""
         ...
@@ -157,6 +161,10 @@ class Scale:
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """The scaled number or numbers, in their own unit."""
         return {self.of: bounded(free[0], self.bounds) * self._present}
+
+    def shares(self, free: jax.Array) -> jax.Array:
+        """How far the factor (1,) is between its bounds."""
+        return bounded(free, (0.0, 1.0))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The same; a sheet that is not of one thickness as a nodal field of the mesh, (n_node,) [m]."""

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import fields, files, meshes, shapes
+import optimize
+from jaxform import fields, files, meshes, output, shapes
+from tests import scenes
 
 ROOT = Path(__file__).parent.parent
 
@@ -52,6 +54,41 @@ def test_a_field_is_exact_at_its_own_nodes_and_linear_between(tmp_path: Path) ->
     np.testing.assert_allclose(fields.nodal_field(path, "wall", inside), field(inside), rtol=1e-9)
     with pytest.raises(jaxform.InputError, match="wal"):
         fields.nodal_field(path, "wal", coarse.positions)
+
+
+def test_a_field_of_a_formed_part_is_matched_by_initial_position(tmp_path: Path) -> None:
+    """A result is far from where it began; its own sheet and another mesh of it find its wall all the same."""
+    coarse, fine = (shapes.disc(radius=1.0, elements=n) for n in (100, 700))
+    radius = np.hypot(coarse.positions[:, 0], coarse.positions[:, 1])
+    formed = coarse.positions + np.stack([0 * radius, 0 * radius, 2.0 * (1.0 - radius**2)], axis=1)
+    wall = 0.01 + 0.003 * coarse.positions[:, 0]
+    path = tmp_path / "final.vtu"
+    data = {"reference": coarse.positions, "thickness": wall}
+    meshes.write_vtu(path, formed, coarse.triangles, point_data=data)
+    np.testing.assert_array_equal(fields.nodal_field(path, "thickness", coarse.positions), wall)
+    inside = fine.positions[np.hypot(fine.positions[:, 0], fine.positions[:, 1]) < 0.9]
+    np.testing.assert_allclose(fields.nodal_field(path, "thickness", inside), 0.01 + 0.003 * inside[:, 0], rtol=1e-9)
+    # A second forming begins where the first one ended.
+    np.testing.assert_array_equal(fields.nodal_field(path, "thickness", formed[::-1]), wall[::-1])
+    with pytest.raises(jaxform.InputError, match="has nothing at"):
+        fields.nodal_field(path, "thickness", 1e3 * coarse.positions)
+
+
+def test_the_wall_of_an_own_result_is_a_target(tmp_path: Path) -> None:
+    """Read by a study: the wall of the run that left it is no deviation."""
+    (tmp_path / "scene.toml").write_text(scenes.FILE)
+    (tmp_path / "study.toml").write_text(
+        'scene = "scene.toml"\n[[variable]]\nkind = "thickness-profile"\nalong = "radius"\nknots = 4\n'
+        'bounds = [5e-4, 2e-3]\n[objective]\nkind = "target"\n'
+        'thickness = { file = "final.vtu", field = "thickness" }\n[solver]\nmethod = "lbfgs"\n'
+    )
+    scene = jaxform.load(tmp_path / "scene.toml")
+    result = jaxform.run(scene)
+    assert np.linalg.norm(np.asarray(result.positions - scene.parison.positions), axis=1).max() > 0.01
+    output.write_part(scene, result, tmp_path / "final.vtu")
+    study = optimize.load_study(tmp_path / "study.toml")
+    assert isinstance(study.objective, optimize.Target)
+    assert float(study.objective.error(scene, result)) < 1e-12
 
 
 def test_the_example_in_the_readme_works(capsys: pytest.CaptureFixture[str]) -> None:

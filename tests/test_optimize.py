@@ -120,7 +120,7 @@ def test_forming_time_is_near_the_last_contact_and_has_a_gradient() -> None:
 def test_the_search_recovers_a_known_profile() -> None:
     rows: list[dict[str, float]] = []
     errors: list[float] = []
-    study = _study(iterations=25, tolerance=1e-6, goal=1e-5)
+    study = _study(iterations=25, gradient_tolerance=1e-6, goal=1e-5)
     design = optimize.solve(study, rows.append, on_check=errors.append)
     assert design.history == rows and design.message == "the goal is reached"
     best = min(rows, key=lambda row: row["objective"])
@@ -153,7 +153,7 @@ def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
     """The multiplier is the derivative of the least mass by the minimum: mass and wall scale with the sheet."""
     scene = scenes.cup()
     study = optimize.Study(
-        scene, (_profile(scene),), optimize.LeastMass(scene, 0.0055), warm_start=3, iterations=10, rounds=10
+        scene, (_profile(scene),), optimize.LeastMass(scene, 0.0055), warm_start=3, iterations=60, rounds=10
     )
     design = optimize.solve(study)
     wall = np.asarray(design.result.element_thickness)
