@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 import jaxform
-from jaxform import cli, files, meshes, output, plots
+from jaxform import checking, files, meshes, output, plots
 from jaxform.molds import MoldShape, revolved
 from jaxform.result import penetrated
 
@@ -73,7 +73,7 @@ def show(elements: int, triangles: int, folder: Path) -> None:
     scene, load = timed("load", lambda: files.build(document))
     assert scene.mold is not None
     print(f"  {len(scene.parison.triangles)} elements, {len(scene.mold.triangles)} mold triangles", flush=True)
-    _, check = timed("check, beside loading", lambda: list(cli._plan(document, scene)))
+    _, check = timed("check, beside loading", lambda: list(checking.scene_lines(document, scene)))
     result = jaxform.run(scene)
     _, through = timed("penetration", lambda: penetrated(result, scene))
     _, written = timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))

@@ -149,7 +149,7 @@ def proper_crossings(
     found = [np.zeros((2, 0), np.int64)]
     for pairs in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):
         inside = _crosses_inside(begin, end, mold_corners, pairs, margin, _STEEP * float(grid.size))
-        found.append(np.stack([pairs.piece[inside], pairs.triangle[inside]]))
+        found.append(np.stack([pairs.piece[inside], np.asarray(pairs.triangle[inside], np.int64)]))
     segment, triangle = np.concatenate(found, axis=1)
     segment, first = np.unique(segment, return_index=True)
     return segment, triangle[first]

@@ -91,7 +91,7 @@ def nearest(
     for found in hits(corners, width, height):
         if kept is not None:
             some = kept(found)
-            found = Hits(*(values[some] for values in found))
+            found = Hits(found.triangle[some], found.pixel[some], found.weight[some])
         away = np.einsum("nc,nc->n", found.weight, depth[found.triangle])
         np.minimum.at(best, found.pixel, away)
         front = away <= best[found.pixel]

@@ -171,7 +171,7 @@ def _added_mass(scene: Scene, now: Body, mesh: Mesh | None) -> jax.Array:
 _WORDS = {
     Status.NON_FINITE: "a position or velocity is not finite; the state before that window is kept",
     Status.UNSTABLE: "unstable: the sheet holds more energy than was put in, or less",
-    Status.WINDOWS_EXHAUSTED: "the windows that were planned for did not suffice to reach the end time",
+    Status.WINDOWS_EXHAUSTED: "the steps that the run may take did not suffice to reach the end time",
     Status.CONTACT_OVERFLOW: "more pairs of node and mold triangle came near each other than there is room for",
     Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
     Status.STOPPED: "stopped by the caller",
@@ -183,9 +183,9 @@ _WORDS = {
 _MENDS = {
     Status.NON_FINITE: "lower solver.safety or the pressure",
     Status.UNSTABLE: "lower solver.safety, or raise the pressure more slowly",
-    Status.WINDOWS_EXHAUSTED: "build the scene anew with the end time that is simulated, or lower the pressure: "
-    "what flies or blows up takes many short windows",
-    Status.CONTACT_OVERFLOW: "coarsen the mold or refine the parison",
+    Status.WINDOWS_EXHAUSTED: "raise solver.max_steps or lower the pressure; `jaxform.simulate`, which plans its steps "
+    "beforehand, needs a scene that is built with the end time and material that it simulates, `jaxform.run` does not",
+    Status.CONTACT_OVERFLOW: "coarsen the mold, or use `jaxform.run`, which makes room by itself",
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
     Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",

@@ -165,7 +165,8 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
 def crossed(faces: Array, axis: int, level: float) -> Array:
     """Where a plane across an axis cuts triangles (n, 3, 3): the ends of a line in each that it cuts, (k, 2, 3)."""
     above = faces[..., axis] >= level
-    faces, above = (values[above.any(1) & ~above.all(1)] for values in (faces, above))
+    cut = above.any(1) & ~above.all(1)
+    faces, above = faces[cut], above[cut]
     # The corner that is alone on its side comes first.
     lone = np.argmax(above != (above.sum(1) == 2)[:, None], axis=1)
     row = np.arange(len(faces))

@@ -123,4 +123,5 @@ def _first_beyond(
 
     none = jnp.zeros(unit.shape[1], jnp.int32)
     start = jnp.full(unit.shape[1], jnp.inf, unit.dtype), none, none
-    return jax.lax.while_loop(more, compare, (jnp.int32(0), start))[1]
+    met, triangle, side = jax.lax.while_loop(more, compare, (jnp.int32(0), start))[1]
+    return met, triangle, side

@@ -85,7 +85,7 @@ def _touching(positions: Array, near: float, grid: SearchGrid) -> tuple[NDArray[
     shape, width = np.array(grid.shape), float(grid.width)
     index = np.floor((positions - np.asarray(grid.corner, float)) / width).astype(int)
     inside = np.all((index >= 0) & (index < shape), axis=1)
-    cell = np.ravel_multi_index(tuple(np.clip(index, 0, shape - 1).T), grid.shape)
+    cell = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, shape - 1).T), grid.shape))
     node = np.flatnonzero(inside & (np.asarray(grid.bound)[cell] <= near))
     start, listed = np.asarray(grid.start), np.asarray(grid.listed)
     outlines, frames = np.asarray(grid.outlines, float), np.asarray(grid.frames, float)

@@ -192,8 +192,9 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
         tables: What that file says, as its schema has it.
     """
     sheet = getattr(tables, "parison", None)
-    if getattr(sheet, "path", None) is not None:
-        warn_of_joints(scene.parison, file, "parison.path", sheet.path)
+    path = getattr(sheet, "path", None)
+    if path is not None:
+        warn_of_joints(scene.parison, file, "parison.path", path)
     seen = survey(scene)
     _warn_of_sheet(scene, seen, file)
     _warn_of_load(scene, seen, file)

@@ -145,7 +145,7 @@ def _draw_outline(axes: Any, scene: Scene, vertices: Array, triangles: NDArray[A
     """The mold's sharp and free edges, thin and grey."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-    lines = topology.feature_edges(vertices, triangles)
+    lines = np.asarray(topology.feature_edges(vertices, triangles), np.float64)
     lines = 1e3 * np.concatenate([lines] if crosses else mirrored(scene, lines, open_front=True))
     axes.computed_zorder = False
     axes.add_collection3d(Line3DCollection(lines, colors="#00000040", linewidths=0.6, zorder=0.5), autolim=False)

@@ -192,7 +192,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path: Path, monkeypatc
         folder = cachefolder.own_folder()
     finally:
         os.umask(before)
-    assert folder == tmp_path / "jaxform"
+    assert folder is not None and folder == tmp_path / "jaxform"
     for place in (folder, folder / "made", folder / "compiled"):
         assert place.stat().st_mode & 0o077 == 0
     for place, mode in ((folder, 0o770), (folder / "compiled", 0o707), (folder / "made", 0o720)):

@@ -116,6 +116,7 @@ def test_sections_run_through_a_place_and_tell_where_it_is() -> None:
     assert "y = 300" in along_x.label and "x = 700" in along_y.label
     disc, at_rest = _at_rest(SHEETS["disc"])
     (meridian,) = sections.curves(disc, at_rest, through=[0.3, 0.4, 0.0])
+    assert meridian.marked is not None
     np.testing.assert_allclose(meridian.marked, 0.5, rtol=1e-9)
 
 

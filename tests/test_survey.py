@@ -94,7 +94,9 @@ def test_shares_of_the_mold_and_of_the_sheet() -> None:
         mold=jaxform.make_mold(corners, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])),
     )
     seen = survey(scene)
+    assert seen.ahead is not None and seen.behind is not None
     np.testing.assert_allclose([seen.ahead, seen.behind], [0.8, 0.2], atol=0.01)
+    assert seen.overlap is not None and seen.exposed is not None
     np.testing.assert_allclose([seen.overlap, seen.exposed], [0.5, 0.0], atol=0.01)
     assert seen.direction == "towards +z" and seen.faces
     np.testing.assert_allclose(seen.sheet.high, [1.0, 1.0, 0.0])
