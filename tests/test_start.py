@@ -114,7 +114,7 @@ def test_a_flange_forms_the_same_part_wherever_rounding_puts_it(gap: float) -> N
         first = np.arange(len(thickness)) < scene.first_nodes
         walls.append(thickness[first & (radius < RIM)])
         assert penetrated(part, scene).nodes < 1e-7
-    # To rounding it is the same sheet; what has to fly to the flange is the same part, but for the corner's few elements.
+    # To rounding it is the same run; what has to fly to the flange forms the same part, but for the corner's elements.
     np.testing.assert_allclose(walls[1], walls[0], rtol=1e-6 if abs(gap) < 1e-4 else 0.05)
     np.testing.assert_allclose(walls[1].mean(), walls[0].mean(), rtol=0.02)
 
