@@ -88,7 +88,7 @@ def in_words(bits: int) -> str:
 
 def _rule(path: str) -> str:
     rule = RANGES[path].rule
-    return rule if "finite" in rule else f"must be finite and {rule.removeprefix('must ')}"
+    return rule if "finite" in rule else f"must be finite and {rule.removeprefix('must ').removeprefix('be ')}"
 
 
 def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> jax.Array | float:

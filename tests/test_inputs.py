@@ -73,11 +73,9 @@ _FILES = {
 def test_files_take_their_ranges_from_the_same_declaration(path: str) -> None:
     table, name = _FILES[path]
     allowed = RANGES[path]
-    field = table.model_fields[name]
-    # What the annotation comes to is known at run time only.
-    annotated: Any = typing.Annotated
-    kind: Any = schema.Thickness if name == "thickness" else annotated[field.annotation, field]
-    taken: Any = TypeAdapter(kind)
+    field, made = table.model_fields[name], typing.cast(Any, typing.Annotated)
+    kind: Any = schema.Thickness if name == "thickness" else made[field.annotation, field]
+    taken = TypeAdapter(kind)
     step = 1 if allowed.count else 1e-9
     edges = [(allowed.above, False), (allowed.least, True), (allowed.most, True)]
     edges += [(edge - step, False) for edge in (allowed.above, allowed.least) if edge is not None]
