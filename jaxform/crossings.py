@@ -59,7 +59,8 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         margin: What the boxes are widened by [m].
     """
     cells = _cells(grid)
-    pieces, owner = _short(corners, cells.reach)
+    box = mold_corners.min((0, 1)) - margin, mold_corners.max((0, 1)) + margin
+    pieces, owner = _short(corners, cells.reach, *box)
     low, high = pieces.min(1) - margin, pieces.max(1) + margin
     middle = pieces.mean(1)
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
@@ -85,17 +86,31 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         yield Pairs(owner[piece], triangle)
 
 
-def _short(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
-    """Segments or triangles in parts that are no longer, and which each is part of."""
-    if corners.shape[1] == 3:
-        return cut(corners, longest)
-    length = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    count = np.maximum(np.ceil(length / longest), 1).astype(np.int64)
-    owner = np.repeat(np.arange(len(corners)), count)
-    share = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count))[:, None] / count[owner, None]
-    along = (corners[:, 1] - corners[:, 0])[owner]
-    begin = corners[owner, 0] + share * along
-    return np.stack([begin, begin + along / count[owner, None]], axis=1), owner
+def _short(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
+    """What of segments or triangles may be in a box, in parts that are no longer, and which each is part of.
+
+    They are halved again and again, and what is outside is left out each time: of one that is far larger than the box
+    little is cut small.
+    """
+    owner = np.arange(len(corners))
+    while True:
+        inside = np.all((corners.min(1) <= high) & (corners.max(1) >= low), axis=1)
+        corners, owner = corners[inside], owner[inside]
+        side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
+        if side <= longest:
+            return corners, owner
+        halve = cut if corners.shape[1] == 3 else _halved
+        corners, part = halve(corners, max(longest, 0.5 * side))
+        owner = owner[part]
+
+
+def _halved(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
+    """Segments (n, 2, 3) [m] of which those that are longer are halved, and which each is part of."""
+    long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > longest
+    middle = corners[long].mean(1)
+    first, second = np.stack([corners[long, 0], middle], 1), np.stack([middle, corners[long, 1]], 1)
+    number = np.flatnonzero(long)
+    return np.concatenate([corners[~long], first, second]), np.concatenate([np.flatnonzero(~long), number, number])
 
 
 def crosses(begin: Array, end: Array, corners: Array) -> NDArray[np.bool_]:
