@@ -49,16 +49,16 @@ _SELDOM = {"files": 20, "meshes": 20}
 
 
 def run_case(kind: str, number: int) -> dict[str, Any]:
-    """One command with damaged input, in this process: its exit status, or the traceback; seconds (of CPU), bytes."""
+    """One command with damaged input, in this process: its exit status, or the traceback; seconds (of CPU), bytes more than before."""
     with tempfile.TemporaryDirectory() as folder:
         arguments = KINDS[kind][1](random.Random(f"{kind} {number}"), Path(folder))
         if arguments[0] == "check" and kind in _SELDOM and number % _SELDOM[kind]:
             arguments[0] = "scene"
         _forget_peak()
-        begin = time.process_time()
+        begin, before = time.process_time(), _peak()
         outcome = _outcome(arguments)
         seconds = time.process_time() - begin
-    return {"kind": kind, "number": number, **outcome, "seconds": seconds, "bytes": _peak()}
+    return {"kind": kind, "number": number, **outcome, "seconds": seconds, "bytes": _peak() - before}
 
 
 def _outcome(arguments: list[str]) -> dict[str, Any]:

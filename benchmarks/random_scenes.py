@@ -170,7 +170,7 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
         corner=as_real(corner),
         bound=as_real(lists["bound"]),
         start=jnp.asarray(lists["start"]),
-        middle=jnp.asarray(lists["middle"]),
+        ends=jnp.asarray(lists["ends"]),
         listed=jnp.asarray(np.pad(lists["listed"], (0, room - len(lists["listed"])))),
         shape=(_CELLS, _CELLS, _CELLS),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 DEEPEST = 14  # level of refinement
+MOST, LEAST = 1e30, 1e-30  # of any number, and of one that must be positive: with others they can be computed with
 MOST_STEPS = 20_000_000
 
 
@@ -36,9 +36,11 @@ class Range:
 
     def holds(self, values: Any) -> Any:
         """Which values are in the range: of a number, or of an array of NumPy or JAX its shape."""
-        good = abs(values) < math.inf
+        good = abs(values) <= MOST
         if self.above is not None:
             good = good & (values > self.above)
+        if self.above == 0.0:
+            good = good & (values >= LEAST)
         if self.least is not None:
             good = good & (values >= self.least)
         return good if self.most is None else good & (values <= self.most)

@@ -67,6 +67,8 @@ def lying(parison: Parison, triangles: NDArray[np.integer], pressure: Pressure, 
     wall = np.zeros(len(positions), np.int32)
     wall[node[last]] = side[last] * (triangle[last] + 1)
     moved = positions.copy()
+    # What is on the mold to rounding stays where it is.
+    last = last[gap[last] > np.finfo(float).eps * float(grid.size)]
     moved[node[last]] = nearest_places(positions[node[last]], corners[triangle[last]])
     return Lying(wall, np.where(np.asarray(parison.fixed), positions, moved))
 

@@ -20,9 +20,9 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.errors import InputError
-from jaxform.ranges import RANGES
+from jaxform.ranges import LEAST, MOST, RANGES
 
-MOST, LEAST, MOST_LENGTH = 1e30, 1e-30, 1e6
+MOST_LENGTH = 1e6
 
 
 def _finite(value: float) -> float:
@@ -56,7 +56,12 @@ Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
 def within(key: str) -> Any:
     """The range that is declared for a number of a scene, for `Annotated`."""
     allowed = RANGES[key]
-    return Field(gt=allowed.above, ge=allowed.least, le=allowed.most)
+    positive = allowed.above == 0.0
+    return Field(
+        gt=None if positive else allowed.above,
+        ge=LEAST if positive else allowed.least,
+        le=MOST if allowed.most is None and not allowed.count else allowed.most,
+    )
 
 
 class Table(BaseModel):

@@ -253,11 +253,12 @@ def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
 ) -> None:
     scene = scenes.cup()
     roomy = jaxform.run(scene)
-    monkeypatch.setattr(nearness, "_ROOM_PER_NODE", 0)
+    # Room for 128 pairs; the program that is in memory has more.
     monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
-    jax.clear_caches()
-    tight = jaxform.run(scene, store=Store())  # the program that is in memory has room
-    jax.clear_caches()
+    narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
+    monkeypatch.setattr(nearness, "PAIRS_PER_NODE", 1)
+    monkeypatch.setattr(nearness, "_CANDIDATES", 1)
+    tight = jaxform.run(narrow, store=Store())
     assert jaxform.explain(tight) == "ok"
     assert int(tight.shortened) > int(roomy.shortened)
     assert penetrated(tight, scene).nodes < 1e-12

@@ -191,9 +191,23 @@ def test_an_unstable_run_stops_and_says_so() -> None:
 def test_running_out_of_windows_is_a_status() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     longer = jaxform.replace(scene, {"solver.end_time": 1e4})  # than its windows were counted for
-    for result in (simulate(longer), jaxform.run(longer)):
-        assert int(result.status) == Status.WINDOWS_EXHAUSTED
-        assert int(result.windows) == scene.tables.window_count
+    result = simulate(longer)
+    assert int(result.status) == Status.WINDOWS_EXHAUSTED
+    assert int(result.windows) == scene.tables.window_count
+
+
+def test_a_run_plans_more_windows_by_itself_and_stops_at_the_limit_that_was_set() -> None:
+    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0)
+    planned = jaxform.run(scene)
+    hasty = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, window_count=3))
+    grown = jaxform.run(hasty)
+    assert int(grown.status) == 0 and int(grown.windows) == int(planned.windows) > 3
+    np.testing.assert_array_equal(grown.positions, planned.positions)
+    np.testing.assert_array_equal(grown.schedule.counts[:3], planned.schedule.counts[:3])
+    limited = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, max_steps=100))
+    stopped = jaxform.run(limited)
+    assert int(stopped.status) == Status.WINDOWS_EXHAUSTED and "solver.max_steps" in jaxform.explain(stopped)
+    assert 100 <= int(stopped.steps) < 100 + scene.tables.longest_window
 
 
 def test_the_caller_can_stop_a_run() -> None:
