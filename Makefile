@@ -65,10 +65,11 @@ design: environment
 stability: environment
 	.venv/bin/python -m benchmarks.stability
 
-# Damaged scenes, studies, meshes and caches in thousands: no traceback, no hang, no memory without bounds; about half
+# Damaged scenes, studies, meshes, caches and journals in thousands: no traceback, no hang, no memory without bounds; about half
 # an hour. Parts by name: `.venv/bin/python -m benchmarks.fuzz meshes=100`; one case: `... meshes:17`.
 fuzz: environment
 	.venv/bin/python -m benchmarks.fuzz
+	.venv/bin/python -m benchmarks.fuzz_journals 200
 
 # What `kill -9` at random moments loses: simulate and optimize killed 40 times each, then run again; ten minutes.
 killed: environment

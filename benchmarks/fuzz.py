@@ -49,7 +49,10 @@ _SELDOM = {"files": 20, "meshes": 20}
 
 
 def run_case(kind: str, number: int) -> dict[str, Any]:
-    """One command with damaged input, in this process: its exit status, or the traceback; seconds (of CPU), bytes more than before."""
+    """One command with damaged input, in this process: its exit status, or the traceback; seconds (of CPU), bytes more.
+
+    The bytes are the most in use at once beyond those in use before.
+    """
     with tempfile.TemporaryDirectory() as folder:
         arguments = KINDS[kind][1](random.Random(f"{kind} {number}"), Path(folder))
         if arguments[0] == "check" and kind in _SELDOM and number % _SELDOM[kind]:
