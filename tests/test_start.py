@@ -152,6 +152,6 @@ def test_ways_cross_a_closed_box_as_often_as_their_ends_say(turn: int) -> None:
 
 def test_ways_that_are_not_wanted_see_nothing() -> None:
     vertices, triangles = box(1)
-    ends = np.zeros((2, 3, 5)) + np.array([0.5, 3.0])[:, None, None]
-    seen = sight.seen(*map(jnp.asarray, ends), jnp.arange(5) == 2, build_grid(vertices, triangles))
+    begin, end = jnp.full((3, 5), 0.5), jnp.full((3, 5), 3.0)
+    seen = sight.seen(begin, end, jnp.arange(5) == 2, build_grid(vertices, triangles))
     assert seen.count.tolist() == [0, 0, 1, 0, 0] and seen.triangle.tolist()[:2] == [-1, -1]
