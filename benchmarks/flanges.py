@@ -181,7 +181,7 @@ def scene_of(case: Case) -> Scene:
     shape = MoldShape(made.shape.vertices + np.array([0.0, 0.0, case.distance]), made.shape.triangles)
     limits: dict[str, Any] = {}
     if case.level:
-        limits = {"angle": 12.0, "max_level": case.level, "base_level": case.level, "elements": 16384}
+        limits = {"angle": 4.0, "max_level": case.level, "base_level": case.level, "elements": 16384}
     return _scene(sheet, shape, made.pressure, " ".join(map(str, case)), **limits)
 
 

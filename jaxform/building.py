@@ -34,6 +34,7 @@ from jaxform.scene import (
 from jaxform.search import SearchGrid, build_grid
 from jaxform.store import Store
 
+_LARGEST_STRETCH = 6.0  # that windows are planned for
 _PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
 _BEND = 10.0  # degrees, from which two triangles of the mold make a bend
 _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
@@ -297,7 +298,7 @@ def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store
 
 def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> int:
     """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
-    step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material))
+    step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material, as_real(_LARGEST_STRETCH)))
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
     if not steps < MOST_STEPS:
         raise InputError(
@@ -323,10 +324,25 @@ def longest_window(planned: int, frames: int) -> int:
     return longest
 
 
+def first_step(scene: Scene) -> float:
+    """How long the first step is at least [s]: what the elements bound it to before they stretch.
+
+    What a run measures is up to twice as long. This needs no program of the mesh's size.
+    """
+    forest = scene.tables.forest
+    active = np.arange(len(scene.parison.triangles))
+    if forest is not None and forest.fine_at_once is not None:
+        bisected = np.asarray(forest.fine_at_once)
+        children = 2 * bisected + forest.root_count
+        active = np.setdiff1d(np.concatenate([active, children, children + 1]), bisected)
+    bound = as_real(np.max(np.asarray(scene.tables.bound)[active]))
+    return float(scene.solver.safety) * float(_stiffest_step(bound, scene.material, as_real(1.0)))
+
+
 @jax.jit
-def _stiffest_step(bound: jax.Array, material: Material) -> jax.Array:
-    """The step [s] for the largest bound [1/m^2] of the elements."""
-    square = jnp.square(jnp.linspace(1.0, 6.0, 64))
+def _stiffest_step(bound: jax.Array, material: Material, largest: jax.Array) -> jax.Array:
+    """The step [s] for the largest bound [1/m^2] of the elements, up to a stretch."""
+    square = jnp.square(jnp.linspace(1.0, largest, 64))
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
     stiffest = jnp.max(membrane.tangent_stiffness(strain, material))

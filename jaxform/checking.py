@@ -8,20 +8,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform import files, schema, seams
-from jaxform.body import body
+from jaxform import building, files, schema, seams
 from jaxform.files import SceneDocument
 from jaxform.result import SLOW_ENOUGH
 from jaxform.scene import SHORT_WINDOW, Scene
-from jaxform.state import initial_state
 from jaxform.store import Store
 from jaxform.survey import Survey, survey
-from jaxform.timestep import choose_step
-from jaxform.working import worked_through
 
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
 # process takes before it has a scene.
 _PER_ELEMENT, _PER_STEP, _SECONDS_TO_COMPILE = 12e-9, 10e-6, 6.0
+_MEASURED_TO_BOUND = 1.6  # of the built-in scenes' first steps, 1.5 to 1.9
 _BYTES_AT_FIRST, _COPIES = 350e6, 3.0
 
 
@@ -131,10 +128,12 @@ def _run_lines(scene: Scene) -> Iterator[str]:
             f"{forest.bound.size} triangles bisected beforehand, room for {refinement.elements} elements at once"
         )
         elements = refinement.elements
-    step, end = float(_first_step(scene)), float(scene.solver.end_time)
+    sharper = _MEASURED_TO_BOUND if scene.solver.sharp_step else 1.0
+    step, end = sharper * building.first_step(scene), float(scene.solver.end_time)
     longest = scene.tables.longest_window
-    windows = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
-    yield f"to {end:.4g} s, first step {step:.3g} s, at most {scene.tables.window_count} windows of {windows} steps"
+    steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
+    windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
+    yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
     steps = end / step
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
@@ -152,10 +151,3 @@ def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.1g} s" if seconds < 10 else f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
-
-
-@jax.jit
-def _first_step(scene: Scene) -> jax.Array:
-    state = initial_state(scene)
-    working = worked_through(state, scene, body(scene))
-    return choose_step(working.taken(state), scene, working)[0]

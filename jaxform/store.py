@@ -150,7 +150,14 @@ def _kept(path: Path) -> memoryview | None:
 @functools.cache
 def _origin() -> bytes:
     """A digest of what makes the things: this package's source, JAX, the precision."""
-    digest = hashlib.sha256(f"{jax.__version__} {jax.config.jax_enable_x64}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+    precision = jax.config.read("jax_enable_x64")
+    return hashlib.sha256(f"{jax.__version__} {precision}".encode() + _sources(Path(__file__).parent)).digest()
+
+
+def _sources(package: Path) -> bytes:
+    """A digest of the source of a package, its sub-packages included: names and contents."""
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        name, content = source.relative_to(package).as_posix().encode(), source.read_bytes()
+        digest.update(b"%d %d " % (len(name), len(content)) + name + content)
     return digest.digest()

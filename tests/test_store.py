@@ -115,3 +115,17 @@ def test_the_folder_does_not_grow_without_end(tmp_path: Path, monkeypatch: pytes
     for key in range(12):
         kept.arrays("numbers", (key,), lambda: {"x": np.zeros(200)})
     assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
+
+
+def test_a_changed_byte_anywhere_in_the_package_is_other_source(tmp_path: Path) -> None:
+    inside = tmp_path / "laws" / "viscous"
+    inside.mkdir(parents=True)
+    (tmp_path / "a.py").write_text("x = 1\n")
+    (inside / "b.py").write_text("y = 1\n")
+    before = store._sources(tmp_path)
+    (inside / "b.py").write_text("y = 2\n")
+    changed = store._sources(tmp_path)
+    (inside / "b.py").rename(tmp_path / "b.py")
+    moved = store._sources(tmp_path)
+    (tmp_path / "notes.txt").write_text("not source")
+    assert len({before, changed, moved}) == 3 and store._sources(tmp_path) == moved
