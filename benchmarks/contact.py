@@ -77,7 +77,7 @@ def random_paths(wall: Mold, grid: SearchGrid, count: int, seed: int) -> tuple[n
     on_wall = np.einsum(
         "ij,ijk->ik", random.dirichlet([1.0, 1.0, 1.0], count), corners[random.integers(len(corners), size=count)]
     )
-    reach = float(grid.reach)
+    reach = float(grid.farthest)
     begin = on_wall + 0.4 * reach * random.uniform(-1, 1, (count, 3))
     path = random.normal(size=begin.shape)
     path *= reach * random.uniform(0.01, 1, (count, 1)) / np.linalg.norm(path, axis=1, keepdims=True)
@@ -244,20 +244,20 @@ def waffle(cells: tuple[int, int], *, refined: bool) -> Scene:
     )
 
 
-def show_waffles(rounds: int = 3) -> None:
-    """Time per element and step on finer and finer molds, and how many windows are cut short."""
+def show_waffles(rounds: int = 5) -> None:
+    """Time per step and of the whole run on finer and finer molds, and how many windows are cut short."""
     for refined in (False, True):
         loops = {count: whole_loop(waffle(cells, refined=refined)) for count, cells in WAFFLES.items()}
-        seconds, base = best_in_turns({str(count): loop for count, loop in loops.items()}, rounds), None
+        seconds = best_in_turns({str(count): loop for count, loop in loops.items()}, rounds)
+        first = min(loops)
+        per_step = {count: seconds[str(count)] / int(loop().steps) for count, loop in loops.items()}
         for count, loop in loops.items():
             state = loop()
-            elements = int(state.mesh.element_count) if state.mesh is not None else 48 * 64 * 2
-            cost = 1e9 * seconds[str(count)] / (int(state.steps) * elements)
-            base = base or cost
             print(
-                f"waffle, {'refined' if refined else 'uniform'}, {count} triangles: {cost:.1f} ns per element and step "
-                f"({cost / base:.2f} x), {elements} elements, {int(state.steps)} steps, {int(state.windows)} windows, "
-                f"{int(state.shortened)} shortened, status {int(state.status)}",
+                f"waffle, {'refined' if refined else 'uniform'}, {count} triangles: {1e6 * per_step[count]:.1f} us per "
+                f"step ({per_step[count] / per_step[first]:.2f} x), run {seconds[str(count)]:.3f} s "
+                f"({seconds[str(count)] / seconds[str(first)]:.2f} x), {int(state.steps)} steps, "
+                f"{int(state.windows)} windows, {int(state.shortened)} shortened, status {int(state.status)}",
                 flush=True,
             )
 

@@ -172,6 +172,7 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
         start=jnp.asarray(lists["start"]),
         ends=jnp.asarray(lists["ends"]),
         listed=jnp.asarray(np.pad(lists["listed"], (0, room - len(lists["listed"])))),
+        far=None,
         shape=(_CELLS, _CELLS, _CELLS),
     )
 

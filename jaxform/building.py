@@ -14,6 +14,7 @@ from jaxform.body import node_room
 from jaxform.errors import InputError
 from jaxform.materials import Material
 from jaxform.mold import Mold
+from jaxform.near import PAIRS_PER_NODE
 from jaxform.packing import make_assembly, make_paired_assembly
 from jaxform.pytree import as_index, as_real
 from jaxform.ranges import MOST_STEPS, check_one
@@ -36,6 +37,8 @@ from jaxform.store import Store
 
 _LARGEST_STRETCH = 6.0  # that windows are planned for
 _PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
+_FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
+_MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
 _BEND = 10.0  # degrees, from which two triangles of the mold make a bend
 _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 
@@ -108,6 +111,7 @@ def build_scene(
         lying=lying,
         window_count=planned + _spare_windows(grid),
         longest_window=SHORT_WINDOW if refinement is not None else longest_window(planned, frames),
+        pairs_per_node=_pairs_per_node(mold, grid),
     )
     return Scene(
         parison=parison,
@@ -294,6 +298,17 @@ def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store
     corners = positions[triangles]
     side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side, store)
+
+
+def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
+    """Room for pairs: a node that moves far over a fine mold meets many of its triangles in a window."""
+    if mold is None or grid is None or grid.far is None:
+        return PAIRS_PER_NODE
+    corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    within = np.pi * float(grid.farthest) ** 2 / np.median(0.5 * np.linalg.norm(cross, axis=1))
+    rungs = round(np.log2(max(_FAR_NODES * within / PAIRS_PER_NODE, 1.0)))
+    return PAIRS_PER_NODE * 2 ** int(min(rungs, _MOST_PAIRS_RUNGS))
 
 
 def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> int:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxform.blocks import cut, listed, lowered, put
 from jaxform.membrane import dot, gather
 from jaxform.pytree import pytree
-from jaxform.search import CLASSES, SearchGrid
+from jaxform.search import CLASSES, FarCells, SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
 # the room for them, and nothing is compiled twice. No derivative goes through these loops.
@@ -198,13 +198,13 @@ def _balls(
     radius = half + _MARGIN * (half + 2 * jnp.max(half) + grid.reach)
     if not skip_far:
         radius = jnp.maximum(radius, grid.reach)
-    scale = scale * jnp.minimum(1.0, grid.reach / radius)
+    scale = scale * jnp.minimum(1.0, grid.farthest / radius)
     center, radius = positions + 0.5 * scale * path, scale * radius
     cell, bound = looked_up(center, grid)
     return _Balls(center, radius, cell, bound, free & (bound < radius))
 
 
-def cells(positions: jax.Array, grid: SearchGrid, parts: int = 1) -> jax.Array:
+def cells(positions: jax.Array, grid: SearchGrid | FarCells, parts: int = 1) -> jax.Array:
     """Cell numbers (n,) of positions (3, n) [m]; outside the grid the nearest cell's, whose bound and list hold too.
 
     The cells may be cut into so many parts along each axis.
@@ -223,6 +223,22 @@ def looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Ar
     return cell, jnp.maximum(grid.bound[cell], grid.width * jnp.sqrt(dot(outside, outside)))
 
 
+def _listed_near(
+    center: jax.Array, radius: jax.Array, cell: jax.Array, grid: SearchGrid
+) -> tuple[jax.Array, jax.Array]:
+    """Where the triangles that balls (n,) may meet begin in the lists, and where they end."""
+
+    def within(level: SearchGrid | FarCells, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
+        kind = jnp.clip(jnp.ceil(CLASSES * radius / level.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
+        return level.start[cell], level.ends[CLASSES * cell + kind]
+
+    begin, end = within(grid, cell)
+    if grid.far is None:
+        return begin, end
+    beyond, (far_begin, far_end) = radius > grid.reach, within(grid.far, cells(center, grid.far))
+    return jnp.where(beyond, far_begin, begin), jnp.where(beyond, far_end, end)
+
+
 def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs) -> _Pairs:
     """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
     member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES)
@@ -234,9 +250,7 @@ def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs) -> _Pairs:
         first, found = carry
         node = cut(member, first, _LANES)
         center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
-        begin = grid.start[cell]
-        kind = jnp.clip(jnp.ceil(CLASSES * radius / grid.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
-        end = grid.ends[CLASSES * cell + kind]
+        begin, end = _listed_near(center, radius, cell, grid)
         length = jnp.where(first + jnp.arange(_LANES) < total, end - begin, 0)
         nodes = jnp.broadcast_to(node[:, None], (_LANES, _DEPTH)).ravel()
 

@@ -22,11 +22,28 @@ _MOST_CELLS = 2_000_000
 _COARSEST, _FINEST = 32, 256  # cells along the longest side of a mold
 _FEWEST = 16  # where a coarse sheet moves far in a window
 # In cells: a coarse mold's lists are short and may reach far; a fine one's as far as the sheet moves, within this.
-_REACH = {"coarse": 1.5, "fine": (0.75, 1.5)}
+_REACH = {"coarse": 1.5, "fine": (0.75, 1.0)}
+_FAR = 3  # how many times as wide the cells for nodes that move far are, and as long their reach
 CLASSES = 4  # of distance, in which a cell's list is sorted: a small ball is compared with what is near alone
 _CHUNK = 1_000_000  # pairs of cell and triangle looked at together, to bound the memory
 _SLACK = 1e-6  # relative to a cell, for rounding
 _HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
+
+
+@pytree
+class FarCells:
+    """Wider cells of a finely meshed mold, for the few nodes that move far beyond the reach of the others.
+
+    Attributes:
+        corner, width, reach, start, ends, shape: As those of `SearchGrid`, which holds the lists.
+    """
+
+    corner: jax.Array
+    width: jax.Array
+    reach: jax.Array
+    start: jax.Array
+    ends: jax.Array
+    shape: tuple[int, int, int] = static()
 
 
 @pytree
@@ -46,6 +63,7 @@ class SearchGrid:
         number: Of the mold's triangle in each row (n_triangle,).
         outlines: Of each triangle (n_triangle, 8) its middle and the largest distance from it [m], its unit normal
             and the place of its plane along it [m].
+        far: Wider cells; None where the sheet moves no farther than the cells' reach.
         frames: Of each triangle (n_triangle, 18) its first vertex D [m], unit normal, the vectors [1/m] whose products
             with a point's offset from D are its gamma and delta (Eq. 10), and its edges DE and DF [m].
         shape: Number of cells along x, y, z.
@@ -62,7 +80,13 @@ class SearchGrid:
     number: jax.Array
     outlines: jax.Array
     frames: jax.Array
+    far: FarCells | None
     shape: tuple[int, int, int] = static()
+
+    @property
+    def farthest(self) -> jax.Array:
+        """Reach [m] of the widest cells."""
+        return self.reach if self.far is None else self.far.reach
 
 
 class _Frame(NamedTuple):
@@ -89,8 +113,20 @@ def build_grid(
     frame = _frame(corners, travel)
     number = _along_a_curve(corners.mean(1), frame)
     corners = corners[number]
-    place = np.array([*frame.corner, frame.width, frame.reach])
-    lists = (store or Store()).arrays("grid in classes", (corners, place, frame.shape), lambda: _lists(corners, frame))
+    lists = _kept_lists(corners, frame, store)
+    listed, far = as_index(lists["listed"]), None
+    if _moves_far(frame, travel):
+        wider = _wider(corners, frame)
+        more = _kept_lists(corners, wider, store)
+        far = FarCells(
+            corner=as_real(wider.corner),
+            width=as_real(wider.width),
+            reach=as_real(wider.reach),
+            start=as_index(listed.size + more["start"]),
+            ends=as_index(listed.size + more["ends"]),
+            shape=_counts(wider),
+        )
+        listed = as_index(np.concatenate([lists["listed"], more["listed"]]))
     return SearchGrid(
         corner=as_real(frame.corner),
         width=as_real(frame.width),
@@ -99,12 +135,22 @@ def build_grid(
         bound=as_real(lists["bound"]),
         start=as_index(lists["start"]),
         ends=as_index(lists["ends"]),
-        listed=as_index(lists["listed"]),
+        listed=listed,
         number=as_index(number),
         outlines=as_real(np.hstack([_spheres(corners), _planes(corners)])),
         frames=as_real(_frames(corners)),
-        shape=(int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])),
+        far=far,
+        shape=_counts(frame),
     )
+
+
+def _counts(frame: _Frame) -> tuple[int, int, int]:
+    return int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])
+
+
+def _kept_lists(corners: Array, frame: _Frame, store: Store | None) -> dict[str, NDArray[Any]]:
+    place = np.array([*frame.corner, frame.width, frame.reach])
+    return (store or Store()).arrays("grid in classes", (corners, place, frame.shape), lambda: _lists(corners, frame))
 
 
 def _lists(corners: Array, frame: _Frame) -> dict[str, NDArray[Any]]:
@@ -134,6 +180,18 @@ def _frame(corners: Array, travel: float) -> _Frame:
     shape = _cell_counts(low, high, width)
     reach = _REACH["coarse"] * width if coarse else np.clip(1.5 * travel, *(cells * width for cells in _REACH["fine"]))
     return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, float(reach), shape)
+
+
+def _moves_far(frame: _Frame, travel: float) -> bool:
+    """Whether a sheet moves beyond the reach of cells that a fine mold made small."""
+    return frame.reach < _REACH["coarse"] * frame.width and 1.5 * travel > frame.reach * (1 + _SLACK)
+
+
+def _wider(corners: Array, frame: _Frame) -> _Frame:
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    width, reach = _FAR * frame.width, _FAR * frame.reach
+    shape = _cell_counts(low, high, width)
+    return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
 
 
 def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:

@@ -69,7 +69,7 @@ def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
         longest = _UNDAMPED * longest
     if scene.tables.grid is not None:
         # No node passes more of the range of its list in one step than can be watched.
-        range_per_step = _RANGE_PER_STEP * scene.tables.grid.reach
+        range_per_step = _RANGE_PER_STEP * scene.tables.grid.farthest
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(_fastest(state, working), 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:

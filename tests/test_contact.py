@@ -17,7 +17,7 @@ from jaxform import near as nearness
 from jaxform.mold import Mold
 from jaxform.penetration import penetration, point_triangle_distance
 from jaxform.result import penetrated
-from jaxform.search import SearchGrid, build_grid
+from jaxform.search import CLASSES, FarCells, SearchGrid, build_grid
 from jaxform.state import State
 from jaxform.store import Store
 from tests import scenes
@@ -104,13 +104,49 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    cell, bound = map(np.asarray, nearness.looked_up(jnp.asarray(points.T), grid))
-    start, listed = np.asarray(grid.start), np.asarray(grid.number)[np.asarray(grid.listed)]
-    for point, number, least in zip(points, cell, bound, strict=True):
+    bound = np.asarray(nearness.looked_up(jnp.asarray(points.T), grid)[1])
+    for point, least in zip(points, bound, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert least <= distance.min() + 1e-12
-        missing = np.setdiff1d(np.flatnonzero(distance < float(grid.reach)), listed[start[number] : start[number + 1]])
-        assert len(missing) == 0
+    _check_lists(grid, grid, corners)
+
+
+def test_nodes_that_fly_far_over_a_fine_mold_meet_what_brute_force_finds() -> None:
+    shape = molds.divided(molds.revolved(profile=[[0.0, 1.0], [0.7, 1.0], [1.0, 0.0]], segments=24), 20)
+    wall = jaxform.make_mold(shape.vertices, shape.triangles)
+    near_by = build_grid(shape.vertices, shape.triangles)
+    grid = build_grid(shape.vertices, shape.triangles, travel=2 * float(near_by.reach))
+    assert near_by.far is None and grid.far is not None
+    assert float(grid.farthest) > 2 * float(grid.reach)
+    corners = wall.vertices[wall.triangles]
+    _check_lists(grid.far, grid, np.asarray(corners))
+    begin, end = figures.random_paths(wall, grid, 128, seed=6)
+    assert np.mean(np.linalg.norm(end - begin, axis=1) > 2 * float(grid.reach)) > 0.2
+    # Few at a time, so that all their pairs find room.
+    parts = [
+        _walk(jnp.asarray(b.T), jnp.asarray(e.T), wall, grid)
+        for b, e in zip(*(np.split(x, 8) for x in (begin, end)), strict=True)
+    ]
+    place, stuck = (np.concatenate([np.asarray(part[k]) for part in parts], axis=-1) for k in (0, 1))
+    beta = np.asarray(figures.brute_force(jnp.asarray(begin), jnp.asarray(end), corners))
+    met = np.isfinite(beta)
+    assert 0.1 < met.mean() < 0.9
+    np.testing.assert_array_equal(np.asarray(stuck), met)
+    meeting = begin + np.where(met, beta, 1.0)[:, None] * (end - begin)
+    np.testing.assert_allclose(np.asarray(place).T, meeting, atol=1e-13)
+
+
+def _check_lists(cells: SearchGrid | FarCells, grid: SearchGrid, corners: np.ndarray) -> None:
+    """Each cell lists all that is in its reach of it, and its first classes all that is in a part of it."""
+    points = np.random.default_rng(4).uniform(-1.5, 1.6, (200, 3))
+    places = np.asarray(nearness.cells(jnp.asarray(points.T), cells))
+    start, ends = np.asarray(cells.start), np.asarray(cells.ends).reshape(-1, CLASSES)
+    listed = np.asarray(grid.number)[np.asarray(grid.listed)]
+    for point, number in zip(points, places, strict=True):
+        distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
+        for kind, end in enumerate(ends[number]):
+            within = np.flatnonzero(distance < float(cells.reach) * (kind + 1) / CLASSES)
+            assert len(np.setdiff1d(within, listed[start[number] : end])) == 0
 
 
 def _aimed(wall: Mold, targets: np.ndarray, normal: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
