@@ -7,6 +7,8 @@ dismissed by one look-up, and a near one is compared with the few triangles of i
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -25,7 +27,7 @@ _FEWEST = 16  # where a coarse sheet moves far in a window
 _REACH = {"coarse": 1.5, "fine": (0.75, 1.0)}
 _FAR = 3  # how many times as wide the cells for nodes that move far are, and as long their reach
 CLASSES = 4  # of distance, in which a cell's list is sorted: a small ball is compared with what is near alone
-_CHUNK = 1_000_000  # pairs of cell and triangle looked at together, to bound the memory
+_CHUNK = 250_000  # pairs of cell and triangle looked at together, to bound the memory
 _SLACK = 1e-6  # relative to a cell, for rounding
 _HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
 
@@ -239,29 +241,42 @@ def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArr
         Cells, triangles, a lower bound on the distance from the cell's centre [m], and its class.
     """
     pieces, owner = cut(corners, frame.width)
-    spheres, planes = _spheres(pieces), _planes(corners)
+    order = np.argsort(owner, kind="stable")
+    owner, spheres, planes = owner[order], _spheres(pieces[order]), _planes(corners)
     # Wide enough for the reach, half a cell's diagonal and the largest piece.
     reach = frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK) + spheres[:, 3].max()
     wide = int(reach / frame.width + 0.5)
     stencil = np.arange(-wide, wide + 1)
-    block = max(1, _CHUNK // len(stencil) ** 3)
-    keys, distances = [], []
-    for first in range(0, len(pieces), block):
-        part = slice(first, first + block)
+
+    def pairs(part: slice) -> tuple[NDArray[np.int64], Array]:
         cell, piece, distance = _stencil_pairs(spheres[part], planes[owner[part]], stencil, frame)
-        keys.append(cell * len(corners) + owner[part][piece])
-        distances.append(distance)
+        return _nearest(cell * len(corners) + owner[part][piece], distance)
+
+    # NumPy lets go of the interpreter's lock in long operations.
+    with ThreadPoolExecutor(os.cpu_count()) as workers:
+        keys, distances = zip(*workers.map(pairs, _parts(owner, _CHUNK // len(stencil) ** 3)), strict=True)
     key, distance = np.concatenate(keys), np.concatenate(distances)
-    if len(pieces) > len(corners):
-        # Of a triangle's pieces near one cell, the nearest.
-        order = _sorting(key)
-        begin = np.flatnonzero(np.diff(key[order], prepend=-1))
-        key, distance = key[order][begin], np.minimum.reduceat(distance[order], begin)
     cell, triangle = np.divmod(key, len(corners))
     from_cell = distance - frame.width * (_HALF_DIAGONAL + _SLACK)
     kind = np.clip(np.ceil(CLASSES * from_cell / frame.reach).astype(np.int64) - 1, 0, CLASSES - 1)
     order = _sorting(CLASSES * cell + kind)
     return cell[order], triangle[order], distance[order], kind[order]
+
+
+def _parts(owner: NDArray[np.int64], size: int) -> list[slice]:
+    """Slices of about so many pieces; those of one triangle, which come one after the other, stay together."""
+    begin = np.flatnonzero(np.diff(owner, prepend=-1))
+    first = begin[np.unique(np.searchsorted(begin, np.arange(0, len(owner), max(1, size))).clip(max=len(begin) - 1))]
+    ends = np.append(first[1:], len(owner))
+    return [slice(int(a), int(b)) for a, b in zip(first, ends, strict=True)]
+
+
+def _nearest(key: NDArray[np.int64], distance: Array) -> tuple[NDArray[np.int64], Array]:
+    """Each key once, ascending, with its least distance: a triangle's pieces near one cell count as one."""
+    order = _sorting(key)
+    key, distance = key[order], distance[order]
+    begin = np.flatnonzero(np.diff(key, prepend=-1))
+    return key[begin], np.minimum.reduceat(distance, begin) if len(begin) else distance
 
 
 def _sorting(key: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -295,20 +310,26 @@ def _stencil_pairs(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Cells around pieces (n, 4) that are in reach: cell number, piece, lower bound on the centre's distance [m]."""
     reach = frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK)
-    index = np.floor((spheres[:, :3] - frame.corner) / frame.width).astype(int)[:, None] + stencil[:, None]
+    own = np.floor((spheres[:, :3] - frame.corner) / frame.width).astype(int)
+    index = own[:, None] + stencil[:, None]
     valid = (index >= 0) & (index < frame.shape)
-    away = frame.corner + (index + 0.5) * frame.width - spheres[:, None, :3]
+    center = frame.corner + (own + 0.5) * frame.width
+    away = (center - spheres[:, :3])[:, None] + frame.width * stencil[:, None]
     square = np.where(valid, np.square(away), np.inf)
-    total = square[:, :, None, None, 0] + square[:, None, :, None, 1] + square[:, None, None, :, 2]
-    near = np.nonzero(total <= np.square(reach + spheres[:, 3])[:, None, None, None])
-    piece = near[0]
-    places = [away[piece, near[1 + k], k] for k in range(3)]
-    numbers = [index[piece, near[1 + k], k] for k in range(3)]
-    height = sum(planes[piece, k] * (places[k] + spheres[piece, k]) for k in range(3)) - planes[piece, 3]
+    total = (square[:, :, None, None, 0] + square[:, None, :, None, 1] + square[:, None, None, :, 2]).ravel()
+    steps = np.stack(np.meshgrid(stencil, stencil, stencil, indexing="ij"), -1).reshape(-1, 3)
+    farthest = np.repeat(np.square(reach + spheres[:, 3]), len(steps))
+    near = np.flatnonzero(total <= farthest)
+    piece = near // len(steps)
+    spot = near - len(steps) * piece
+    # Heights over the planes, from that of the piece's own cell.
+    height = (np.einsum("ij,ij->i", planes[:, :3], center) - planes[:, 3])[piece]
+    height += np.einsum("ij,ij->i", planes[piece, :3], (frame.width * steps)[spot])
     gap = np.maximum(np.sqrt(total[near]) - spheres[piece, 3], np.abs(height))
     kept = gap <= reach
-    cell = (numbers[0] * frame.shape[1] + numbers[1]) * frame.shape[2] + numbers[2]
-    return cell[kept], piece[kept], gap[kept]
+    strides = np.array([frame.shape[1] * frame.shape[2], frame.shape[2], 1])
+    cell = (own @ strides)[piece[kept]] + (steps @ strides)[spot[kept]]
+    return cell, piece[kept], gap[kept]
 
 
 def _distance_bound(cell: NDArray[np.int64], distance: Array, frame: _Frame) -> Array:
