@@ -12,17 +12,45 @@ _PROGRAMS = Path(__file__).parent.parent / ".pytest_cache" / "programs"
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_PROGRAMS))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+# Compiling is nearly all of the time, and the machine code need not be fast: XLA does the same to a program, LLVM less.
+# Programs that tests start are compiled as users' are.
+_FLAGS = os.environ.get("XLA_FLAGS", "")
+os.environ["XLA_FLAGS"] = f"{_FLAGS} --xla_backend_optimization_level=0"
 
 import jax  # noqa: E402  (it reads the environment)
 
 jax.config.update("jax_enable_x64", True)
+jax.devices()  # reads the flags
+os.environ["XLA_FLAGS"] = _FLAGS
+
+from jaxform import compiling  # noqa: E402
+
+compiling._LEVEL = 0
 
 # The first example of a test compiles, so its time says nothing; the same examples in every run.
 hypothesis.settings.register_profile("jaxform", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("jaxform")
 
 # Files go to the workers whole, in this order: those that take longest first, so that all workers end together.
-_FIRST = ("notebooks", "refinement", "contact", "skips", "simulation", "cli", "bench", "optimize", "validate", "files")
+_FIRST = (
+    "notebooks",
+    "contact",
+    "skips",
+    "refinement",
+    "simulation",
+    "cli",
+    "optimize",
+    "exact",
+    "windows",
+    "bench",
+    "second",
+    "force",
+    "start",
+    "stability",
+    "store",
+    "validate",
+    "files",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

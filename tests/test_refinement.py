@@ -25,7 +25,7 @@ from tests import scenes
 LOOK = jax.jit(functools.partial(refinement.refined, differentiable=False))
 
 
-def cup(elements: int = 128, **options: float) -> Scene:
+def cup(elements: int = 192, **options: float) -> Scene:
     """The cup of the other tests, coarse at first."""
     coarse = scenes.cup(20, 12.0)
     assert coarse.mold is not None
@@ -321,7 +321,7 @@ def test_a_batch_is_single_runs(scene: Scene) -> None:
 
 
 def test_too_little_room_is_told_and_a_run_takes_more(live: Result) -> None:
-    small = cup(40)  # becomes the room of the other tests
+    small = cup(96)  # becomes the room of the other tests
     short = jaxform.simulate(small)
     assert "room" in jaxform.explain(short) and "refinement.elements" in jaxform.explain(short)
     grown = jaxform.run(small)
