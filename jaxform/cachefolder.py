@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import stat
@@ -50,12 +51,13 @@ def guarded(folder: Path) -> Iterator[None]:
     """Sees to it that JAX finds under each name in a folder what it wrote there itself.
 
     JAX believes what it reads: a program under the name of another would be run. What differs in size or date from
-    what was there at the end of the last run is removed, so that it is compiled anew.
+    what was there at the end of the last run is removed, so that it is compiled anew; all of it, where the record of
+    that is damaged.
     """
     record = folder / _RECORD
     known = _read(record)
     for name, facts in _facts(folder).items():
-        if known.get(name, facts) != facts:
+        if known is None or known.get(name, facts) != facts:
             with contextlib.suppress(OSError):
                 (folder / name).unlink()
     try:
@@ -63,16 +65,25 @@ def guarded(folder: Path) -> Iterator[None]:
     finally:
         with contextlib.suppress(OSError):
             fresh = record.with_suffix(f".{os.getpid()}")
-            fresh.write_text(json.dumps(_facts(folder)), encoding="utf-8")
+            facts = _facts(folder)
+            fresh.write_text(json.dumps({"seal": _seal(facts), "facts": facts}), encoding="utf-8")
             fresh.replace(record)
 
 
-def _read(record: Path) -> dict[str, Any]:
+def _read(record: Path) -> dict[str, Any] | None:
+    """What was there at the end of the last run: nothing where there was none, None where the record is damaged."""
     try:
-        known = json.loads(record.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        content = json.loads(record.read_bytes())
+    except FileNotFoundError:
         return {}
-    return known if isinstance(known, dict) else {}
+    except (OSError, ValueError, RecursionError):
+        return None
+    whole = isinstance(content, dict) and content.get("seal") == _seal(content.get("facts"))
+    return content["facts"] if whole and isinstance(content["facts"], dict) else None
+
+
+def _seal(facts: Any) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
 def _facts(folder: Path) -> dict[str, list[int]]:

@@ -241,9 +241,18 @@ def test_compiled_programs_that_were_swapped_or_changed_are_removed(tmp_path: Pa
     os.utime(tmp_path / "c-cache", ns=(0, 0))
     with cachefolder.guarded(tmp_path):
         assert sorted(path.name for path in tmp_path.glob("*-cache")) == ["d-cache", "new-cache"]
-    (tmp_path / "record.json").write_text("[" * 100_000)
+
+
+@pytest.mark.parametrize("damaged", ["[" * 100_000, "{}", "", "changed"])
+def test_where_the_record_of_programs_is_damaged_none_of_them_is_believed(damaged: str, tmp_path: Path) -> None:
+    record = tmp_path / "record.json"
     with cachefolder.guarded(tmp_path):
-        assert (tmp_path / "d-cache").exists()
+        (tmp_path / "a-cache").write_text("x")
+    with cachefolder.guarded(tmp_path):
+        assert (tmp_path / "a-cache").exists()
+    record.write_text(record.read_text().replace("a-cache", "b-cache") if damaged == "changed" else damaged)
+    with cachefolder.guarded(tmp_path):
+        assert not (tmp_path / "a-cache").exists()
 
 
 def test_a_file_that_is_large_or_grows_is_refused_before_it_is_read(tmp_path: Path) -> None:
