@@ -134,7 +134,7 @@ def _number(chance: random.Random, text: str) -> str:
     new = chance.choice(NUMBERS)
     if chance.random() < 0.4:
         # So that what is checked where the scene is built is reached too.
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, OverflowError):
             value = float(place[0]) * chance.choice([0.5, 2.0, 10.0, 0.1, 1e3, 1e-3, 1e6, 1e-6, -1.0])
             new = str(int(value)) if place[0].isdigit() else repr(value)
     elif chance.random() < 0.3:

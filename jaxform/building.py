@@ -140,11 +140,7 @@ def _check_material(material: Material) -> None:
 def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
     if len(triangles) == 0:
         raise InputError("the parison has no triangles", "give a surface mesh of triangles", "parison")
-    edge1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
-    edge2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
-    area = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
-    longest = np.maximum(np.square(edge1).sum(1), np.square(edge2).sum(1))
-    bad = np.flatnonzero(~(area > 1e-9 * longest))
+    bad = _degenerate(positions, triangles)
     if len(bad):
         raise InputError(
             f"{len(bad)} of its triangles are degenerate, the first is number {bad[0]}",
@@ -156,6 +152,14 @@ def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) 
         raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
 
 
+def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    edge1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
+    edge2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
+    area = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
+    longest = np.maximum(np.square(edge1).sum(1), np.square(edge2).sum(1))
+    return np.flatnonzero(~(area > 1e-9 * longest))
+
+
 def _laid(
     parison: Parison, triangles: np.ndarray, pressure: Pressure, mold: Mold, grid: SearchGrid
 ) -> tuple[Parison, jax.Array | None]:
@@ -163,6 +167,12 @@ def _laid(
     found = start.lying(parison, triangles, pressure, mold, grid)
     if not np.any(found.wall):
         return parison, None
+    if len(bad := _degenerate(found.positions, triangles)):
+        raise InputError(
+            f"the parison cannot be laid onto it: {len(bad)} of its triangles would be degenerate",
+            "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
+            "mold",
+        )
     return dataclasses.replace(parison, positions=as_real(found.positions)), as_index(found.wall)
 
 

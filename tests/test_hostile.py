@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jaxform
 from benchmarks import fuzz
-from jaxform import cachefolder, catalog, cli, disk, lastresort
+from jaxform import cachefolder, catalog, cli, disk, lastresort, molds, shapes
 from jaxform.errors import InputError, InputWarning
 from jaxform.output import Frames
 from jaxform.store import Store
@@ -270,3 +271,16 @@ def test_a_few_of_the_damaged_inputs_of_the_benchmark(kind: str) -> None:
     found = [fuzz.run_case(kind, number) for number in range(40) if number % 20]
     assert not [case for case in found if fuzz.faults(case)]
     assert sum(case["status"] == 2 for case in found) > 10
+
+
+def test_a_mold_a_million_times_the_sheet_is_refused_before_anything_is_divided_by_zero() -> None:
+    sheet = shapes.rectangle(size=[0.1, 0.2], element_size=0.03)
+    box = molds.box_insert(size=[0.1, 1e6], depth=0.05, insert_size=[0.03, 0.05], insert_height=0.02)
+    with pytest.raises(InputError, match="cannot be laid onto it"):
+        jaxform.build_scene(
+            parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
+            material=scenes.mooney(0.1, 2e5),
+            pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 2e4]),
+            solver=jaxform.make_solver(end_time=0.05),
+            mold=jaxform.make_mold(box.vertices, box.triangles),
+        )
