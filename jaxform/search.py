@@ -8,6 +8,7 @@ dismissed by one look-up, and a near one is compared with the few triangles of i
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -150,7 +151,7 @@ def _counts(frame: _Frame) -> tuple[int, int, int]:
     return int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])
 
 
-def _kept_lists(corners: Array, frame: _Frame, store: Store | None) -> dict[str, NDArray[Any]]:
+def _kept_lists(corners: Array, frame: _Frame, store: Store | None) -> Mapping[str, NDArray[Any]]:
     place = np.array([*frame.corner, frame.width, frame.reach])
     return (store or Store()).arrays("grid in classes", (corners, place, frame.shape), lambda: _lists(corners, frame))
 
