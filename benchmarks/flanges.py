@@ -40,7 +40,7 @@ _STRIDE, _COUNT = 179, 60  # through all scenes: no two factors go together
 _CORNER = 0.02  # of the arc, beside sharp edges of the mold, is left out
 _SHARP = 20.0  # degrees
 _FINE = 0.0006  # m, elements of what is compared with
-_THICKER = 1.05  # how much thicker than the sheet a wall may be: nodes are put where edges meet the mold
+_THICKER = 1.01  # how much thicker than the sheet a wall may be: nodes are put where edges meet the mold
 _GRID = 300  # points along each side of the opening's quarter
 
 
@@ -88,8 +88,8 @@ class Found(NamedTuple):
 
     @property
     def right(self) -> bool:
-        """Whether the run was stable and its wall is right; a sheet that hangs over the flange's rim is warned of."""
-        return self.status == "ok" and self.rms <= TOLERANCE and self.thickest <= _THICKER
+        """Whether the run was stable and its wall is right."""
+        return self.status == "ok" and self.rms <= TOLERANCE and self.thickest <= _THICKER and not self.warned
 
 
 def cup() -> Tool:

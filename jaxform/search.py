@@ -119,7 +119,7 @@ def build_grid(
     lists = _kept_lists(corners, frame, store)
     listed, far = as_index(lists["listed"]), None
     if _moves_far(frame, travel):
-        wider = _wider(corners, frame)
+        wider = _framed(corners.min((0, 1)), corners.max((0, 1)), _FAR * frame.width, _FAR * frame.reach)
         more = _kept_lists(corners, wider, store)
         far = FarCells(
             corner=as_real(wider.corner),
@@ -180,9 +180,8 @@ def _frame(corners: Array, travel: float) -> _Frame:
         width = min(max(width, travel / _REACH["coarse"]), size / _FEWEST)
     while np.prod(_cell_counts(low, high, width)) > _MOST_CELLS:
         width *= 1.1
-    shape = _cell_counts(low, high, width)
     reach = _REACH["coarse"] * width if coarse else np.clip(1.5 * travel, *(cells * width for cells in _REACH["fine"]))
-    return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, float(reach), shape)
+    return _framed(low, high, width, float(reach))
 
 
 def _moves_far(frame: _Frame, travel: float) -> bool:
@@ -190,9 +189,8 @@ def _moves_far(frame: _Frame, travel: float) -> bool:
     return frame.reach < _REACH["coarse"] * frame.width and 1.5 * travel > frame.reach * (1 + _SLACK)
 
 
-def _wider(corners: Array, frame: _Frame) -> _Frame:
-    low, high = corners.min((0, 1)), corners.max((0, 1))
-    width, reach = _FAR * frame.width, _FAR * frame.reach
+def _framed(low: Array, high: Array, width: float, reach: float) -> _Frame:
+    """Cells of a width [m] about the box (3,), (3,) [m]."""
     shape = _cell_counts(low, high, width)
     return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
 

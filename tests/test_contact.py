@@ -138,7 +138,7 @@ def test_nodes_that_fly_far_over_a_fine_mold_meet_what_brute_force_finds() -> No
 
 def _check_lists(cells: SearchGrid | FarCells, grid: SearchGrid, corners: np.ndarray) -> None:
     """Each cell lists all that is in its reach of it, and its first classes all that is in a part of it."""
-    points = np.random.default_rng(4).uniform(-1.5, 1.6, (200, 3))
+    points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
     places = np.asarray(nearness.cells(jnp.asarray(points.T), cells))
     start, ends = np.asarray(cells.start), np.asarray(cells.ends).reshape(-1, CLASSES)
     listed = np.asarray(grid.number)[np.asarray(grid.listed)]

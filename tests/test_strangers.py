@@ -45,7 +45,7 @@ def test_a_flanged_mold_has_its_flange_in_the_sheets_plane_and_its_opening_where
 def test_what_makes_a_scene_of_the_sweep_wrong() -> None:
     right = flanges.Found("ok", 0.009, 1.0, 0.0, False, 100, 1000, 1.0)
     assert right.right
-    for wrong in ({"status": "unstable"}, {"rms": 0.011}, {"rms": np.nan}, {"thickest": 1.5}):
+    for wrong in ({"status": "unstable"}, {"rms": 0.011}, {"rms": np.nan}, {"thickest": 1.5}, {"warned": True}):
         assert not right._replace(**wrong).right
     case = flanges.cases()[0]
     line = flanges.summary([(case, right), (case, right._replace(status="unstable", rms=3.0))])
