@@ -28,7 +28,7 @@ _FEWEST = 16  # where a coarse sheet moves far in a window
 _REACH = {"coarse": 1.5, "fine": (0.75, 1.0)}
 _FAR = 3  # how many times as wide the cells for nodes that move far are, and as long their reach
 CLASSES = 4  # of distance, in which a cell's list is sorted: a small ball is compared with what is near alone
-_CHUNK = 250_000  # pairs of cell and triangle looked at together, to bound the memory
+_CHUNK = 120_000  # pairs of cell and triangle looked at together: what a core's cache holds
 _SLACK = 1e-6  # relative to a cell, for rounding
 _HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
 
@@ -158,14 +158,17 @@ def _kept_lists(corners: Array, frame: _Frame, store: Store | None) -> Mapping[s
 
 def _lists(corners: Array, frame: _Frame) -> dict[str, NDArray[Any]]:
     """What a grid's cells hold: `bound`, `start`, `ends` and `listed`."""
-    cell, triangle, distance, kind = _near_pairs(corners, frame)
-    cells = np.arange(int(np.prod(frame.shape)))
-    kinds = np.arange(CLASSES * len(cells))
+    from scipy import sparse  # not needed where the lists are kept
+
+    row, triangle, distance = _near_pairs(corners, frame)
+    # A matrix with a row for each cell and class: the rows' entries stay in their order.
+    size = (CLASSES * int(np.prod(frame.shape)), len(corners))
+    rows = sparse.csr_array((np.ones(len(row), bool), (row, triangle)), size)
     return {
-        "bound": _distance_bound(cell, distance, frame),
-        "start": np.searchsorted(cell, np.append(cells, len(cells))).astype(np.int32),
-        "ends": np.searchsorted(CLASSES * cell + kind, kinds, side="right").astype(np.int32),
-        "listed": triangle.astype(np.int32),
+        "bound": _distance_bound(row // CLASSES, distance, frame),
+        "start": rows.indptr[::CLASSES].astype(np.int32),
+        "ends": rows.indptr[1:].astype(np.int32),
+        "listed": rows.indices.astype(np.int32),
     }
 
 
@@ -230,36 +233,38 @@ def _planes(corners: Array) -> Array:
     return np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])
 
 
-def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64]]:
-    """All (cell, triangle) closer than the reach, cell by cell, in classes of distance, the nearer first.
+def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+    """All (cell, triangle) closer than the reach, those of each cell in the triangles' order.
 
     The triangles are taken in pieces no longer than a cell: a large one is then near few cells that it does not
     touch, and its pieces' spheres and its plane bound the distance well.
 
     Returns:
-        Cells, triangles, a lower bound on the distance from the cell's centre [m], and its class.
+        CLASSES times the cell plus the class of distance, triangles, and a lower bound on the distance from the
+        cell's centre [m].
     """
     pieces, owner = cut(corners, frame.width)
     order = np.argsort(owner, kind="stable")
     owner, spheres, planes = owner[order], _spheres(pieces[order]), _planes(corners)
     # Wide enough for the reach, half a cell's diagonal and the largest piece.
-    reach = frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK) + spheres[:, 3].max()
+    beside = frame.width * (_HALF_DIAGONAL + _SLACK)
+    reach = frame.reach + beside + spheres[:, 3].max()
     wide = int(reach / frame.width + 0.5)
     stencil = np.arange(-wide, wide + 1)
 
-    def pairs(part: slice) -> tuple[NDArray[np.int64], Array]:
+    def pairs(part: slice) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
         cell, piece, distance = _stencil_pairs(spheres[part], planes[owner[part]], stencil, frame)
-        return _nearest(cell * len(corners) + owner[part][piece], distance)
+        key = cell * len(corners) + owner[part][piece]
+        if len(pieces) > len(corners):
+            key, distance = _nearest(key, distance)
+        cell, triangle = np.divmod(key, len(corners))
+        kind = np.clip(np.ceil((CLASSES / frame.reach) * (distance - beside)) - 1, 0, CLASSES - 1)
+        return (CLASSES * cell + kind.astype(np.int64)).astype(np.int32), triangle.astype(np.int32), distance
 
     # NumPy lets go of the interpreter's lock in long operations.
     with ThreadPoolExecutor(os.cpu_count()) as workers:
-        keys, distances = zip(*workers.map(pairs, _parts(owner, _CHUNK // len(stencil) ** 3)), strict=True)
-    key, distance = np.concatenate(keys), np.concatenate(distances)
-    cell, triangle = np.divmod(key, len(corners))
-    from_cell = distance - frame.width * (_HALF_DIAGONAL + _SLACK)
-    kind = np.clip(np.ceil(CLASSES * from_cell / frame.reach).astype(np.int64) - 1, 0, CLASSES - 1)
-    order = _sorting(CLASSES * cell + kind)
-    return cell[order], triangle[order], distance[order], kind[order]
+        rows, triangles, distances = zip(*workers.map(pairs, _parts(owner, _CHUNK // len(stencil) ** 3)), strict=True)
+    return np.concatenate(rows), np.concatenate(triangles), np.concatenate(distances)
 
 
 def _parts(owner: NDArray[np.int64], size: int) -> list[slice]:
@@ -317,28 +322,23 @@ def _stencil_pairs(
     square = np.where(valid, np.square(away), np.inf)
     total = (square[:, :, None, None, 0] + square[:, None, :, None, 1] + square[:, None, None, :, 2]).ravel()
     steps = np.stack(np.meshgrid(stencil, stencil, stencil, indexing="ij"), -1).reshape(-1, 3)
+    height = np.einsum("ij,ij->i", planes[:, :3], center) - planes[:, 3]
+    height = np.abs(height[:, None] + planes[:, :3] @ (frame.width * steps.T)).ravel()
     farthest = np.repeat(np.square(reach + spheres[:, 3]), len(steps))
-    near = np.flatnonzero(total <= farthest)
-    piece = near // len(steps)
-    spot = near - len(steps) * piece
-    # Heights over the planes, from that of the piece's own cell.
-    height = (np.einsum("ij,ij->i", planes[:, :3], center) - planes[:, 3])[piece]
-    height += np.einsum("ij,ij->i", planes[piece, :3], (frame.width * steps)[spot])
-    gap = np.maximum(np.sqrt(total[near]) - spheres[piece, 3], np.abs(height))
-    kept = gap <= reach
+    near = np.flatnonzero((total <= farthest) & (height <= reach))
+    piece, spot = np.divmod(near, len(steps))
+    gap = np.maximum(np.sqrt(total[near]) - spheres[piece, 3], height[near])
     strides = np.array([frame.shape[1] * frame.shape[2], frame.shape[2], 1])
-    cell = (own @ strides)[piece[kept]] + (steps @ strides)[spot[kept]]
-    return cell, piece[kept], gap[kept]
+    return (own @ strides)[piece] + (steps @ strides)[spot], piece, gap
 
 
-def _distance_bound(cell: NDArray[np.int64], distance: Array, frame: _Frame) -> Array:
+def _distance_bound(cell: NDArray[np.integer], distance: Array, frame: _Frame) -> Array:
     """Near the mold from the listed triangles, elsewhere from the distance between cells."""
     from scipy import ndimage  # not needed where the lists are kept
 
     half_diagonal = _HALF_DIAGONAL * frame.width * (1 + _SLACK)
     nearest = np.full(int(np.prod(frame.shape)), np.inf)
-    begin = np.flatnonzero(np.diff(cell, prepend=-1))
-    nearest[cell[begin]] = np.minimum.reduceat(distance, begin)
+    np.minimum.at(nearest, cell, distance)
     touched = (nearest <= half_diagonal).reshape(frame.shape)
     apart = np.asarray(ndimage.distance_transform_edt(~touched)).ravel()
     far = np.maximum(frame.reach, (apart - np.sqrt(3.0)) * frame.width)
