@@ -15,6 +15,7 @@ from jaxform.result import Result, explain, formed_areas, only_used, wall_statis
 from jaxform.review import thinnest
 from jaxform.scene import Scene
 from jaxform.views import draw_part
+from jaxform.writing import whole
 
 Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
@@ -157,7 +158,8 @@ def save(figure: Any, path: str | Path) -> None:
             if axes.get_yscale() == "linear" and axes.get_aspect() == "auto" and axes.dataLim.y0 >= 0:
                 axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
             axes.spines["top"].set_visible(False)
-    figure.savefig(path, dpi=_DPI, metadata={"Software": None})
+    with whole(path) as fresh:
+        figure.savefig(fresh, dpi=_DPI, metadata={"Software": None})
 
 
 def _title(scene: Scene, result: Result) -> str:

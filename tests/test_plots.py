@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import resource
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from PIL import Image
 
 import jaxform
 from jaxform import body, plots, raster, sections, shapes, state, topology, views
+from jaxform.errors import InputError
 from jaxform.result import Result, make_result
 from tests import scenes
 
@@ -173,6 +175,18 @@ def test_every_sheet_has_a_picture(name: str, tmp_path: Path) -> None:
     stopped = dataclasses.replace(result, status=jnp.int32(state.Status.UNSTABLE))
     plots.thickness_picture(tmp_path / "thickness.png", scene, stopped)
     assert _colors(tmp_path / "thickness.png") > 50
+
+
+def test_a_picture_for_which_there_is_no_room_is_named_and_not_left_in_part(tmp_path: Path) -> None:
+    path, limits = tmp_path / "thickness.png", resource.getrlimit(resource.RLIMIT_FSIZE)
+    path.write_text("what was there")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(InputError, match=r"thickness.png.*cannot be written.*make room"):
+            plots.thickness_picture(path, *_at_rest(SHEETS["disc"]))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["what was there"]
 
 
 def test_pictures_of_a_search(tmp_path: Path) -> None:
