@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
 from jaxform import blocks, force, packing, scene
 from jaxform.compiling import compiled, compiler_options
-from jaxform.materials import Material, MooneyRivlin
+from jaxform.materials import Law, MooneyRivlin
 from jaxform.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
 
 LAW = MooneyRivlin(jnp.asarray(C), jnp.asarray(ALPHA), jnp.asarray(1.0))
@@ -150,7 +150,7 @@ def own(
     sheet: Sheet,
     dtype: Any = jnp.float64,
     block: int | None = None,
-    law: Material = LAW,
+    law: Law = LAW,
     *,
     paired: bool = True,
 ) -> Callable[[int], Any]:
@@ -163,7 +163,7 @@ def own(
         blocks.BLOCK = packing.BLOCK = usual
 
 
-def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Material) -> Callable[[int], Any]:
+def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Law) -> Callable[[int], Any]:
     cast = lambda tree: jax.tree.map(lambda a: a.astype(dtype) if a.dtype == jnp.float64 else a, tree)  # noqa: E731
     whole = cast(whole)
     fixed = cast((whole.taken(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), law))

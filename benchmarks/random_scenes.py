@@ -20,7 +20,7 @@ from numpy.random import Generator
 import jaxform
 from benchmarks import strangers
 from jaxform import building, molds, search, shapes
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.pytree import as_real
 from jaxform.scene import LONG_WINDOW, SHORT_WINDOW
 from jaxform.shapes import Sheet
@@ -257,7 +257,7 @@ def _pressure(
     return end, (time, top * random.normal(0.3, 1.0, 6))
 
 
-def _material(law: str, c: float, density: float, random: Generator, tags: list[str]) -> Material:
+def _material(law: str, c: float, density: float, random: Generator, tags: list[str]) -> Law:
     rho = as_real(density)
     if law == "neo-hookean":
         return jaxform.NeoHookean(as_real(c), rho)

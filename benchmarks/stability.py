@@ -27,7 +27,7 @@ from benchmarks.random_scenes import NAMES, STRANGERS, family_of
 from jaxform import force, packing, shapes, simulation
 from jaxform.body import body
 from jaxform.force import Load
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.result import Result, wall_statistics
 from jaxform.scene import LONG_WINDOW, SHORT_WINDOW, Scene
 from jaxform.shapes import Sheet
@@ -55,13 +55,13 @@ def sheets() -> dict[str, Sheet]:
     return found
 
 
-def laws() -> dict[str, Material]:
+def laws() -> dict[str, Law]:
     """By name, with c = 1 and density 1."""
-    found: dict[str, Material] = {"neo-Hookean": jaxform.NeoHookean(real(1.0), real(1.0))}
+    found: dict[str, Law] = {"neo-Hookean": jaxform.NeoHookean(real(1.0), real(1.0))}
     return found | {f"alpha {alpha:g}": mooney(alpha) for alpha in (0.0, 0.1, 0.3, 0.5)} | {"modified": modified(0.01)}
 
 
-def edge_scene(sheet: Sheet, law: Material, *, sudden: bool, ratio: float, pressure: float, end: float) -> Scene:
+def edge_scene(sheet: Sheet, law: Law, *, sudden: bool, ratio: float, pressure: float, end: float) -> Scene:
     """A free sheet of thickness 0.01 with other elements at random up to `ratio` thinner than their neighbours."""
     thin = np.where(np.random.default_rng(3).random(len(sheet.positions)) < 0.3, 1.0 / ratio, 1.0)
     times = [0.0, 1e-6] if sudden else [0.0, 0.8 * end]

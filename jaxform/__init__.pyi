@@ -3,7 +3,7 @@ from .building import build_scene
 from .compiling import compiler_options
 from .errors import InputError, InputWarning
 from .files import load
-from .materials import ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
+from .materials import Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, law, parameter
 from .mold import Mold, make_mold
 from .refinement import fitted
 from .replacing import replace
@@ -25,6 +25,7 @@ from .state import Schedule
 __all__ = [
     "InputError",
     "InputWarning",
+    "Law",
     "ModifiedMooneyRivlin",
     "Mold",
     "Moment",
@@ -41,6 +42,7 @@ __all__ = [
     "compiler_options",
     "explain",
     "fitted",
+    "law",
     "load",
     "make_mold",
     "make_parison",
@@ -48,6 +50,7 @@ __all__ = [
     "make_refinement",
     "make_solver",
     "molds",
+    "parameter",
     "replace",
     "run",
     "scenes",

@@ -12,7 +12,7 @@ import numpy as np
 from jaxform import bisection, membrane, reference, start, topology
 from jaxform.body import node_room
 from jaxform.errors import InputError
-from jaxform.materials import Material
+from jaxform.materials import Law, ranges_of
 from jaxform.mold import Mold
 from jaxform.near import PAIRS_PER_NODE
 from jaxform.packing import make_assembly, make_paired_assembly
@@ -46,7 +46,7 @@ _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 def build_scene(
     *,
     parison: Parison,
-    material: Material,
+    material: Law,
     pressure: Pressure,
     solver: Solver,
     mold: Mold | None = None,
@@ -132,9 +132,11 @@ def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refineme
     return make_paired_assembly(positions, triangles)
 
 
-def _check_material(material: Material) -> None:
-    for field in dataclasses.fields(material):
-        check_one(f"material.{field.name}", getattr(material, field.name))
+def _check_material(material: Law) -> None:
+    if not isinstance(material, Law):
+        raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
+    for name, allowed in ranges_of(material).items():
+        check_one(f"material.{name}", getattr(material, name), allowed)
 
 
 def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
@@ -321,7 +323,7 @@ def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
     return PAIRS_PER_NODE * 2 ** int(min(rungs, _MOST_PAIRS_RUNGS))
 
 
-def _planned_windows(bound: jax.Array, material: Material, solver: Solver) -> int:
+def _planned_windows(bound: jax.Array, material: Law, solver: Solver) -> int:
     """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
     step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material, as_real(_LARGEST_STRETCH)))
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
@@ -365,12 +367,13 @@ def first_step(scene: Scene) -> float:
 
 
 @jax.jit
-def _stiffest_step(bound: jax.Array, material: Material, largest: jax.Array) -> jax.Array:
+def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.Array:
     """The step [s] for the largest bound [1/m^2] of the elements, up to a stretch."""
     square = jnp.square(jnp.linspace(1.0, largest, 64))
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
-    stiffest = jnp.max(membrane.tangent_stiffness(strain, material))
+    stiffness = membrane.tangent_stiffness(strain, material)
+    stiffest = jnp.max(jnp.where(jnp.isfinite(stiffness), stiffness, 0.0))  # beyond a limit stretch there is none
     return membrane.stable_step(stiffest * bound, material)
 
 

@@ -260,7 +260,7 @@ def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float
 
 def _material(
     table: schema.NeoHookean | schema.MooneyRivlin | schema.ModifiedMooneyRivlin,
-) -> materials.Material:
+) -> materials.Law:
     if isinstance(table, schema.NeoHookean):
         return materials.NeoHookean(as_real(table.c), as_real(table.density))
     if isinstance(table, schema.MooneyRivlin):

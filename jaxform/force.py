@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from jaxform.blocks import Halves, PerBlock, entry, halves, once, over_blocks, put
 from jaxform.differentiated import Differentiated
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.membrane import (
     Metric,
     Vector,
@@ -90,7 +90,7 @@ class Load(NamedTuple):
     positions: Any
     thickness: jax.Array
     pressure: jax.Array
-    material: Material
+    material: Law
 
 
 _USUAL_ROWS, _USUAL_PAIR_ROWS = 6, 4  # of the shares of a node; all that are looked up without asking
@@ -312,14 +312,14 @@ def _pulls(s: Metric, edge1: Vector, edge2: Vector) -> tuple[Vector, Vector]:
     )
 
 
-def _weighted_stress(g: Metric, inverse: jax.Array, weight: jax.Array, material: Material) -> Metric:
+def _weighted_stress(g: Metric, inverse: jax.Array, weight: jax.Array, material: Law) -> Metric:
     """A0 h0 S^ab (n,): what multiplies the edges in the nodal forces."""
     a, b = stress_factors(g, inverse, material)
     return stress(g, inverse, (weight * a, weight * b))
 
 
 def _stress_and_change(
-    g: Metric, change: Metric, inverse: jax.Array, weight: jax.Array, material: Material
+    g: Metric, change: Metric, inverse: jax.Array, weight: jax.Array, material: Law
 ) -> tuple[Metric, Metric]:
     """A0 h0 S^ab, and its change along that of the metric (n,)."""
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from jaxform.materials import Material
+from jaxform.materials import Law
 
 Metric = tuple[jax.Array, jax.Array, jax.Array]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
@@ -176,7 +176,7 @@ def _reciprocal_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> t
     return reciprocal, -jnp.square(reciprocal) * changes[0]
 
 
-def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Material) -> tuple[jax.Array, jax.Array]:
+def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Law) -> tuple[jax.Array, jax.Array]:
     """A [Pa] and B [Pa/m^4], (n_element,), of the second Piola-Kirchhoff stress S^ab = A G^ab + B adj(g)^ab.
 
     Every isotropic law's stress is of this form: the slopes of its energy and one division give both factors, and
@@ -187,6 +187,8 @@ def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: M
     slope1, slope2 = material.slopes(i1, i2)
     flexibility = _reciprocal(determinant)
     scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
+    if slope1 is None:
+        slope1 = jnp.zeros_like(trace)
     if slope2 is None:
         return 2.0 * slope1 * jnp.ones_like(trace), -scale * jnp.square(flexibility) * slope1
     if slope2.ndim > 0:
@@ -207,7 +209,7 @@ def strain_energy(
     triangles: jax.Array,
     inverse_reference: jax.Array,
     volume: jax.Array,
-    material: Material,
+    material: Law,
 ) -> jax.Array:
     """Strain energy of the sheet [J]; `volume` (n_element,) [m^3] is initial thickness times initial area."""
     strain = invariants(metric(*edges(positions, triangles)[1:]), inverse_reference)
@@ -246,7 +248,7 @@ def shape_bound(inverse_reference: jax.Array, area: jax.Array) -> jax.Array:
     return 0.5 * (total + jnp.sqrt(jnp.maximum(gap, 0.0)))
 
 
-def tangent_stiffness(strain: Invariants, material: Material) -> jax.Array:
+def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
     """Largest eigenvalue D (n_element,) [Pa] of d2W/dF2 at the present strain, in closed form.
 
     The candidates are the two of the block of stretches, the two shears and the two motions out of the plane:
@@ -257,23 +259,31 @@ def tangent_stiffness(strain: Invariants, material: Material) -> jax.Array:
     p, q = a * b, 1.0 / (a * b) ** 3
     first_a, first_b = q * b / a, q * a / b
     terms = [2 + 6 * first_a, 2 + 6 * first_b, 4 * q, 2 + 2 * q, 2 - 2 * q, 2 - 2 * first_a, 2 - 2 * first_b]
-    terms = [slope1 * term for term in terms]
+    terms = [(0.0 if slope1 is None else slope1) * term for term in terms]
     if slope2 is not None:
         squares, inverse_a, inverse_b = a * a + b * b, 1.0 / a**4, 1.0 / b**4
         second = [2 * b * b + 6 * inverse_a, 2 * a * a + 6 * inverse_b, 4 * p]
         second += [2 * q * (squares + p) - 2 * p, 2 * p - 2 * q * (squares - p)]
         second += [2 * b * b - 2 * inverse_a, 2 * a * a - 2 * inverse_b]
         terms = [term + slope2 * extra for term, extra in zip(terms, second, strict=True)]
-    curvature = material.curvatures(strain.i1, strain.i2)
-    if curvature is not None:
-        da, db = 2 * a * b * b - 2 / a**3, 2 * b * a * a - 2 / b**3
-        for k, product in enumerate((da * da, db * db, da * db)):
-            terms[k] = terms[k] + curvature * product
+    for curvature, product in zip(material.curvatures(strain.i1, strain.i2), _slopes_by_stretches(a, b), strict=True):
+        if curvature is not None:
+            for k, part in enumerate(product):
+                terms[k] = terms[k] + curvature * part
     h11, h22, h12, *others = terms
     largest = 0.5 * (h11 + h22) + jnp.sqrt(0.25 * jnp.square(h11 - h22) + jnp.square(h12))
     for other in others:
         largest = jnp.maximum(largest, other)
     return largest
+
+
+def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
+    """Products of the invariants' slopes by the stretches, (aa, bb, ab): of I1 and I1, I1 and I2, I2 and I2."""
+    one = 2 * a - 2 / (a**3 * b * b), 2 * b - 2 / (b**3 * a * a)
+    two = 2 * a * b * b - 2 / a**3, 2 * b * a * a - 2 / b**3
+    squares = [(x[0] * x[0], x[1] * x[1], x[0] * x[1]) for x in (one, two)]
+    mixed = 2 * one[0] * two[0], 2 * one[1] * two[1], one[0] * two[1] + one[1] * two[0]
+    return [squares[0], mixed, squares[1]]
 
 
 def stiffness(
@@ -282,7 +292,7 @@ def stiffness(
     inverse_reference: jax.Array,
     bound: jax.Array,
     moving: jax.Array,
-    material: Material,
+    material: Law,
 ) -> jax.Array:
     """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
 
@@ -300,7 +310,7 @@ def stiffness(
     return jnp.where(moving, tangent_stiffness(strain, material) * bound, 0.0)
 
 
-def stable_step(largest: jax.Array, material: Material) -> jax.Array:
+def stable_step(largest: jax.Array, material: Law) -> jax.Array:
     """Safe bound on the central-difference step [s], from the largest `stiffness` of the elements.
 
     dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension. The thickness cancels between stiffness and lumped mass.

@@ -22,6 +22,8 @@ def static(**kwargs: Any) -> Any:
 def pytree[T](cls: type[T]) -> type[T]:
     """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`."""
     made = jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
+    if not _is_own(cls):
+        return made
     # So that traced programs that take or give it can be kept in files; choices are numbers, texts and tuples of them.
     export.register_pytree_node_serialization(
         made,
@@ -30,6 +32,19 @@ def pytree[T](cls: type[T]) -> type[T]:
         deserialize_auxdata=lambda text: ast.literal_eval(text.decode()),
     )
     return made
+
+
+def is_own(tree: Any) -> bool:
+    """Whether all classes in a tree are this package's or Python's: programs that take others are not kept in files.
+
+    Only this package's source is part of the name of such a file.
+    """
+    node = tree.node_data()
+    return node is None or (_is_own(node[0]) and all(map(is_own, tree.children())))
+
+
+def _is_own(cls: type) -> bool:
+    return cls.__module__.partition(".")[0] in ("jaxform", "builtins")
 
 
 def as_real(value: ArrayLike) -> jax.Array:

@@ -92,12 +92,46 @@ RANGES: dict[str, Range] = {
     "refinement.elements": Range(least=1, count=True),
 }
 
+DESIGNABLE = [
+    "parison.thickness",
+    "pressure.time",
+    "pressure.value",
+    "material.c",
+    "material.alpha",
+    "material.a01",
+    "material.a02",
+    "material.density",
+    "solver.end_time",
+    "solver.damping",
+]
+"""What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
+_MOST_DESIGNABLE = 31  # bits of a whole number
+_declared: dict[str, list[Range]] = {}
 
-def check(key: str, given: ArrayLike) -> None:
+
+def declare(key: str, allowed: Range) -> None:
+    """Makes a number designable; laws may have numbers of one name with ranges of their own.
+
+    Raises:
+        InputError: There are as many as can be told apart.
+    """
+    if key not in DESIGNABLE:
+        if len(DESIGNABLE) == _MOST_DESIGNABLE:
+            raise InputError("is one number too many", "give the laws' numbers names that others have too", key)
+        DESIGNABLE.append(key)
+    _declared.setdefault(key, []).append(allowed)
+
+
+def declared(key: str) -> list[Range]:
+    """The different ranges that numbers of one name have."""
+    return list(dict.fromkeys(_declared.get(key) or [RANGES[key]]))
+
+
+def check(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
     """Raises InputError unless a number of a scene, or each of several, is in its range; `given` is not traced."""
     import numpy as np  # not needed where files are refused
 
-    values, allowed = as_numbers(key, given), RANGES[key]
+    values, allowed = as_numbers(key, given), allowed or RANGES[key]
     shown = values.tolist() if values.ndim else None
     if not np.all(np.isfinite(values)):
         raise InputError("is not finite", allowed.remedy, key, _first(values, ~np.isfinite(values)))
@@ -110,11 +144,11 @@ def check(key: str, given: ArrayLike) -> None:
         raise InputError("the knots do not increase", "sort the times and drop repeats", key, shown)
 
 
-def check_one(key: str, given: ArrayLike) -> None:
+def check_one(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
     """As `check`, of what must be one number."""
     if as_numbers(key, given).ndim:
-        raise InputError("is not one number", RANGES[key].remedy, key, given)
-    check(key, given)
+        raise InputError("is not one number", (allowed or RANGES[key]).remedy, key, given)
+    check(key, given, allowed)
 
 
 def as_numbers(key: str, given: ArrayLike) -> Any:

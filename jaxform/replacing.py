@@ -13,23 +13,10 @@ from jax.core import Tracer
 from numpy.typing import ArrayLike
 
 from jaxform.errors import InputError
+from jaxform.materials import ranges_of
 from jaxform.pytree import as_real
-from jaxform.ranges import RANGES, as_numbers, check
+from jaxform.ranges import DESIGNABLE, RANGES, Range, as_numbers, check, declared
 from jaxform.scene import Scene
-
-# What `replace` may put in; the place of each is its bit in `Result.out_of_range`.
-DESIGNABLE = (
-    "parison.thickness",
-    "pressure.time",
-    "pressure.value",
-    "material.c",
-    "material.alpha",
-    "material.a01",
-    "material.a02",
-    "material.density",
-    "solver.end_time",
-    "solver.damping",
-)
 
 
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
@@ -48,7 +35,7 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     for path, value in changes.items():
         part, _, name = str(path).partition(".")
         old = _designable(scene, str(path))
-        owner = dataclasses.replace(getattr(scene, part), **{name: _fitted(str(path), value, old)})
+        owner = dataclasses.replace(getattr(scene, part), **{name: _fitted(str(path), value, old, scene)})
         scene = dataclasses.replace(scene, **{part: owner})
     return scene
 
@@ -56,7 +43,7 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
 def check_numbers(scene: Scene) -> None:
     """Raises InputError unless every number of a scene, none of them traced, is in its range."""
     for path, values in _numbers(scene).items():
-        check(path, values)
+        check(path, values, _range(path, scene))
 
 
 def with_stand_ins(scene: Scene) -> tuple[Scene, jax.Array]:
@@ -67,8 +54,9 @@ def with_stand_ins(scene: Scene) -> tuple[Scene, jax.Array]:
     """
     found, bits = {}, jnp.int32(0)
     for path, values in _numbers(scene).items():
-        good = RANGES[path].holds(jax.lax.stop_gradient(values))
-        if RANGES[path].increasing:
+        allowed = _range(path, scene)
+        good = allowed.holds(jax.lax.stop_gradient(values))
+        if allowed.increasing:
             good = jnp.broadcast_to(jnp.all(good) & jnp.all(jnp.diff(values) > 0), values.shape)
         bits |= jnp.where(jnp.all(good), 0, 1 << DESIGNABLE.index(path)).astype(jnp.int32)
         found[path] = jnp.where(good, values, _stand_in(path, values, good, scene))
@@ -82,13 +70,13 @@ def with_stand_ins(scene: Scene) -> tuple[Scene, jax.Array]:
 def in_words(bits: int) -> str:
     """Which numbers are out of range, and what is asked of them."""
     paths = [path for k, path in enumerate(DESIGNABLE) if bits >> k & 1]
-    units = {path: f" [{RANGES[path].unit}]" if RANGES[path].unit else "" for path in paths}
-    return ", ".join(f"{path}{units[path]} {_rule(path)}" for path in paths)
+    return ", ".join(f"{path} {' or '.join(map(_rule, declared(path)))}" for path in paths)
 
 
-def _rule(path: str) -> str:
-    rule = RANGES[path].rule
-    return rule if "finite" in rule else f"must be finite and {rule.removeprefix('must ').removeprefix('be ')}"
+def _rule(allowed: Range) -> str:
+    rule, unit = allowed.rule, f"[{allowed.unit}] " if allowed.unit else ""
+    whole = rule if "finite" in rule else f"must be finite and {rule.removeprefix('must ').removeprefix('be ')}"
+    return f"{unit}{whole}"
 
 
 def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> jax.Array | float:
@@ -98,7 +86,15 @@ def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> ja
         return jnp.where(count > 0, mean, usual)
     if path == "pressure.time":
         return jnp.arange(values.size, dtype=values.dtype)
-    return 0.0 if RANGES[path].above is None else 1.0
+    allowed = _range(path, scene)
+    if allowed.above is None:
+        return allowed.least or 0.0
+    return 1.0 + allowed.above if allowed.most is None else 0.5 * (allowed.above + allowed.most)
+
+
+def _range(path: str, scene: Scene) -> Range:
+    part, _, name = path.partition(".")
+    return ranges_of(scene.material)[name] if part == "material" else RANGES[path]
 
 
 def _numbers(scene: Scene) -> dict[str, jax.Array]:
@@ -124,7 +120,7 @@ def _designable(scene: Scene, path: str) -> jax.Array:
     raise InputError("this scene has no such number", mend, path)
 
 
-def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
+def _fitted(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Array:
     arrays = [leaf for leaf in jax.tree.leaves(value) if isinstance(leaf, jax.Array)]
     new = _of_arrays(path, value) if arrays else as_real(as_numbers(path, value))
     try:
@@ -132,7 +128,7 @@ def _fitted(path: str, value: ArrayLike, old: jax.Array) -> jax.Array:
     except ValueError:
         raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
     if not isinstance(new, Tracer):
-        check(path, new)
+        check(path, new, _range(path, scene))
     return new
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxform.errors import InputError
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.mold import Mold
 from jaxform.pytree import as_index, as_real, pytree, static
 from jaxform.ranges import MOST_STEPS, as_numbers, check, check_one
@@ -275,7 +275,7 @@ class Scene:
     """All that a simulation needs; made by `build_scene` or `load`."""
 
     parison: Parison
-    material: Material
+    material: Law
     pressure: Pressure
     solver: Solver
     mold: Mold | None

@@ -12,7 +12,7 @@ from jaxform import membrane
 from jaxform.blocks import over_blocks
 from jaxform.body import Body, Mesh
 from jaxform.force import Elements
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.pytree import as_real, pytree
 from jaxform.remeshing import started_mesh
 from jaxform.scene import SHORT_WINDOW, Scene, Sheet
@@ -237,7 +237,7 @@ def account(
     positions: jax.Array,
     elements: Elements,
     thickness: jax.Array,
-    material: Material,
+    material: Law,
     counted: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Strain energy [J] and enclosed volume [m^3] of elements, in one pass; not differentiable.

@@ -23,6 +23,7 @@ import numpy as np
 from jaxform import disk
 from jaxform.compiling import compiled, crowded
 from jaxform.errors import InputError
+from jaxform.pytree import is_own
 
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
@@ -72,7 +73,7 @@ class Store:
         kinds = tuple((np.shape(leaf), str(leaf.dtype)) for leaf in leaves)
         key = function, tree, kinds, jax.default_backend()
         if key not in self._programs:
-            path = self._path(function.__name__, tuple(str(part) for part in key[1:]))
+            path = self._path(function.__name__, tuple(str(part) for part in key[1:])) if is_own(tree) else None
             made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
             if crowded():
                 self._programs.clear()

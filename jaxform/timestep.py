@@ -28,6 +28,7 @@ _RANGE_PER_STEP = 0.1  # of the search grid's reach
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
 _NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
 _MARGIN = 0.98  # for a mode that was missed all the same: what it does not bear (docs/stability.md), the safety does
+_ROUNDING = 1e-3  # of the elements' bound: it is exact where there is one element
 _SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then told apart
 _MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
 _RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
@@ -118,8 +119,11 @@ def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Lim
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
-        mode, square, own = _highest(state, scene, working, thorough, found[4])
-        sharpness = jnp.clip(_MARGIN * 2.0 / (bound * jnp.sqrt(square)), 1.0, _MOST_SHARPENING)
+        mode, (least, square), own = _highest(state, scene, working, thorough, found[4])
+        sharpness = _MARGIN * 2.0 / (bound * jnp.sqrt(square))
+        # The elements' bound counts as well, unless there is a mode that proves it wrong.
+        wrong = bound * jnp.sqrt(jnp.maximum(least, 0.0)) > 2.0 * (1.0 + _ROUNDING)
+        sharpness = jnp.where(wrong, sharpness, jnp.clip(sharpness, 1.0, _MOST_SHARPENING))
         lost = ~thorough & (sharpness > _RISE * state.sharpness)
         sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.sharpness))
         return mode, sharpness, lost, lost, own
@@ -137,7 +141,7 @@ def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Lim
     growth = (sharpness * bound / before) ** jnp.where(state.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
     room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
-    return jnp.maximum(growth * sharpness, 1.0) * bound, Limit(mode, bound, sharpness), room
+    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, Limit(mode, bound, sharpness), room
 
 
 def elements_bound(state: State, scene: Scene, working: Working) -> jax.Array:
@@ -181,8 +185,8 @@ def no_basis(places: int, real: jnp.dtype) -> jax.Array:
 
 def _highest(
     state: State, scene: Scene, working: Working, thorough: jax.Array, room: tuple[Corners, jax.Array]
-) -> tuple[jax.Array, jax.Array, tuple[Corners, jax.Array]]:
-    """The mode (3, place), and its squared frequency with the residual [1/s^2], by Lanczos' method.
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
+    """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
 
     The residual makes up for what is missing: the frequency is approached from below. The room is for corners and
     vectors, and is given back.
@@ -253,7 +257,8 @@ def _highest(
         return over_nodes(work, (Part(done.basis, k * places, places),), [mode], update=1)[0][0]
 
     mode = jax.lax.fori_loop(0, count, add, nowhere)
-    return mode, square + jnp.abs(done.beside[count - 1] * share[count - 1]), (done.corners, done.basis)
+    missing = jnp.abs(done.beside[count - 1] * share[count - 1])
+    return mode, (square, square + missing), (done.corners, done.basis)
 
 
 def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -12,7 +12,7 @@ import numpy as np
 import jaxform
 from jaxform import molds, refinement, remeshing, shapes
 from jaxform.body import NEVER, Body
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.scene import Scene
 from jaxform.shapes import Sheet
 from jaxform.state import State
@@ -47,12 +47,12 @@ def real(value: float) -> jnp.ndarray:
     return jnp.asarray(value, float)
 
 
-def mooney(alpha: float, c: float = 1.0) -> Material:
+def mooney(alpha: float, c: float = 1.0) -> Law:
     return jaxform.MooneyRivlin(real(c), real(alpha), real(1.0))
 
 
 def free_disc(
-    elements: int, pressure: float, material: Material, damping: float | None = 1.0, end_time: float = 60.0
+    elements: int, pressure: float, material: Law, damping: float | None = 1.0, end_time: float = 60.0
 ) -> jaxform.Scene:
     """A quarter of a free disc of radius 1 and thickness 0.01, inflated slowly; pressure in units of c h0/a."""
     sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
@@ -64,7 +64,7 @@ def free_disc(
     )
 
 
-def sphere(elements: int, pressure: float, material: Material, time: list[float], **options: Any) -> jaxform.Scene:
+def sphere(elements: int, pressure: float, material: Law, time: list[float], **options: Any) -> jaxform.Scene:
     """A quarter of a closed sphere of radius 1 and thickness 0.01; pressure in units of c h0/r."""
     sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
     knots = [0.0, 0.01 * pressure] if len(time) == 2 else [0.01 * pressure]

@@ -14,7 +14,7 @@ import jaxform
 from jaxform import blocks, force, membrane, packing, shapes
 from jaxform.compiling import compiled
 from jaxform.force import Elements, Load
-from jaxform.materials import Material
+from jaxform.materials import Law
 from jaxform.scene import Sheet
 from tests.scenes import mooney, real
 
@@ -27,7 +27,7 @@ LAWS = [
 ]
 
 
-def _case(law: Material, *, paired: bool = False, seed: int = 0) -> tuple[Load, Elements]:
+def _case(law: Law, *, paired: bool = False, seed: int = 0) -> tuple[Load, Elements]:
     disc = shapes.disc(radius=1.0, elements=40, symmetry="quarter")
     random = np.random.default_rng(seed)
     start = jnp.asarray(disc.positions.T)
@@ -78,7 +78,7 @@ def test_the_longest_vectors_change_no_number(paired: bool) -> None:
 
 @ONE_BY_ONE_AND_IN_PAIRS
 @pytest.mark.parametrize("law", LAWS)
-def test_internal_force_is_minus_the_slope_of_the_energy(law: Material, paired: bool) -> None:
+def test_internal_force_is_minus_the_slope_of_the_energy(law: Law, paired: bool) -> None:
     load, sheet = _case(law, paired=paired)
     load = load._replace(pressure=real(0.0))
 
@@ -109,7 +109,7 @@ def _boundary(sheet: Elements) -> np.ndarray:
 
 @ONE_BY_ONE_AND_IN_PAIRS
 @pytest.mark.parametrize("law", LAWS)
-def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Material, paired: bool) -> None:
+def test_tangent_and_cotangent_equal_those_of_the_plain_formula(law: Law, paired: bool) -> None:
     load, sheet = _case(law, paired=paired)
     change = _random_like(load, 1)
     weights = jnp.asarray(np.random.default_rng(2).normal(size=load.positions.shape)), real(0.7)
@@ -180,7 +180,7 @@ def test_pairs_get_what_their_elements_get_one_by_one(backend: str, monkeypatch:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("stretch", [(1.0, 1.0), (1.5, 1.5), (3.0, 2.0), (1.2, 4.0)])
-def test_tangent_stiffness_is_the_largest_eigenvalue(law: Material, stretch: tuple[float, float]) -> None:
+def test_tangent_stiffness_is_the_largest_eigenvalue(law: Law, stretch: tuple[float, float]) -> None:
     def energy(gradient: jax.Array) -> jax.Array:
         c = gradient.T @ gradient
         strain = membrane.invariants((c[0, 0], c[0, 1], c[1, 1]), jnp.asarray([1.0, 0.0, 1.0]))
