@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed docs
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -15,6 +15,11 @@ demo: environment
 
 test: lint
 	.venv/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# The site, in out/docs; a warning is an error. No network is used.
+docs: environment
+	.venv/bin/python -m sphinx --fail-on-warning --keep-going --quiet --builder html docs out/docs
+	@echo "Open out/docs/index.html"
 
 # The variable keeps pyright from asking the network whether there is a newer one.
 lint: environment

@@ -26,7 +26,7 @@ class Law:
     A law is a pytree whose parameters are leaves; its class is the static choice. It gives its energy, and the rest
     follows by automatic differentiation: a law that gives its derivatives in closed form compiles to a faster step,
     and leaves out what it never has (decided by its class, never by a parameter's value: the gradient of that would
-    silently be zero).
+    silently be zero)::
 
         @jaxform.law
         class Yeoh(jaxform.Law):
