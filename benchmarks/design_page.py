@@ -21,7 +21,7 @@ def write(found: Found, folder: Path) -> None:
     (folder / "design.md").write_text("\n".join(text), encoding="utf-8")
 
 
-_HEAD = """# What searching by gradient buys
+_HEAD = """# Design by gradient beside other searches
 
 Written by `make design` from docs/design.json; change neither by hand. A *simulation* is the time that one run of the
 scene without gradient takes on the processor; a run with gradient, with all columns of a Jacobian, and the check of the

@@ -1,4 +1,4 @@
-"""How hard it is to break: the edge of stability, energy over a million steps, random scenes, gradients, float32.
+"""Robustness: the edge of stability, energy over a million steps, random scenes, gradients, float32.
 
 Run it with `make stability`, or parts of it by name: `python -m benchmarks.stability edge drift random gradients
 float32`; any other name draws the page alone. What a part finds goes into docs/stability.json; docs/stability.md and

@@ -25,7 +25,7 @@ def write(found: Found, folder: Path) -> None:
     (folder / "stability.md").write_text("\n".join(text), encoding="utf-8")
 
 
-_HEAD = """# How hard it is to break
+_HEAD = """# Robustness
 
 Written by `make stability` from docs/stability.json; change neither by hand.
 """

@@ -1,4 +1,4 @@
-"""How right it is, against solutions that owe nothing to it, and what an error costs in time.
+"""Accuracy against solutions that owe nothing to it, and what an error costs in time.
 
 Run it with `make validate`, or parts of it by name: `python -m benchmarks.validate cases dish box slow gradient`; any
 other name draws the page alone. What a part finds goes into docs/accuracy.json; the page docs/accuracy.md and its

@@ -21,7 +21,7 @@ def write(found: Found, folder: Path) -> None:
     (folder / "accuracy.md").write_text("\n".join(text), encoding="utf-8")
 
 
-_HEAD = """# How right it is, and what an error costs
+_HEAD = """# Accuracy, and what an error costs
 
 `make validate` makes this page and its pictures from docs/accuracy.json, which it writes; parts of it by name:
 `.venv/bin/python -m benchmarks.validate cases`. Errors are relative, in per cent; *order* is that in the element size,
