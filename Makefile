@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed docs
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed docs quick
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -20,6 +20,10 @@ test: lint
 docs: environment
 	.venv/bin/python -m sphinx --fail-on-warning --keep-going --quiet --builder html docs out/docs
 	@echo "Open out/docs/index.html"
+
+# What a developer runs while working; the first time it compiles what the next ones find.
+quick: environment
+	.venv/bin/python -m pytest -m quick -n 2 --dist loadfile -q
 
 # The variable keeps pyright from asking the network whether there is a newer one.
 lint: environment

@@ -53,7 +53,32 @@ _FIRST = (
 )
 
 
+# What a developer runs while working, `make quick`: files that compile little.
+_QUICK = {
+    "bisection",
+    "formats",
+    "hostile",
+    "inputs",
+    "journal",
+    "laws",
+    "meshes",
+    "molds",
+    "pairing",
+    "planform",
+    "reach",
+    "recovery",
+    "scenes",
+    "seams",
+    "shapes",
+    "survey",
+    "variables",
+}
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts the longest files first and leaves the order otherwise."""
+    """Puts the longest files first and leaves the order otherwise; marks the quick ones."""
+    for item in items:
+        if item.path.stem.removeprefix("test_") in _QUICK:
+            item.add_marker("quick")
     places = {f"test_{name}": place for place, name in enumerate(_FIRST)}
     items.sort(key=lambda item: places.get(item.path.stem, len(places)))
