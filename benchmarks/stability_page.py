@@ -134,7 +134,8 @@ def _random(found: Found, folder: Path) -> str:
         "no element deeper in it than half the longest side, and the end reached or everything stuck. A name without "
         "*status ok* is what the run reported itself: its status, or the warning that the sheet hangs over a mold too "
         "small for it. One with *status ok* would be a wrong answer that nobody is told of, and so would *units off, "
-        "not a word*.\n",
+        "not a word*. *At rest and said so*: all of the sheet lay on the mold from the start, or nothing pressed on "
+        "it; the account of no work is rounding, and the run warned that nothing moved.\n",
         f"A scene takes {seconds['median']:.2g} s (median) and {steps['median']:.0f} steps; the slowest, "
         f"seed {seconds['slowest']}, {seconds['max']:.0f} s with its compilation. Of those that end well, 99 % miss "
         f"less than {_percent(found['balance']['99 %'])} of the energy and have elements at most "

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import jaxform
+from benchmarks.bench import without
 from jaxform import body, molds, shapes, state, stepping, working
 from jaxform.state import Status
 from tests import scenes
@@ -167,21 +168,29 @@ def test_energy_is_kept_without_damping() -> None:
     assert float(result.energy.balance_error) < 1e-2
 
 
-def _with_longer_steps(scene: jaxform.Scene, factor: float) -> jaxform.Scene:
+def _with_longer_steps(factor: float, *, measured: bool = False) -> jaxform.Scene:
+    """A disc whose elements' bound on the step is wrong by a factor, and believed where the step is not measured."""
+    scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1)), sharp_step=measured)
     return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, bound=scene.tables.bound / factor**2))
 
 
 def test_an_unstable_window_is_taken_anew_with_half_the_step() -> None:
-    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
-    result, rescued = jaxform.run(scene), jaxform.run(_with_longer_steps(scene, 2.0))
+    result, rescued = (jaxform.run(_with_longer_steps(factor)) for factor in (1.0, 2.0))
     assert jaxform.explain(rescued) == "ok"
     assert int(rescued.shortened) > int(result.shortened) == 0
     np.testing.assert_allclose(rescued.positions, result.positions, atol=1e-3)
 
 
+@pytest.mark.parametrize("factor", [2.0, 1e6])
+def test_a_measured_step_does_not_believe_a_bound_that_is_wrong(factor: float) -> None:
+    result, other = (jaxform.run(_with_longer_steps(f, measured=True)) for f in (1.0, factor))
+    assert jaxform.explain(other) == "ok"
+    assert int(other.shortened) == 0 and int(other.steps) < 1.3 * int(result.steps)
+    np.testing.assert_allclose(other.positions, result.positions, atol=1e-3)
+
+
 def test_an_unstable_run_stops_and_says_so() -> None:
-    scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
-    result = jaxform.run(_with_longer_steps(scene, 1e6))  # no halving makes up for that
+    result = jaxform.run(_with_longer_steps(1e6))  # no halving makes up for that
     assert int(result.status) & (Status.UNSTABLE | Status.NON_FINITE)
     assert np.all(np.isfinite(result.positions))
     assert "at t =" in jaxform.explain(result)

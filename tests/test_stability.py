@@ -44,6 +44,18 @@ def test_a_random_scene_is_right_or_says_that_it_is_not(seed: int) -> None:
         assert np.all(np.isfinite(np.asarray(result.positions)))
 
 
+@pytest.mark.parametrize("told, rounding, word", [
+    (["it hardly moved"], 2.0, "at rest and said so"),
+    ([], 2.0, "unbalanced, status ok"),
+    (["it hardly moved"], 0.5, "unbalanced, status ok"),
+])  # fmt: skip
+def test_what_no_work_leaves_unbalanced_counts_as_wrong_unless_it_is_rounding_and_said(
+    told: list[str], rounding: float, word: str
+) -> None:
+    row = {"status": 0, "finite": True, "balance": 1.0, "rounding": rounding, "told": told}
+    assert stress.classify(row) == word
+
+
 def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     """The stress run's own loop is that of `run`, windows tried in vain included."""
     drawn = random_scenes.draw(ONCE_BROKEN[0])
