@@ -45,7 +45,7 @@ def tables(model: type[Table]) -> list[tuple[str, type[Table]]]:
     while waiting:
         one = waiting.pop(0)
         for name, field in one.model_fields.items():
-            for inner in _tables_in(field.annotation, field.metadata):
+            for inner in _tables_in(field.annotation):
                 if inner not in found:
                     prefix = found[one]
                     found[inner] = f"{prefix}.{name}" if prefix else name
@@ -53,16 +53,19 @@ def tables(model: type[Table]) -> list[tuple[str, type[Table]]]:
     return [(key, one) for one, key in found.items()]
 
 
-def _tables_in(annotation: Any, metadata: Any = ()) -> list[type[Table]]:
+def _tables_in(annotation: Any) -> list[type[Table]]:
     if isinstance(annotation, type) and issubclass(annotation, Table):
         return [annotation]
     return [inner for part in get_args(annotation) for inner in _tables_in(part)]
 
 
 def described(model: type[Table]) -> dict[str, str]:
-    """What each key of a table means, from the docstring of its class."""
-    text = re.sub(r"\n {8,}(?=\S)", " ", re.sub(r"\n {8}(?=\w+: )", "\n@", model.__doc__ or ""))
-    return dict(re.findall(r"^@(\w+): (.*?)\s*$", text, re.MULTILINE))
+    """What each key of a table means, from the docstrings of its class and of those that it derives from."""
+    found: dict[str, str] = {}
+    for one in reversed(model.__mro__[: model.__mro__.index(Table)]):
+        text = re.sub(r"\n {8,}(?=\S)", " ", re.sub(r"\n {8}(?=\w+: )", "\n@", one.__doc__ or ""))
+        found |= re.findall(r"^@(\w+): (.*?)\s*$", text, re.MULTILINE)
+    return found
 
 
 def _page(introduction: str, model: type[Table]) -> str:
@@ -125,15 +128,15 @@ def _kind(annotation: Any) -> str:
 
 
 def _range(metadata: Any) -> str:
-    words, many = [], {"min_length": "at least {} of them", "max_length": "at most {}"}
+    words = []
     for part in [inner for one in metadata for inner in getattr(one, "metadata", [one])]:
         for sign, attribute in ((">", "gt"), ("≥", "ge"), ("<", "lt"), ("≤", "le")):
             limit = getattr(part, attribute, None)
             if limit is not None and abs(limit) < 1e9:
                 words.append("> 0" if 0 < limit < 1e-20 else f"{sign} {limit:,g}")
-        lengths = {name: getattr(part, name, None) for name in many}
-        if lengths["min_length"] is not None and lengths["min_length"] == lengths["max_length"]:
-            words.append(f"{lengths['min_length']} of them")
+        least, most = getattr(part, "min_length", None), getattr(part, "max_length", None)
+        if least is not None and least == most:
+            words.append(f"{least} of them")
     return ", ".join(dict.fromkeys(words))
 
 
@@ -153,7 +156,7 @@ def _default(name: str, field: FieldInfo, model: type[Table]) -> str:
 
 def _command() -> str:
     parser = cli._parser()
-    parts = [_COMMAND_INTRODUCTION]
+    parts = ["# Command\n"]
     for name, (text, command) in _commands(parser).items():
         parts.append(f"## jaxform {name}\n\n{text[:1].upper()}{text[1:]}.\n")
         rows = [_argument(action) for action in command._actions if not isinstance(action, argparse._HelpAction)]
@@ -177,8 +180,6 @@ def _argument(action: argparse.Action) -> str:
     return f"| {values} | {action.help or ''} |"
 
 
-_COMMAND_INTRODUCTION = """# Command
-"""
 _STATUSES = """## Exit status
 
 | status | meaning |

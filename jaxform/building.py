@@ -133,7 +133,8 @@ def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refineme
 
 
 def _check_material(material: Law) -> None:
-    if not isinstance(material, Law):
+    # A class that derives from a declared law is none before it is declared itself.
+    if not (isinstance(material, Law) and "__dataclass_fields__" in vars(type(material))):
         raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
     for name, allowed in ranges_of(material).items():
         check_one(f"material.{name}", getattr(material, name), allowed)

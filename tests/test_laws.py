@@ -165,6 +165,19 @@ def test_what_is_no_law_is_refused_in_words() -> None:
         scenes.sphere(32, 2.0, real(1.0), [0.0, 2.0], end_time=0.1)  # pyright: ignore[reportArgumentType]
 
 
+def test_a_law_that_was_not_declared_is_refused_in_words() -> None:
+    class Plain(jaxform.Law):
+        def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
+            return i1 - 3.0
+
+    class Derived(Yeoh):
+        pass
+
+    for law in (Plain(), Derived(real(1.0), real(0.1), real(0.0), real(1.0))):
+        with pytest.raises(InputError, match=r"material: is no law.*decorated with jaxform\.law"):
+            scenes.sphere(32, 2.0, law, [0.0, 2.0], end_time=0.1)
+
+
 def _twin(factor: float) -> Any:
     """A class with the name and the numbers of one of this package's, but another energy."""
 

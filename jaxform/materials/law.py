@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxform.errors import InputError
 from jaxform.pytree import pytree, static
-from jaxform.ranges import RANGES, Range, declare
+from jaxform.ranges import Range, declare
 
 Slope = jax.Array | None
 """A derivative of the energy; None where the law never has it, so that the step does not compute it."""
@@ -123,6 +123,3 @@ def ranges_of(law: type[Law] | Law) -> dict[str, Range]:
 
 def _numbers(law: Any) -> list[dataclasses.Field[Any]]:
     return [part for part in dataclasses.fields(law) if not part.metadata.get("static")]
-
-
-DENSITY = RANGES["material.density"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.materials.law import DENSITY, Law, Slope, law, within
+from jaxform.materials.law import Law, Slope, law, within
 from jaxform.ranges import RANGES
 
 
@@ -21,7 +21,7 @@ class MooneyRivlin(Law):
 
     c: jax.Array = within(RANGES["material.c"])
     alpha: jax.Array = within(RANGES["material.alpha"])
-    density: jax.Array = within(DENSITY)
+    density: jax.Array = within(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""
@@ -52,7 +52,7 @@ class ModifiedMooneyRivlin(Law):
 
     a01: jax.Array = within(RANGES["material.a01"])
     a02: jax.Array = within(RANGES["material.a02"])
-    density: jax.Array = within(DENSITY)
+    density: jax.Array = within(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from jaxform.materials.law import DENSITY, Law, Slope, law, within
+from jaxform.materials.law import Law, Slope, law, within
 from jaxform.ranges import RANGES
 
 
@@ -18,7 +18,7 @@ class NeoHookean(Law):
     """
 
     c: jax.Array = within(RANGES["material.c"])
-    density: jax.Array = within(DENSITY)
+    density: jax.Array = within(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""

@@ -16,7 +16,19 @@ from jaxform.validation import (
 
 
 class _Search(Table):
-    """What all methods share; see `optimize.Study`."""
+    """What all methods share; see `optimize.Study`.
+
+    Attributes:
+        iterations: In all, those of the warm start and of every round included.
+        max_simulations: Stops before it costs the time of so many simulations.
+        minutes: Stops when it has taken so long.
+        tolerance: Stops when five iterations together, or two rounds, gain less than this share.
+        gradient_tolerance: Stops when the gradient has become this share of the first one.
+        goal: Stops when the objective is at most this.
+        warm_start: Updates of the fixed point before the first iteration.
+        starts: From so many designs, strewn about the first one, the best is where the search begins.
+        rounds: Of multipliers for limits, at most.
+    """
 
     iterations: Count = 30
     max_simulations: Positive | None = None
@@ -34,15 +46,6 @@ class Lbfgs(_Search):
 
     Attributes:
         method: How it is searched for.
-        iterations: In all, those of the warm start and of every round included.
-        max_simulations: Stops before it costs the time of so many simulations.
-        minutes: Stops when it has taken so long.
-        tolerance: Stops when five iterations together, or two rounds, gain less than this share.
-        gradient_tolerance: Stops when the gradient has become this share of the first one.
-        goal: Stops when the objective is at most this.
-        warm_start: Updates of the fixed point before the first iteration.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: Of multipliers for limits, at most.
     """
 
     method: Literal["lbfgs"] = "lbfgs"
@@ -53,15 +56,6 @@ class Adam(_Search):
 
     Attributes:
         method: How it is searched for.
-        iterations: In all, those of the warm start and of every round included.
-        max_simulations: Stops before it costs the time of so many simulations.
-        minutes: Stops when it has taken so long.
-        tolerance: Stops when five iterations together, or two rounds, gain less than this share.
-        gradient_tolerance: Stops when the gradient has become this share of the first one.
-        goal: Stops when the objective is at most this.
-        warm_start: Updates of the fixed point before the first iteration.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: Of multipliers for limits, at most.
         learning_rate: Size of the first steps in unbounded numbers.
     """
 
@@ -74,15 +68,6 @@ class LeastSquares(_Search):
 
     Attributes:
         method: How it is searched for.
-        iterations: In all, those of the warm start and of every round included.
-        max_simulations: Stops before it costs the time of so many simulations.
-        minutes: Stops when it has taken so long.
-        tolerance: Stops when five iterations together, or two rounds, gain less than this share.
-        gradient_tolerance: Stops when the gradient has become this share of the first one.
-        goal: Stops when the objective is at most this.
-        warm_start: Updates of the fixed point before the first iteration.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: Of multipliers for limits, at most.
     """
 
     method: Literal["least-squares"]
@@ -93,15 +78,6 @@ class FixedPoint(_Search):
 
     Attributes:
         method: How it is searched for.
-        iterations: In all, those of the warm start and of every round included.
-        max_simulations: Stops before it costs the time of so many simulations.
-        minutes: Stops when it has taken so long.
-        tolerance: Stops when five iterations together, or two rounds, gain less than this share.
-        gradient_tolerance: Stops when the gradient has become this share of the first one.
-        goal: Stops when the objective is at most this.
-        warm_start: Updates of the fixed point before the first iteration.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: Of multipliers for limits, at most.
     """
 
     method: Literal["fixed-point"]

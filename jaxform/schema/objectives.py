@@ -16,7 +16,11 @@ from jaxform.validation import (
 
 
 class Wanted(Table):
-    """What all objectives share: by how much each counts where there are several."""
+    """What all objectives share.
+
+    Attributes:
+        weight: By how much it counts where there are several.
+    """
 
     weight: Positive = 1.0
 
@@ -26,7 +30,6 @@ class Target(Wanted):
 
     Attributes:
         kind: The kind of objective.
-        weight: By how much it counts where there are several.
         thickness: The wanted wall [m].
         limit: Relative deviation (rms) to be kept, instead of the least one.
     """
@@ -41,7 +44,6 @@ class Uniform(Wanted):
 
     Attributes:
         kind: The kind of objective.
-        weight: By how much it counts where there are several.
     """
 
     kind: Literal["uniform"]
@@ -52,7 +54,6 @@ class LeastMass(Wanted):
 
     Attributes:
         kind: The kind of objective.
-        weight: By how much it counts where there are several.
         minimum: Of the wall [m].
     """
 
@@ -65,7 +66,6 @@ class FormingTime(Wanted):
 
     Attributes:
         kind: The kind of objective.
-        weight: By how much it counts where there are several.
         power: Of the mean of contact times: the higher, the more the last contact counts.
     """
 
@@ -78,7 +78,6 @@ class KineticEnergy(Wanted):
 
     Attributes:
         kind: The kind of objective.
-        weight: By how much it counts where there are several.
     """
 
     kind: Literal["kinetic-energy"]

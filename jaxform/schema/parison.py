@@ -17,7 +17,13 @@ from jaxform.validation import (
 
 
 class _BuiltIn(Table):
-    """What the built-in parisons share: exactly one of element_size and elements, cut planes, thickness."""
+    """What the built-in parisons share: exactly one of element_size and elements, cut planes, thickness.
+
+    Attributes:
+        elements: About how many triangles; this or `element_size`.
+        symmetry: Which part of the sheet is simulated.
+        thickness: Initial thickness [m].
+    """
 
     elements: Count | None = None
     symmetry: Literal["none", "half", "quarter"] = "none"
@@ -38,10 +44,8 @@ class Disc(_BuiltIn):
     Attributes:
         shape: The kind of sheet.
         radius: Of the sheet [m].
-        elements: About how many triangles; this or `element_size`.
         element_size: Side of a triangle [m], or a profile of it along the radius.
         symmetry: Which part of the sheet is simulated; the cut planes are x = 0, and y = 0 of a quarter.
-        thickness: Initial thickness [m].
     """
 
     shape: Literal["disc"]
@@ -62,10 +66,7 @@ class Rectangle(_BuiltIn):
     Attributes:
         shape: The kind of sheet.
         size: Sides along x and y [m].
-        elements: About how many triangles; this or `element_size`.
         element_size: Side of a triangle [m].
-        symmetry: Which part of the sheet is simulated.
-        thickness: Initial thickness [m].
     """
 
     shape: Literal["rectangle"]
@@ -79,10 +80,7 @@ class Sphere(_BuiltIn):
     Attributes:
         shape: The kind of sheet.
         radius: Of the sphere [m].
-        elements: About how many triangles; this or `element_size`.
         element_size: Side of a triangle [m].
-        symmetry: Which part of the sphere is simulated.
-        thickness: Initial thickness [m].
     """
 
     shape: Literal["sphere"]
