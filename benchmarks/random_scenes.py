@@ -157,8 +157,8 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
     grid, mold = scene.tables.grid, scene.mold
     assert grid is not None and mold is not None
     shape = np.full(3, _CELLS)
-    assert np.all(shape >= grid.shape), grid.shape
-    middle = np.asarray(grid.corner) + 0.5 * float(grid.width) * np.array(grid.shape)
+    assert np.all(shape >= np.asarray(grid.shape)), grid.shape
+    middle = np.asarray(grid.corner) + 0.5 * float(grid.width) * np.asarray(grid.shape)
     corner = middle - 0.5 * float(grid.width) * shape
     frame = search._Frame(corner, float(grid.width), float(grid.reach), shape)
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)][np.asarray(grid.number)]
@@ -173,7 +173,7 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
         ends=jnp.asarray(lists["ends"]),
         listed=jnp.asarray(np.pad(lists["listed"], (0, room - len(lists["listed"])))),
         far=None,
-        shape=(_CELLS, _CELLS, _CELLS),
+        shape=jnp.asarray(shape, jnp.int32),
     )
 
 

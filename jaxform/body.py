@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxform import membrane
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
-from jaxform.scene import Assembly, Forest, Scene, Sheet
+from jaxform.scene import Assembly, Counts, Forest, Scene, Sheet
 
 NEVER = jnp.iinfo(jnp.int32).max
 
@@ -78,7 +78,9 @@ def body(scene: Scene) -> Body:
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     share = scene.material.density * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
-    whole = pack(None, sheet, tables.assembly, stepped=not scene.packs_moving)
+    if tables.counts is not None:
+        mass = jnp.where(jnp.arange(mass.size) < tables.counts.nodes, mass, 1.0)
+    whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
     return Body(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
 
 
@@ -108,20 +110,24 @@ def first_mesh(scene: Scene) -> Mesh:
     forest, refinement = scene.tables.forest, scene.refinement
     assert forest is not None and refinement is not None
     roots, room = jnp.arange(forest.root_count, dtype=jnp.int32), refinement.elements
-    triangles, row = forest.sheet.triangles[:, : forest.root_count], forest.root_row
+    counts = scene.tables.counts or Counts(jnp.int32(forest.root_count), jnp.int32(forest.first_nodes))
     node = jnp.arange(forest.node_room, dtype=jnp.int32)
     place = jnp.arange(forest.owner.size, dtype=jnp.int32)
-    corner = 4 * roots + jnp.arange(3, dtype=jnp.int32)[:, None]
+    corner, row = 4 * roots + jnp.arange(3, dtype=jnp.int32)[:, None], forest.root_row
+    # What is beyond the first triangles goes nowhere.
+    there = roots < counts.elements
+    at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
+    half_edges = jnp.where(there, forest.half_edges[:, : forest.root_count], forest.half_edge_count)
     return Mesh(
         split_at=jnp.full(forest.bound.size, NEVER, jnp.int32),
-        element=jnp.zeros(room, jnp.int32).at[roots].set(roots),
-        element_count=jnp.int32(forest.root_count),
-        node=jnp.where(node < forest.first_nodes, node, 0),
-        place=jnp.where(place < forest.first_nodes, place, 0),
-        node_count=jnp.int32(forest.first_nodes),
-        side=jnp.full(forest.half_edge_count, -1, jnp.int32).at[forest.half_edges[:, : roots.size]].set(roots),
-        corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, triangles].set(corner),
-        corner_count=jnp.zeros(node.size, jnp.int32).at[triangles].add(1),
+        element=jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0)),
+        element_count=counts.elements,
+        node=jnp.where(node < counts.nodes, node, 0),
+        place=jnp.where(place < counts.nodes, place, 0),
+        node_count=counts.nodes,
+        side=jnp.full(forest.half_edge_count, -1, jnp.int32).at[half_edges].set(roots, mode="drop"),
+        corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, at].set(corner, mode="drop"),
+        corner_count=jnp.zeros(node.size, jnp.int32).at[at].add(1, mode="drop"),
         row=jnp.zeros((3, room), jnp.int32).at[:, : roots.size].set(row),
     )
 
@@ -163,6 +169,6 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
         thickness=volume / forest.sheet.area[element],
         mass=heavy,
         compliance=jnp.where(exists, forest.mobility[:, mesh.node] / heavy, 0.0),
-        whole=pack(None, sheet, assembly, (mesh.element_count, mesh.node_count), stepped=not scene.packs_moving),
+        whole=pack(None, sheet, assembly, Counts(mesh.element_count, mesh.node_count), stepped=not scene.packs_moving),
         volumes=volumes,
     )

@@ -22,6 +22,7 @@ from jaxform.scene import (
     LONG_WINDOW,
     SHORT_WINDOW,
     Assembly,
+    Bend,
     Forest,
     Parison,
     Pressure,
@@ -110,7 +111,8 @@ def build_scene(
         forest=grown,
         lying=lying,
         window_count=planned + _spare_windows(grid),
-        longest_window=SHORT_WINDOW if refinement is not None else longest_window(planned, frames),
+        longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest_window(planned, frames)),
+        window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
         pairs_per_node=_pairs_per_node(mold, grid),
     )
     return Scene(
@@ -237,7 +239,7 @@ def _grown(
     refinement: Refinement,
     sheet: Sheet,
     mobility: jax.Array,
-    bend: jax.Array | None,
+    bend: Bend | None,
     fine: np.ndarray | None,
 ) -> Forest:
     """The forest as the program needs it."""
@@ -274,21 +276,21 @@ def _grown(
     )
 
 
-def bends(mold: Mold, grid: SearchGrid, store: Store | None = None) -> jax.Array:
-    """Distance [m] from the middles of a grid's cells to an edge at which the mold is bent, to half a cell or so.
+def bends(mold: Mold, grid: SearchGrid, store: Store | None = None) -> Bend:
+    """Distance from the middles of a grid's cells to an edge at which the mold is bent, to half a cell or so.
 
     The search grid's cells are as large as the mold's triangles, so they are cut into as many along each axis as there
-    is room for: (parts * shape[0], parts * shape[1], parts * shape[2]).
+    is room for.
     """
     edges = topology.feature_edges(np.asarray(mold.vertices, float), np.asarray(mold.triangles), _BEND, rims=False)
-    parts = max(1, int(np.cbrt(_MOST_BEND_CELLS / np.prod(grid.shape))))
-    shape, width = tuple(parts * count for count in grid.shape), float(grid.width) / parts
+    parts = max(1, int(np.cbrt(_MOST_BEND_CELLS / np.prod(np.asarray(grid.shape, float)))))
+    shape, width = tuple(parts * count for count in np.asarray(grid.shape).tolist()), float(grid.width) / parts
     corner = np.asarray(grid.corner, float)
     if not len(edges):
-        return jnp.full(shape, jnp.inf)
+        return Bend(as_real(np.full(np.prod(shape), np.inf)), as_index(parts))
     key = edges, corner, np.array([width, *shape])
     kept = (store or Store()).arrays("bends", key, lambda: {"distance": _to_edges(edges, corner, width, shape)})
-    return as_real(kept["distance"])
+    return Bend(as_real(kept["distance"].ravel()), as_index(parts))
 
 
 def _to_edges(edges: np.ndarray, corner: np.ndarray, width: float, shape: tuple[int, ...]) -> np.ndarray:

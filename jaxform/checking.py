@@ -130,7 +130,7 @@ def _run_lines(scene: Scene) -> Iterator[str]:
         elements = refinement.elements
     sharper = _MEASURED_TO_BOUND if scene.solver.sharp_step else 1.0
     step, end = sharper * building.first_step(scene), float(scene.solver.end_time)
-    longest = scene.tables.longest_window
+    longest = int(scene.tables.longest_window)
     steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
     yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"

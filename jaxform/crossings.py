@@ -41,12 +41,12 @@ class _Cells(NamedTuple):
     ends: Integers
     listed: Integers
     number: Integers
-    shape: tuple[int, int, int]
+    shape: Integers
 
 
 def _cells(grid: SearchGrid) -> _Cells:
-    arrays = {name: np.asarray(getattr(grid, name)) for name in ("bound", "start", "ends", "listed", "number")}
-    return _Cells(np.asarray(grid.corner, float), float(grid.width), float(grid.reach), **arrays, shape=grid.shape)
+    arrays = {name: np.asarray(getattr(grid, name)) for name in ("bound", "start", "ends", "listed", "number", "shape")}
+    return _Cells(np.asarray(grid.corner, float), float(grid.width), float(grid.reach), **arrays)
 
 
 def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: float = 0.0) -> Iterator[Pairs]:
@@ -65,8 +65,8 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     middle = pieces.mean(1)
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
     # The mold is inside the grid: what is in reach from a place outside is also in reach from the nearest cell.
-    index = np.clip(np.floor((middle - cells.corner) / cells.width), 0, np.array(cells.shape) - 1).astype(np.int64)
-    cell = np.asarray(np.ravel_multi_index(tuple(index.T), cells.shape))
+    index = np.clip(np.floor((middle - cells.corner) / cells.width), 0, cells.shape - 1).astype(np.int64)
+    cell = np.asarray(np.ravel_multi_index(tuple(index.T), tuple(cells.shape)))
     near = np.flatnonzero(cells.bound[cell] * (1 - _SLACK) <= radius)
     cell = cell[near]
     kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1

@@ -204,14 +204,14 @@ def _balls(
     return _Balls(center, radius, cell, bound, free & (bound < radius))
 
 
-def cells(positions: jax.Array, grid: SearchGrid | FarCells, parts: int = 1) -> jax.Array:
+def cells(positions: jax.Array, grid: SearchGrid | FarCells, parts: jax.Array | int = 1) -> jax.Array:
     """Cell numbers (n,) of positions (3, n) [m]; outside the grid the nearest cell's, whose bound and list hold too.
 
     The cells may be cut into so many parts along each axis.
     """
-    shape = tuple(parts * count for count in grid.shape)
+    shape = parts * grid.shape
     place = jnp.floor((positions - grid.corner[:, None]) * (parts / grid.width)).astype(jnp.int32)
-    i, j, k = jnp.clip(place, 0, jnp.asarray(shape, jnp.int32)[:, None] - 1)
+    i, j, k = jnp.clip(place, 0, shape[:, None] - 1)
     return (i * shape[1] + j) * shape[2] + k
 
 
@@ -219,7 +219,7 @@ def looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Ar
     """Cell numbers and lower bounds on the distance to the mold [m], each (n_node,)."""
     cell = cells(positions, grid)
     place = (positions - grid.corner[:, None]) / grid.width
-    outside = place - jnp.clip(place, 0.0, jnp.asarray(grid.shape, place.dtype)[:, None])
+    outside = place - jnp.clip(place, 0.0, grid.shape.astype(place.dtype)[:, None])
     return cell, jnp.maximum(grid.bound[cell], grid.width * jnp.sqrt(dot(outside, outside)))
 
 

@@ -21,7 +21,7 @@ from jaxform.membrane import gather
 from jaxform.pairing import paired, turned
 from jaxform.pytree import as_index, as_real, pytree
 from jaxform.reference import reference_metric
-from jaxform.scene import Assembly, Pairs, Sheet
+from jaxform.scene import Assembly, Counts, Pairs, Sheet
 
 _MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
 
@@ -110,7 +110,7 @@ def pack(
     moving: jax.Array | None,
     sheet: Sheet,
     assembly: Assembly,
-    counts: tuple[jax.Array, jax.Array] | None = None,
+    counts: Counts | None = None,
     *,
     stepped: bool = True,
 ) -> Packed:
@@ -122,14 +122,17 @@ def pack(
     """
     element_count, node_count, pairs = sheet.area.size, assembly.table.shape[1], assembly.pairs
     places = padded(node_count)
-    counts = counts or (jnp.int32(element_count), jnp.int32(node_count))
-    listing = _listed(moving, element_count, counts[0]) if pairs is None else _listed_in_pairs(moving, pairs)
+    counts = counts or Counts(jnp.int32(element_count), jnp.int32(node_count))
+    if pairs is None:
+        listing = _listed(moving, element_count, counts.elements)
+    else:
+        listing = _listed_in_pairs(moving, pairs, counts.pairs)
     count, kept = listing.count, listing.kept
-    place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts[1]
+    place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts.nodes
     if moving is not None:
-        place, node_total = _ordered(_touched(kept, assembly, counts[1]), assembly)
+        place, node_total = _ordered(_touched(kept, assembly, counts.nodes), assembly)
     elif stepped and pairs is not None:
-        place, node_total = _ordered(place < counts[1], assembly)
+        place, node_total = _ordered(place < counts.nodes, assembly)
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
 
@@ -206,13 +209,13 @@ def _listed(moving: jax.Array | None, element_count: int, used: jax.Array) -> _L
     return _Listing(element, jnp.arange(room) < count, kept, rank, count, BLOCK)
 
 
-def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs) -> _Listing:
+def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs, used: jax.Array | None) -> _Listing:
     """A pair is listed if either element can move: the first in a block's first half, the second in its second."""
     (first, second), half = pairs.element, BLOCK // 2
     room = (first.size // half + 1) * half
     if moving is None:
-        kept, count = jnp.ones(first.size, bool), jnp.int32(first.size)
-        rank, pair = jnp.arange(first.size, dtype=jnp.int32), jnp.minimum(jnp.arange(room), first.size - 1)
+        rank, count = jnp.arange(first.size, dtype=jnp.int32), jnp.int32(first.size) if used is None else used
+        kept, pair = rank < count, jnp.minimum(jnp.arange(room), first.size - 1)
     else:
         kept = moving[first] | (second >= 0) & moving[jnp.maximum(second, 0)]
         (pair, count), rank = listed(kept, room), running_count(kept) - 1
@@ -267,7 +270,7 @@ def _homes(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, j
         share in its first row where a node has none else: one that sticks, and whose position has a derivative.
     """
     node, table = assembly.spill_node, assembly.table
-    rows, own = table[:, node], kept[assembly.spill >> 2]
+    rows, own = table[:, node], (assembly.spill >= 0) & kept[jnp.maximum(assembly.spill, 0) >> 2]
     worked = (rows >= 0) & kept[jnp.maximum(rows, 0) >> 2]
     usual = jnp.any(worked, axis=0)
     first = jnp.take_along_axis(rows, jnp.argmax(worked, axis=0)[None], axis=0)[0]
@@ -291,7 +294,8 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
     touched = found[0, : table.shape[1]]
     if assembly.spill.size == 0:
         return touched
-    return touched.at[assembly.spill_node].max(moving[assembly.spill >> 2])
+    spilt = (assembly.spill >= 0) & moving[jnp.maximum(assembly.spill, 0) >> 2]
+    return touched.at[assembly.spill_node].max(spilt)
 
 
 def _ordered(touched: jax.Array, assembly: Assembly) -> tuple[jax.Array, jax.Array]:

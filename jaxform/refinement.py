@@ -81,8 +81,8 @@ def _within_reach(first: Vector, edge1: Vector, edge2: Vector, scene: Scene) -> 
     assert grid is not None and forest is not None and forest.bend is not None and refinement is not None
     square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
     middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
-    cell = cells(middle, grid, forest.bend.shape[0] // grid.shape[0])
-    return refinement.base_reach * jnp.sqrt(square) - gather(forest.bend.ravel(), cell)
+    cell = cells(middle, grid, forest.bend.parts)
+    return refinement.base_reach * jnp.sqrt(square) - gather(forest.bend.distance, cell)
 
 
 def can_have_more_room(scene: Scene) -> bool:

@@ -116,8 +116,8 @@ def started_mesh(scene: Scene) -> Mesh:
     if forest.fine_at_once is None:
         return mesh
     found = forest.fine_at_once
-    queue = queued(found, jnp.int32(found.size), forest)
-    split_at = mesh.split_at.at[found].set(0)
+    queue = queued(found, jnp.sum(found < NEVER, dtype=jnp.int32), forest)
+    split_at = mesh.split_at.at[found].set(0, mode="drop")
     return dataclasses.replace(bisected(mesh, queue, forest), split_at=split_at)
 
 

@@ -111,12 +111,16 @@ def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = N
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     ratio = 1.0 / jnp.sqrt(strain.determinant)
     count = now.mass.size
+    counts = scene.tables.counts
     active, node, mobility = jnp.ones(count, bool), jnp.arange(count), scene.tables.mobility
+    if counts is not None:
+        active = node < counts.nodes
     reference = scene.parison.positions.T
     triangles, level, used = sheet.triangles, jnp.zeros(sheet.area.size, jnp.int32), sheet.area > 0.0
     if mesh is not None and forest is not None:
         place = jnp.arange(forest.owner.size)
-        active, node = (place < forest.first_nodes) | (mesh.place > 0), mesh.place
+        first_nodes = forest.first_nodes if counts is None else counts.nodes
+        active, node = (place < first_nodes) | (mesh.place > 0), mesh.place
         triangles, level = forest.sheet.triangles[:, mesh.element], levels(mesh.element, forest)
         reference, mobility = reference[:, mesh.node], forest.mobility[:, mesh.node]
     ratios = nodal_ratio(ratio, sheet, reference, mobility > 0.0)

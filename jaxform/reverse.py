@@ -401,7 +401,7 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     scene, begun = kept.scene, cotangents.of[0]
     sheet_body = present_body(scene, kept.mesh, kept.first)
     packed = packed_moving(kept.stuck, kept.mesh, scene, sheet_body)
-    timing, longest = Timing(kept.time, kept.before, kept.length), scene.tables.longest_window
+    timing, longest = Timing(kept.time, kept.before, kept.length), scene.tables.window_room
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
     number = jnp.arange(longest)
     taken = number < kept.count
@@ -475,7 +475,7 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
     parameters = jax.tree.leaves(scene.material)
     wanted = [True, thickens, presses, *(varies for _ in parameters)]
     vertices = scene.mold.vertices if scene.mold is not None and cotangents.want(of[1].mold.vertices) else None
-    at_every_step = jnp.zeros(scene.tables.longest_window + 1, real)
+    at_every_step = jnp.zeros(scene.tables.window_room + 1, real)
     landed = jnp.where(now.landed < 0, NEVER, now.landed)
     lands = jnp.zeros(at_every_step.size, bool).at[landed].set(True, mode="drop")
     last = _Back(

@@ -19,7 +19,7 @@ from jaxform.state import State, Status, Taken
 _MORE_PAIRS, _MOST_PAIRS = 4, 2048  # times as many; and at most so many for each node
 
 
-def roomier(scene: Scene, state: State, taken: Taken, done: bool) -> tuple[Scene, State, Taken] | None:
+def roomier(scene: Scene, state: State, taken: Taken, done: bool, most_steps: int) -> tuple[Scene, State, Taken] | None:
     """The scene with more room of the kind that a state found too little of, and the run's state in it.
 
     None where it found enough, or where more would be of no use.
@@ -29,6 +29,7 @@ def roomier(scene: Scene, state: State, taken: Taken, done: bool) -> tuple[Scene
         state: Where the run is.
         taken: What its windows took.
         done: Whether there is nothing left to do.
+        most_steps: Where the run stops at the latest.
     """
     status, tables = int(state.status), scene.tables
     if status == Status.REFINEMENT_OVERFLOW and can_have_more_room(scene):
@@ -39,14 +40,14 @@ def roomier(scene: Scene, state: State, taken: Taken, done: bool) -> tuple[Scene
         retries = jnp.maximum(state.retries - 1, 0)
         state = dataclasses.replace(state, status=jnp.zeros_like(state.status), retries=retries)
         return dataclasses.replace(scene, tables=wider), state, taken
-    if not done and int(state.windows) >= tables.window_count and int(state.steps) < scene.solver.max_steps:
+    if not done and int(state.windows) >= tables.window_count and int(state.steps) < most_steps:
         longer = dataclasses.replace(tables, window_count=2 * tables.window_count)
         rows = jax.tree.map(lambda row: jnp.asarray(np.append(row, np.zeros_like(row))), taken)
         return dataclasses.replace(scene, tables=longer), state, rows
     return None
 
 
-def windows_left(scene: Scene, state: State) -> int:
+def windows_left(scene: Scene, state: State, most_steps: int) -> int:
     """How many windows a run may take until its plan, or the limit on its steps, is at its end."""
-    steps = scene.solver.max_steps - int(state.steps)
-    return max(0, min(scene.tables.window_count - int(state.windows), -(-steps // scene.tables.longest_window)))
+    steps = most_steps - int(state.steps)
+    return max(0, min(scene.tables.window_count - int(state.windows), -(-steps // int(scene.tables.longest_window))))

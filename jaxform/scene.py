@@ -92,7 +92,7 @@ class Solver:
 
     end_time: jax.Array
     damping: jax.Array | None = None
-    safety: float = static(default=0.9)
+    safety: jax.Array | float = 0.9
     skip_stuck: bool = static(default=True)
     skip_far: bool = static(default=True)
     end_early: bool = static(default=True)
@@ -179,17 +179,30 @@ class Refinement:
     min_area: jax.Array
     jump: jax.Array | None
     base_reach: jax.Array
-    interval: int = static()
-    max_level: int = static()
-    base_level: int = static()
-    scaled_levels: int = static()
+    interval: np.int32 | jax.Array
+    max_level: np.int32 | jax.Array
+    base_level: np.int32 | jax.Array
+    scaled_levels: np.int32 | jax.Array
     at_rest: bool = static()
     elements: int = static()
 
     @property
     def deepest(self) -> int:
         """The highest level that an element is bisected to for what it looks like."""
-        return max(self.max_level, self.base_level)
+        return int(max(self.max_level, self.base_level))
+
+
+@pytree
+class Bend:
+    """Where the mold is bent.
+
+    Attributes:
+        distance: To a bent part of the mold (n_cell,) [m], from the parts of the search grid's cells, x by y by z.
+        parts: Into how many parts each cell is cut along each axis.
+    """
+
+    distance: jax.Array
+    parts: jax.Array
 
 
 @pytree
@@ -207,9 +220,9 @@ class Forest:
         ends: Of the edge that each node is the middle of (2, n_node).
         owner: A triangle that each node is in the middle of the refinement edge of (n_node,); 0 for the first nodes.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
-        bend: Distance [m] to a bent part of the mold from the parts of the search grid's cells (x, y, z); None where
-            unused.
-        fine_at_once: Triangles (n,) that are bisected when a run begins, ascending; None where none are.
+        bend: Where the mold is bent; None where unused.
+        fine_at_once: Triangles (n,) that are bisected when a run begins, ascending, then the largest number; None where
+            none are.
         root_count: Triangles at level 0.
         depth: The deepest level.
         first_nodes: Nodes of the mesh before it is refined.
@@ -228,7 +241,7 @@ class Forest:
     ends: jax.Array
     owner: jax.Array
     mobility: jax.Array
-    bend: jax.Array | None
+    bend: Bend | None
     fine_at_once: jax.Array | None
     root_count: int = static()
     depth: int = static()
@@ -236,6 +249,21 @@ class Forest:
     half_edge_count: int = static()
     valence: int = static()
     node_room: int = static()
+
+
+@pytree
+class Counts:
+    """How many there are of what arrays have more room for; see `jaxform.padding`.
+
+    Attributes:
+        elements: Of the mesh before it is refined.
+        nodes: Its nodes.
+        pairs: Pairs of its elements; None where they are worked out one by one.
+    """
+
+    elements: jax.Array
+    nodes: jax.Array
+    pairs: jax.Array | None = None
 
 
 @pytree
@@ -254,7 +282,9 @@ class Tables:
             has it; None where none do.
         window_count: Number of windows that a run may take.
         longest_window: Steps that a window may take at most.
+        window_room: Room for so many.
         pairs_per_node: Room for so many pairs of node and mold triangle that come near each other, for each node.
+        counts: How many elements and nodes there are; None where arrays are as long as that.
     """
 
     sheet: Sheet
@@ -265,9 +295,11 @@ class Tables:
     grid: SearchGrid | None
     forest: Forest | None
     lying: jax.Array | None
+    longest_window: np.int32 | jax.Array
     window_count: int = static()
-    longest_window: int = static(default=SHORT_WINDOW)
+    window_room: int = static(default=LONG_WINDOW)
     pairs_per_node: int = static(default=2)
+    counts: Counts | None = None
 
 
 @pytree
@@ -369,7 +401,7 @@ def make_solver(
         if value is not None:
             check_one(f"solver.{name}", value)
     damped = None if damping is None else as_real(damping)
-    return Solver(as_real(end_time), damped, float(safety), quasi_static=bool(quasi_static), max_steps=int(max_steps))
+    return Solver(as_real(end_time), damped, as_real(safety), quasi_static=bool(quasi_static), max_steps=int(max_steps))
 
 
 def make_refinement(
@@ -401,10 +433,10 @@ def make_refinement(
         min_area=as_real(min_area),
         jump=uneven,
         base_reach=as_real(base_reach),
-        interval=interval,
-        max_level=max_level,
-        base_level=base_level,
-        scaled_levels=scaled_levels,
+        interval=np.int32(interval),
+        max_level=np.int32(max_level),
+        base_level=np.int32(base_level),
+        scaled_levels=np.int32(scaled_levels),
         at_rest=at_rest,
         elements=elements,
     )

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.pytree import as_index, as_real, pytree, static
+from jaxform.pytree import as_index, as_real, pytree
 from jaxform.store import Store
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class FarCells:
     reach: jax.Array
     start: jax.Array
     ends: jax.Array
-    shape: tuple[int, int, int] = static()
+    shape: jax.Array
 
 
 @pytree
@@ -69,7 +69,7 @@ class SearchGrid:
         far: Wider cells; None where the sheet moves no farther than the cells' reach.
         frames: Of each triangle (n_triangle, 18) its first vertex D [m], unit normal, the vectors [1/m] whose products
             with a point's offset from D are its gamma and delta (Eq. 10), and its edges DE and DF [m].
-        shape: Number of cells along x, y, z.
+        shape: Number of cells along x, y, z (3,).
     """
 
     corner: jax.Array
@@ -84,7 +84,7 @@ class SearchGrid:
     outlines: jax.Array
     frames: jax.Array
     far: FarCells | None
-    shape: tuple[int, int, int] = static()
+    shape: jax.Array
 
     @property
     def farthest(self) -> jax.Array:
@@ -127,7 +127,7 @@ def build_grid(
             reach=as_real(wider.reach),
             start=as_index(listed.size + more["start"]),
             ends=as_index(listed.size + more["ends"]),
-            shape=_counts(wider),
+            shape=as_index(wider.shape),
         )
         listed = as_index(np.concatenate([lists["listed"], more["listed"]]))
     return SearchGrid(
@@ -143,12 +143,8 @@ def build_grid(
         outlines=as_real(np.hstack([_spheres(corners), _planes(corners)])),
         frames=as_real(_frames(corners)),
         far=far,
-        shape=_counts(frame),
+        shape=as_index(frame.shape),
     )
-
-
-def _counts(frame: _Frame) -> tuple[int, int, int]:
-    return int(frame.shape[0]), int(frame.shape[1]), int(frame.shape[2])
 
 
 def _kept_lists(corners: Array, frame: _Frame, store: Store | None) -> Mapping[str, NDArray[Any]]:

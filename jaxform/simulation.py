@@ -23,6 +23,7 @@ from jaxform.compiling import compiled
 from jaxform.derivatives import Rule, apart, recomputed
 from jaxform.energy import UNBALANCED
 from jaxform.errors import InputError, InputWarning
+from jaxform.padding import padded
 from jaxform.ranges import RANGES, as_numbers
 from jaxform.refinement import refined
 from jaxform.replacing import check_numbers, replace, with_stand_ins
@@ -217,16 +218,17 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             became thinner than makes any sense.
     """
     check_numbers(scene)
-    store = store or _IN_MEMORY
+    own, room, store = scene, padded(scene), store or _IN_MEMORY
+    scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
     state, first, taken = store.program(_begin, scene)(scene)
     advance, closed, result = _programs(state, scene, first, taken, store)
     ready, telling = time.perf_counter(), 0.0
     compiling = ready - began
-    while left := windows_left(scene, state):
+    while left := windows_left(scene, state, limit):
         take = left if on_window is None else 1
         state, taken, done = advance(state, scene, first, taken, np.int32(take))
-        more = roomier(scene, state, taken, bool(done))
+        more = roomier(scene, state, taken, bool(done), limit)
         if more is not None:
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
@@ -237,7 +239,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             telling += time.perf_counter() - paused
             continue
         if on_window is not None:
-            moment = _moment(state, scene, functools.partial(result, state, scene, first, taken))
+            now = functools.partial(result, state, scene, first, taken)
+            moment = _moment(state, scene, lambda now=now: room.result(now()))
             told = time.perf_counter()
             stop = on_window(moment)
             telling += time.perf_counter() - told
@@ -247,11 +250,10 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
                 break
         if done:
             break
-    final = result(closed(state, scene, first), scene, first, taken)
-    jax.block_until_ready(final)
+    final = room.result(result(closed(state, scene, first), scene, first, taken))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
-    for sentence in (*warnings_of(final, scene), *warnings_of_part(final, scene)):
+    for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2)
     return dataclasses.replace(final, seconds=seconds)
 

@@ -18,7 +18,7 @@ from jaxform.crossings import proper_crossings
 from jaxform.distances import nearest_places, point_triangle_distance
 from jaxform.errors import InputError
 from jaxform.mold import Mold
-from jaxform.scene import Parison, Pressure, Refinement
+from jaxform.scene import Bend, Parison, Pressure, Refinement
 from jaxform.search import SearchGrid
 
 Array = NDArray[np.float64]
@@ -84,10 +84,10 @@ def tolerance(parison: Parison, grid: SearchGrid) -> float:
 
 def _touching(positions: Array, near: float, grid: SearchGrid) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Nodes and the mold's triangles within a distance [m] of them, pair by pair, and how far they are apart [m]."""
-    shape, width = np.array(grid.shape), float(grid.width)
+    shape, width = np.asarray(grid.shape), float(grid.width)
     index = np.floor((positions - np.asarray(grid.corner, float)) / width).astype(int)
     inside = np.all((index >= 0) & (index < shape), axis=1)
-    cell = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, shape - 1).T), grid.shape))
+    cell = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, shape - 1).T), tuple(shape)))
     node = np.flatnonzero(inside & (np.asarray(grid.bound)[cell] <= near))
     start, listed = np.asarray(grid.start), np.asarray(grid.listed)
     outlines, frames = np.asarray(grid.outlines, float), np.asarray(grid.frames, float)
@@ -161,7 +161,7 @@ def fine_at_once(
     forest: bisection.Forest,
     lying: jax.Array | None,
     refinement: Refinement,
-    bend: jax.Array | None,
+    bend: Bend | None,
     grid: SearchGrid,
 ) -> NDArray[np.int32]:
     """Triangles of the forest that are bisected before the run begins, ascending: closed, so that no node hangs.
@@ -172,7 +172,7 @@ def fine_at_once(
         forest: The forest, with its nodes where they are when the run begins.
         lying: Which nodes lie on the mold, as `Tables` has it (n_node,).
         refinement: Its limits.
-        bend: Distance to the bends, as `Forest.bend` of the scene has it.
+        bend: Where it is bent, as `Forest.bend` of the scene has it.
         grid: The mold's search structure.
     """
     level, corners = forest.level(), forest.positions[forest.triangles]
@@ -211,9 +211,9 @@ def _reached(wanted: NDArray[np.bool_], forest: bisection.Forest) -> NDArray[np.
     return wanted
 
 
-def _to_bend(places: Array, bend: jax.Array, grid: SearchGrid) -> Array:
+def _to_bend(places: Array, bend: Bend, grid: SearchGrid) -> Array:
     """Distance (n,) [m] from places (n, 3) to the mold's bends, as the run sees it."""
-    shape = np.array(bend.shape)
-    width = float(grid.width) * grid.shape[0] / bend.shape[0]
+    shape = int(bend.parts) * np.asarray(grid.shape)
+    width = float(grid.width) / int(bend.parts)
     index = np.clip(np.floor((places - np.asarray(grid.corner, float)) / width).astype(int), 0, shape - 1)
-    return np.asarray(bend, float)[tuple(index.T)]
+    return np.asarray(bend.distance, float)[np.ravel_multi_index(tuple(index.T), tuple(shape))]

@@ -160,7 +160,7 @@ def initial_state(scene: Scene) -> State:
         kinetic_peak=zero,
         kinetic_excess=zero,
         imbalance=zero,
-        span=jnp.int32(min(SHORT_WINDOW, scene.tables.longest_window)),
+        span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
         retries=none,
         mode=any_mode(positions) if scene.solver.sharp_step else None,
         bound=zero,
@@ -203,9 +203,11 @@ def at_start(scene: Scene, node: jax.Array | None = None) -> AtStart:
 
 def any_mode(positions: jax.Array) -> jax.Array:
     """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
-    mixed = (jnp.arange(positions.size, dtype=jnp.uint32) + 1) * jnp.uint32(2654435761)
+    # The same for a node whatever room there is for others.
+    number = jnp.arange(3, dtype=jnp.uint32)[:, None] + 3 * jnp.arange(positions.shape[1], dtype=jnp.uint32)
+    mixed = (number + 1) * jnp.uint32(2654435761)
     mixed = (mixed ^ (mixed >> 15)) * jnp.uint32(2246822519)
-    return ((mixed >> 8).astype(positions.dtype) / 2**23 - 1.0).reshape(positions.shape)
+    return (mixed >> 8).astype(positions.dtype) / 2**23 - 1.0
 
 
 def finished(state: State, scene: Scene) -> jax.Array:

@@ -330,7 +330,7 @@ def _stepped(
         return step(moving, pressures, scene, now), None
 
     timing = Timing(state.time, state.step_length, length)
-    longest = scene.tables.longest_window
+    longest = scene.tables.window_room
     steps = *pressures(scene.pressure, timing, longest), kicks(timing, longest)
     if differentiable:
         moving = _in_short_ones(advance, moving, steps)
@@ -528,13 +528,16 @@ def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scen
     A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
     stiffness.
     """
-    if scene.tables.longest_window <= SHORT_WINDOW:
+    if scene.tables.window_room <= SHORT_WINDOW:
         return state.span
     longer = quiet & (jnp.abs(now.bound - state.bound) <= _STEADY * state.bound)
     if now.near is not None:
-        longer &= now.near.count <= _FEW_PAIRS * scene.tables.mobility.shape[1]
-    twice, half = jnp.minimum(2 * state.span, scene.tables.longest_window), jnp.maximum(state.span // 2, SHORT_WINDOW)
-    return jnp.where(cut_short, SHORT_WINDOW, jnp.where(longer, twice, half))
+        counts = scene.tables.counts
+        nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
+        longer &= now.near.count <= _FEW_PAIRS * nodes
+    longest = jnp.int32(scene.tables.longest_window)
+    twice, half = jnp.minimum(2 * state.span, longest), jnp.maximum(state.span // 2, jnp.minimum(SHORT_WINDOW, longest))
+    return jnp.where(cut_short, jnp.minimum(SHORT_WINDOW, longest), jnp.where(longer, twice, half))
 
 
 class _End(NamedTuple):

@@ -87,12 +87,12 @@ def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
 def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
     """How many steps of a length [s] a window may take: no more, beyond a short one, than can be taken back."""
     longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
-    if damping is None or scene.tables.longest_window <= SHORT_WINDOW:
+    if damping is None or scene.tables.window_room <= SHORT_WINDOW:
         return longest
     half = 0.5 * jax.lax.stop_gradient(damping) * length
     taken = jnp.log1p(half) - jnp.log1p(-jnp.minimum(half, 0.5))  # of a velocity's logarithm, in a step
     most = -math.log(LEAST_LEFT) / jnp.maximum(taken, jnp.finfo(taken.dtype).eps)
-    return jnp.clip(most, SHORT_WINDOW, longest).astype(longest.dtype)
+    return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
 
 
 def _fastest(state: State, working: Working) -> jax.Array:

@@ -18,7 +18,7 @@ from jaxform.force import Corners
 from jaxform.near import Lists
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
-from jaxform.scene import Scene, Sheet
+from jaxform.scene import Counts, Scene, Sheet
 from jaxform.state import State, account, can_move, enclosed_volume
 
 
@@ -95,7 +95,7 @@ def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body:
     if not scene.packs_moving:
         return sheet_body.whole
     sheet = sheet_body.sheet
-    counts = None if mesh is None else (mesh.element_count, mesh.node_count)
+    counts = scene.tables.counts if mesh is None else Counts(mesh.element_count, mesh.node_count)
     return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
 
 

@@ -164,7 +164,7 @@ def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarr
 def test_what_is_near_a_bend_becomes_as_fine_as_it_should_be(reach: float) -> None:
     scene = over_a_block(reach)
     assert scene.tables.forest is not None and scene.tables.forest.bend is not None and scene.tables.grid is not None
-    parts = scene.tables.forest.bend.shape[0] // scene.tables.grid.shape[0]
+    parts = int(scene.tables.forest.bend.parts)
     slack = 2 * float(scene.tables.grid.width) / parts
     assert slack < 0.02
     _, level, distance, side = looked_at(scene)

@@ -1,0 +1,357 @@
+"""A scene in arrays that are as long as the rungs of the ladder of sizes, and a result in its own again. On the host.
+
+Scenes of the same kind and rungs are the same to a compiled program. What is beyond a scene's own nodes and elements
+is inert: such nodes cannot move, such elements have no area, no cell of the search grid lists such a triangle of the
+mold, and the pressure stays what it was after such knots. Names and limits that only the host reads are left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import sizes
+from jaxform.body import NEVER, node_room
+from jaxform.mold import Mold
+from jaxform.pytree import as_index
+from jaxform.ranges import MOST_STEPS
+from jaxform.result import Result
+from jaxform.scene import (
+    Assembly,
+    Bend,
+    Counts,
+    Forest,
+    Pairs,
+    Parison,
+    Pressure,
+    Refinement,
+    Scene,
+    Sheet,
+    Tables,
+)
+from jaxform.search import CLASSES, SearchGrid
+from jaxform.state import Schedule
+
+_NODAL = ("positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities")
+_OF_ELEMENTS = ("level", "used", "element_volume", "element_thickness", "stretches")
+_FAR_LATER = 1e6  # times as late as the last knot, or as many seconds: where the pressure's other knots are
+
+
+class _Order(NamedTuple):
+    """Where the nodes (n_node,), and the triangles of the forest (n_triangle,), of a scene are in a padded one."""
+
+    node: np.ndarray
+    triangle: np.ndarray | None
+    first_nodes: int
+    node_room: int
+    triangle_room: int
+
+
+class Padded(NamedTuple):
+    """A scene with room, and the scene that it stands for.
+
+    Attributes:
+        scene: It has the structure and shapes of all scenes of its kind and rungs.
+        own: The scene as it was.
+        order: Where things of the one are in the other.
+    """
+
+    scene: Scene
+    own: Scene
+    order: _Order
+
+    def result(self, result: Result) -> Result:
+        """A result of the padded scene as one of the scene itself."""
+        nodes, forest, refinement = self.order.node, self.own.tables.forest, self.own.refinement
+        used = np.asarray(result.used)
+        count = len(self.own.parison.triangles)
+        if refinement is not None:
+            count = min(max(refinement.elements, int(used.sum())), used.size)
+        new: dict[str, Any] = {name: jnp.asarray(np.asarray(getattr(result, name))[nodes]) for name in _NODAL}
+        new |= {name: jnp.asarray(np.asarray(getattr(result, name))[:count]) for name in _OF_ELEMENTS}
+        triangles = np.asarray(result.triangles)[:count]
+        if forest is not None:
+            back = np.zeros(self.order.node_room, np.int32)
+            back[nodes] = np.arange(len(nodes))
+            triangles = back[triangles]
+        schedule = None if result.schedule is None else self._schedule(result.schedule)
+        return dataclasses.replace(result, triangles=jnp.asarray(triangles), schedule=schedule, **new)
+
+    def _schedule(self, schedule: Schedule) -> Schedule:
+        """The decisions of the windows that the scene plans for, or that there were."""
+        counts = np.asarray(schedule.counts)
+        taken = np.flatnonzero(counts)
+        count = max(self.own.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)
+        rows = (schedule.lengths, schedule.counts, schedule.bounds, schedule.durations)
+        split = schedule.split_at
+        if split is not None and self.order.triangle is not None:
+            split = jnp.asarray(np.asarray(split)[self.order.triangle])
+        return Schedule(*(jnp.asarray(np.asarray(row)[:count]) for row in rows), split)
+
+    def schedule(self, schedule: Schedule) -> Schedule:
+        """A schedule of the scene itself as one of the padded scene."""
+        room = sizes.windows(len(schedule.counts))
+        rows = (schedule.lengths, schedule.counts, schedule.bounds, schedule.durations)
+        split = schedule.split_at
+        if split is not None and self.order.triangle is not None:
+            split = jnp.asarray(_spread(np.asarray(split), self.order.triangle, self.order.triangle_room, NEVER))
+        return Schedule(*(jnp.asarray(_padded(row, room, 0)) for row in rows), split)
+
+
+def padded(scene: Scene) -> Padded:
+    """A scene with room, of which nothing is traced."""
+    forest, refinement, tables = scene.tables.forest, scene.refinement, scene.tables
+    if forest is None:
+        elements = sizes.elements(len(scene.parison.triangles))
+        count = len(scene.parison.positions)
+        room = sizes.nodes(count, elements)
+        order = _Order(np.arange(count), None, room, room, 0)
+        pairs = tables.assembly.pairs
+        pair_count = None if pairs is None else pairs.element.shape[1]
+        assembly = _assembly(tables.assembly, elements, order.node_room)
+    else:
+        elements = sizes.roots(forest.root_count)
+        order, pair_count = _forest_order(forest, elements), None
+        none = np.zeros(0, np.int32)
+        # What the mesh was before it was refined is not worked through.
+        assembly = Assembly(np.zeros((0, 0), np.int32), none, none)  # pyright: ignore
+    counts = Counts(
+        elements=np.int32(len(scene.parison.triangles)),  # pyright: ignore
+        nodes=np.int32(scene.first_nodes),  # pyright: ignore
+        pairs=None if pair_count is None else np.int32(pair_count),  # pyright: ignore
+    )
+    grown = None
+    if forest is not None and refinement is not None:
+        refinement = dataclasses.replace(refinement, elements=sizes.grown(refinement.elements))
+        grown = _forest(forest, refinement, order)
+    made = Tables(
+        sheet=_sheet(tables.sheet, elements, order),
+        assembly=assembly,
+        bound=grown.bound if grown is not None else _like_first(tables.bound, elements),
+        mobility=_nodal(tables.mobility, order, 0.0),
+        size=tables.size,
+        grid=None if tables.grid is None else _grid(tables.grid),
+        forest=grown,
+        lying=_lying(scene, order),
+        longest_window=tables.longest_window,
+        window_count=sizes.windows(tables.window_count),
+        window_room=tables.window_room,
+        pairs_per_node=tables.pairs_per_node,
+        counts=counts,
+    )
+    whole = Scene(
+        parison=_parison(scene.parison, elements, order),
+        material=scene.material,
+        pressure=_pressure(scene.pressure),
+        solver=dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
+        mold=None if scene.mold is None else _mold(scene.mold),
+        refinement=refinement,
+        tables=made,
+        name="",
+    )
+    return Padded(jax.tree.map(jnp.asarray, whole), scene, order)
+
+
+def _padded(values: Any, room: int, fill: Any) -> np.ndarray:
+    """Values (..., n) with as many more as there is room for."""
+    values = np.asarray(values)
+    if values.shape[-1] == room:
+        return values
+    new = np.full((*values.shape[:-1], room), fill, values.dtype)
+    new[..., : values.shape[-1]] = values
+    return new
+
+
+def _spread(values: Any, place: np.ndarray, room: int, fill: Any) -> np.ndarray:
+    """Values (..., n) at places (n,) of the room, and elsewhere another."""
+    values = np.asarray(values)
+    if len(place) == room:
+        return values
+    new = np.full((*values.shape[:-1], room), fill, values.dtype)
+    new[..., place] = values
+    return new
+
+
+def _like_first(values: Any, room: int) -> np.ndarray:
+    """Values (..., n) with as many more of the first one as there is room for."""
+    values = np.asarray(values)
+    new = np.empty((*values.shape[:-1], room), values.dtype)
+    new[..., : values.shape[-1]] = values
+    new[..., values.shape[-1] :] = values[..., :1]
+    return new
+
+
+def _nodal(values: Any, order: _Order, fill: Any) -> np.ndarray:
+    return _spread(values, order.node, order.node_room, fill)
+
+
+def _parison(parison: Parison, elements: int, order: _Order) -> Parison:
+    positions = np.asarray(parison.positions)
+    there = _nodal(np.ones(len(order.node), bool), order, False)
+    places = np.where(there, _nodal(positions.T, order, 0.0), positions[:1].T).T
+    thickness = np.asarray(parison.thickness)
+    return Parison(
+        positions=places,  # pyright: ignore
+        triangles=_like_first(order.node[np.asarray(parison.triangles)].T, elements).T.astype(np.int32),  # pyright: ignore
+        thickness=np.where(there, _nodal(thickness, order, 0.0), thickness[0]),  # pyright: ignore
+        clamped=_nodal(parison.clamped, order, True),  # pyright: ignore
+        fixed=_nodal(np.asarray(parison.fixed).T, order, True).T,  # pyright: ignore
+    )
+
+
+def _sheet(sheet: Sheet, room: int, order: _Order) -> Sheet:
+    """Elements beyond those there are lie where the first one lies, and have no area."""
+    return Sheet(
+        triangles=_like_first(order.node[np.asarray(sheet.triangles)].astype(np.int32), room),  # pyright: ignore
+        inverse_metric=_like_first(sheet.inverse_metric, room),  # pyright: ignore
+        area=_padded(sheet.area, room, 0.0),  # pyright: ignore
+        origin=sheet.origin,
+    )
+
+
+def _lying(scene: Scene, order: _Order) -> np.ndarray | None:
+    if scene.mold is None:
+        return None
+    lying = scene.tables.lying
+    return _nodal(np.zeros(len(order.node), np.int32) if lying is None else lying, order, 0)
+
+
+def _assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
+    table, rows = np.asarray(assembly.table), sizes.rows(len(assembly.table))
+    deep = np.full((rows, nodes), -1, np.int32)
+    deep[: table.shape[0], : table.shape[1]] = table
+    spill = sizes.spill(len(assembly.spill))
+    pairs = assembly.pairs
+    if pairs is not None:
+        room = sizes.pairs(pairs.element.shape[1], elements)
+        pair = np.asarray(pairs.element)
+        # A pair beyond those there are is of an element beyond those there are, and of no other.
+        first, second = _padded(pair[0], room, elements - 1), _padded(pair[1], room, -1)
+        pairs = Pairs(
+            element=np.stack([first, second]),  # pyright: ignore
+            pair=_padded(pairs.pair, elements, room - 1),  # pyright: ignore
+            triangles=_like_first(pairs.triangles, elements),  # pyright: ignore
+            inverse_metric=_like_first(pairs.inverse_metric, elements),  # pyright: ignore
+            turn=_padded(pairs.turn, elements, 1.0),  # pyright: ignore
+        )
+    return Assembly(
+        table=deep,  # pyright: ignore
+        spill_node=_padded(assembly.spill_node, spill, nodes - 1),  # pyright: ignore
+        spill=_padded(assembly.spill, spill, -1),  # pyright: ignore
+        pairs=pairs,
+    )
+
+
+def _pressure(pressure: Pressure) -> Pressure:
+    """The pressure is held after the last knot: there are further ones, of the same value, long after."""
+    time, value = np.asarray(pressure.time), np.asarray(pressure.value)
+    more = sizes.knots(len(time)) - len(time)
+    later = time[-1] + _FAR_LATER * max(1.0, abs(float(time[-1]))) * np.arange(1, more + 1)
+    return dataclasses.replace(
+        pressure,
+        time=np.append(time, later.astype(time.dtype)),
+        value=np.append(value, np.full(more, value[-1])),
+    )
+
+
+def _mold(mold: Mold) -> Mold:
+    triangles = sizes.mold_triangles(len(mold.triangles))
+    vertices = sizes.nodes(len(mold.vertices), triangles)
+    return Mold(
+        vertices=_like_first(np.asarray(mold.vertices).T, vertices).T,  # pyright: ignore
+        triangles=_like_first(np.asarray(mold.triangles).T, triangles).T,  # pyright: ignore
+    )
+
+
+def _grid(grid: SearchGrid) -> SearchGrid:
+    """No cell lists a triangle beyond those there are."""
+    room, rows = sizes.cells(grid.bound.size), sizes.mold_triangles(grid.number.size)
+    far = grid.far
+    if far is not None:
+        wide = sizes.far_cells(far.start.size)
+        far = dataclasses.replace(far, start=_padded(far.start, wide + 1, 0), ends=_padded(far.ends, CLASSES * wide, 0))
+    return SearchGrid(
+        corner=grid.corner,
+        width=grid.width,
+        reach=grid.reach,
+        size=grid.size,
+        bound=_padded(grid.bound, room, 0.0),  # pyright: ignore
+        start=_padded(grid.start, room + 1, 0),  # pyright: ignore
+        ends=_padded(grid.ends, CLASSES * room, 0),  # pyright: ignore
+        listed=_padded(grid.listed, sizes.listed(grid.listed.size), 0),  # pyright: ignore
+        number=_padded(grid.number, rows, 0),  # pyright: ignore
+        outlines=_like_first(np.asarray(grid.outlines).T, rows).T,  # pyright: ignore
+        frames=_like_first(np.asarray(grid.frames).T, rows).T,  # pyright: ignore
+        far=far,
+        shape=grid.shape,
+    )
+
+
+def _forest_order(forest: Forest, roots: int) -> _Order:
+    """Level by level, the first triangles' parts come at the begin of each level's room, as do the first nodes."""
+    levels = np.arange(forest.depth + 1)
+    begin, size = forest.root_count * ((1 << levels) - 1), forest.root_count << levels
+    triangle = np.arange(forest.partner.size) + np.repeat(roots * ((1 << levels) - 1) - begin, size)
+    room = roots * ((1 << (forest.depth + 1)) - 1)
+    count, first = forest.owner.size, forest.first_nodes
+    first_room = sizes.nodes(first, roots)
+    node = np.arange(count) + np.where(np.arange(count) < first, 0, first_room - first)
+    node_room = first_room + sizes.nodes(count - first, roots << forest.depth)
+    return _Order(node, triangle, first_room, node_room, room)
+
+
+def _forest(forest: Forest, refinement: Refinement, order: _Order) -> Forest:
+    assert order.triangle is not None
+    place, room, node = order.triangle, order.triangle_room, order.node
+    roots, first = sizes.roots(forest.root_count), order.first_nodes
+
+    def of_triangles(values: Any, fill: Any) -> Any:
+        return _spread(values, place, room, fill)
+
+    def like_first(values: Any) -> Any:
+        values = np.asarray(values)
+        new = np.empty((*values.shape[:-1], room), values.dtype)
+        new[...] = values[..., :1]
+        new[..., place] = values
+        return new
+
+    partner = np.arange(room, dtype=np.int32)
+    partner[place] = place[np.asarray(forest.partner)]
+    middle = np.asarray(forest.middle)
+    edges = sizes.half_edges(forest.half_edge_count, room)
+    ends = np.tile(np.arange(order.node_room, dtype=np.int32), (2, 1))
+    ends[:, node] = node[np.asarray(forest.ends)]
+    fine, bend = forest.fine_at_once, forest.bend
+    if fine is not None:
+        fine = _padded(place[np.asarray(fine)].astype(np.int32), sizes.rung(fine.size, 256), NEVER)
+    if bend is not None:
+        bend = Bend(_padded(bend.distance, sizes.bend(bend.distance.size), 0.0), bend.parts)  # pyright: ignore
+    return Forest(
+        sheet=Sheet(
+            triangles=like_first(node[np.asarray(forest.sheet.triangles)].astype(np.int32)),
+            inverse_metric=like_first(forest.sheet.inverse_metric),
+            area=of_triangles(forest.sheet.area, 0.0),
+            origin=forest.sheet.origin,
+        ),
+        bound=like_first(forest.bound),
+        heavier=like_first(forest.heavier),
+        partner=as_index(partner),
+        middle=of_triangles(np.where(middle >= 0, node[middle], -1).astype(np.int32), -1),
+        half_edges=of_triangles(forest.half_edges, edges - 2),
+        root_row=_padded(forest.root_row, roots, 0),  # pyright: ignore
+        ends=as_index(ends),
+        owner=_nodal(place[np.asarray(forest.owner)].astype(np.int32), order, 0),  # pyright: ignore
+        mobility=_nodal(forest.mobility, order, 0.0),  # pyright: ignore
+        bend=bend,
+        fine_at_once=fine,  # pyright: ignore
+        root_count=roots,
+        depth=forest.depth,
+        first_nodes=first,
+        half_edge_count=edges,
+        valence=sizes.valence(forest.valence),
+        node_room=node_room(refinement.elements, first, order.node_room),
+    )

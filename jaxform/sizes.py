@@ -1,0 +1,106 @@
+"""The ladder of sizes: how long arrays are for which compiled programs are made.
+
+A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same rungs share all their
+programs, whatever their meshes and molds are; what is beyond a mesh is never worked through. A rung is twice the one
+below, or half as long again where room that is not used takes time.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+from jaxform.blocks import BLOCK
+
+_RATIO = 1.5
+_ELEMENTS = 11 * BLOCK  # the first rung: meshes of fewer elements take hardly any time
+_ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first, and room for those there will be
+_NODES, _PAIRS = 5 / 8, 9 / 16  # of the elements: a sheet with a rim has somewhat more nodes than half
+_SPILL, _KNOTS, _WINDOWS = BLOCK, 16, 256
+_ROWS, _MOST_ROWS = 6, 16  # of an assembly's table
+_MOLD, _CELLS, _LISTED, _FAR_CELLS, _BEND = 4096, 49_152, 196_608, 16_384, 500_000
+_HALF_EDGES = 17 / 8  # of all triangles of a forest
+
+
+def rung(count: int, first: int, ratio: float = 2.0) -> int:
+    """The first of the lengths `first`, `first` times the ratio, and so on, that is not below `count`."""
+    return next(length for k in itertools.count() if (length := round(first * ratio**k)) >= count)
+
+
+def elements(count: int) -> int:
+    """Room for the elements of a mesh that stays as it is."""
+    return rung(count, _ELEMENTS)
+
+
+def roots(count: int) -> int:
+    """Room for the elements of a mesh that is refined, before it is."""
+    return rung(count, _ROOTS)
+
+
+def grown(count: int) -> int:
+    """Room for the elements of a mesh that is refined."""
+    return next(room for k in itertools.count() if (room := BLOCK * round(_ADDED * _RATIO**k / BLOCK)) >= count)
+
+
+def nodes(count: int, room: int) -> int:
+    """Room for the nodes of a mesh with room for so many elements, and for one more."""
+    return rung(count + 1, int(_NODES * room) + 8)
+
+
+def pairs(count: int, room: int) -> int:
+    """Room for the pairs of elements of a mesh with room for so many elements, and for one more."""
+    return rung(count + 1, int(_PAIRS * room))
+
+
+def half_edges(count: int, triangles: int) -> int:
+    """Room for half edges of a forest of so many triangles, and for one edge more; even."""
+    return 2 * (rung(count + 2, int(_HALF_EDGES * triangles)) // 2 + 1)
+
+
+def rows(count: int) -> int:
+    """Rows of an assembly's table."""
+    return _ROWS if count <= _ROWS else _MOST_ROWS
+
+
+def valence(count: int) -> int:
+    """How many triangles of a forest can meet at a node."""
+    return rung(count, 16, 1.5)
+
+
+def spill(count: int) -> int:
+    """Room for shares beyond an assembly's table."""
+    return rung(count, _SPILL, 4.0)
+
+
+def knots(count: int) -> int:
+    """Room for the knots of a pressure history."""
+    return rung(count, _KNOTS, 4.0)
+
+
+def windows(count: int) -> int:
+    """How many windows are planned for."""
+    return rung(count, _WINDOWS)
+
+
+def mold_triangles(count: int) -> int:
+    """Room for the triangles of a mold."""
+    return rung(count, _MOLD)
+
+
+def cells(count: int) -> int:
+    """Room for the cells of a mold's search grid."""
+    return rung(count, _CELLS)
+
+
+def far_cells(count: int) -> int:
+    """Room for its wider cells."""
+    return rung(count, _FAR_CELLS, 4.0)
+
+
+def listed(count: int) -> int:
+    """Room for what the cells list."""
+    return rung(count, _LISTED)
+
+
+def bend(count: int) -> int:
+    """Room for the parts of cells that know how far a bend of the mold is."""
+    return rung(count, _BEND)
