@@ -98,7 +98,8 @@ def walk(
     there = end if differentiable else membrane.rows_of(end)
     flying = contact.Landing(there, way, stuck, -mass, none, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
     now = contact.Step(once, once, jnp.int32(0))
-    landed = contact.land(flying, now, due, mass, window, wall, grid, differentiable=differentiable)
+    room = None if differentiable else contact.nothing_met(stuck.size, end.dtype)
+    landed, _ = contact.land(flying, now, due, mass, window, wall, grid, room)
     landed = landed._replace(positions=jnp.asarray(landed.positions))
     well = ~(window.overflow | jnp.any(watch.missed(end, stuck, watch.balls(window), watch.unseen())))
     return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well

@@ -5,6 +5,7 @@ from .errors import InputError, InputWarning
 from .files import load
 from .materials import Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, law, parameter
 from .mold import Mold, make_mold
+from .padding import padded
 from .refinement import fitted
 from .replacing import replace
 from .result import Result, explain, summarize
@@ -50,6 +51,7 @@ __all__ = [
     "make_refinement",
     "make_solver",
     "molds",
+    "padded",
     "parameter",
     "replace",
     "run",

@@ -223,9 +223,13 @@ def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
     return flat
 
 
-def listed(keep: jax.Array, room: int) -> tuple[jax.Array, jax.Array]:
-    """Where the entries (n,) to be kept are (room,), one after the other, then any others; and how many they are."""
+def listed(keep: jax.Array, room: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
+    """Where the entries (n,) to be kept are (room,), one after the other, then any others; and how many they are.
+
+    Of the first `count` entries, or of all.
+    """
     if jax.default_backend() != "cpu":
+        keep = keep if count is None else keep & (jnp.arange(keep.size) < count)
         running = running_count(keep)
         place = jnp.searchsorted(running, jnp.arange(1, room + 1, dtype=jnp.int32))
         return jnp.minimum(place, keep.size - 1).astype(jnp.int32), running[-1]
@@ -236,29 +240,29 @@ def listed(keep: jax.Array, room: int) -> tuple[jax.Array, jax.Array]:
         return put(places, i.astype(jnp.int32)[None], count), count + entry(keep, i)
 
     # One more, for what finds no room.
-    places, count = _one_by_one(keep, add, room + 1)
-    return places[:room], count
+    places, found = _one_by_one(keep, add, room + 1, count)
+    return places[:room], found
 
 
-def running_count(keep: jax.Array) -> jax.Array:
-    """How many are to be kept up to each entry (n,), itself included."""
+def running_count(keep: jax.Array, count: jax.Array | None = None) -> jax.Array:
+    """How many are to be kept up to each entry (n,), itself included; beyond the first `count` anything."""
     if jax.default_backend() != "cpu":
         return jnp.cumsum(keep, dtype=jnp.int32)
 
     def add(i: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        counts, count = carry
-        count = count + entry(keep, i)
-        return put(counts, count[None], i), count
+        counts, found = carry
+        found = found + entry(keep, i)
+        return put(counts, found[None], i), found
 
-    return _one_by_one(keep, add, keep.size)[0]
+    return _one_by_one(keep, add, keep.size, count)[0]
 
 
 def _one_by_one(
-    keep: jax.Array, add: Callable[..., tuple[jax.Array, jax.Array]], room: int
+    keep: jax.Array, add: Callable[..., tuple[jax.Array, jax.Array]], room: int, count: jax.Array | None
 ) -> tuple[jax.Array, jax.Array]:
     """A loop over the entries: one short function, where sums in parallel are a dozen that take long to compile."""
     start = jnp.zeros(room, jnp.int32), jnp.int32(0)
-    return jax.lax.fori_loop(0, keep.size, add, start)
+    return jax.lax.fori_loop(0, keep.size if count is None else count, add, start)
 
 
 def lowered(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Array) -> jax.Array:

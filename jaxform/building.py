@@ -328,7 +328,9 @@ def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
 
 def _planned_windows(bound: jax.Array, material: Law, solver: Solver) -> int:
     """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
-    step = float(solver.safety) * float(_stiffest_step(as_real(np.max(bound)), material, as_real(_LARGEST_STRETCH)))
+    step = float(solver.safety) * float(
+        _stiffest_step(as_real(np.asarray(bound).max()), material, as_real(_LARGEST_STRETCH))
+    )
     steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
     if not steps < MOST_STEPS:
         raise InputError(

@@ -79,9 +79,8 @@ def land(
     near: Near,
     mold: Mold,
     grid: SearchGrid,
-    *,
-    differentiable: bool = True,
-) -> Landing:
+    room: Met | None = None,
+) -> tuple[Landing, Met | None]:
     """Puts the nodes that crossed the mold in this step where they met it; they stay there.
 
     Args:
@@ -93,22 +92,23 @@ def land(
         near: The window's list.
         mold: The mold.
         grid: Its search structure.
-        differentiable: Whether derivatives can be taken.
+        room: From `nothing_met`, for nodes' meetings: then no derivative can be taken. It is given back as it was.
     """
     touch = touch_distance(grid)
 
-    if not differentiable:
+    if room is not None:
         return only_if(
-            due.count > 0, lambda landing: _landed_in_place(landing, now, mass, near, due, mold, touch), landing
+            due.count > 0, lambda both: _landed_in_place(*both, now, mass, near, due, mold, touch), (landing, room)
         )
 
     def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
         paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
-        return landed(landing, now, mass, mold, _first_met(paths, landing.stuck, near, due, touch).triangle)
+        none = nothing_met(landing.stuck.size, landing.velocities.dtype)
+        return landed(landing, now, mass, mold, _first_met(paths, landing.stuck, near, due, touch, none).triangle)
 
     paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
     met = _any_meets(paths, landing.stuck, near, due, touch)
-    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold)
+    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold), None
 
 
 class _Paths(NamedTuple):
@@ -153,10 +153,11 @@ def _any_meets(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
 
-class _Met(NamedTuple):
+class Met(NamedTuple):
     """What nodes meet in a step.
 
-    The least beta and its triangle (n_node,), -1 where none; the nodes that meet any, in a list, and how many they are.
+    The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, in a list,
+    and how many they are.
     """
 
     beta: jax.Array
@@ -165,19 +166,22 @@ class _Met(NamedTuple):
     count: jax.Array
 
 
-def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array) -> _Met:
+def nothing_met(node_count: int, real: jnp.dtype) -> Met:
+    """Before a step: nothing is met yet. One step leaves it to the next as it was, so that it is made once."""
+    number, listed = jnp.full(node_count, -1, jnp.int32), jnp.zeros(node_count + 1, jnp.int32)
+    return Met(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
+
+
+def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array, none: Met) -> Met:
     """The triangle that each node meets first in this step.
 
     Of two that are met at once the one with the higher number counts, every time.
     """
-    number = jnp.full(stuck.size, -1, jnp.int32)
-    listed = jnp.zeros(stuck.size + 1, jnp.int32)
-    none = _Met(jnp.full(stuck.size, jnp.inf, paths.velocities.dtype), number, listed, jnp.int32(0))
 
-    def more(carry: tuple[jax.Array, _Met]) -> jax.Array:
+    def more(carry: tuple[jax.Array, Met]) -> jax.Array:
         return carry[0] < due.count
 
-    def choose(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
+    def choose(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
         k, found = carry
         block = _block(entry(due.block, k), paths, stuck, near, touch)
         return k + 1, _taken_up(found, jax.lax.optimization_barrier(block))
@@ -185,7 +189,7 @@ def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
 
 
-def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> _Met:
+def _taken_up(found: Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> Met:
     """What was met so far, with a block's pairs that meet: one by one, since they are few.
 
     A scatter would keep XLA from compiling the window's steps into one function.
@@ -196,10 +200,10 @@ def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arr
     def next_one(after: jax.Array) -> jax.Array:
         return jnp.min(jnp.where(meets & (index > after), index, TEST_BLOCK))
 
-    def more(carry: tuple[jax.Array, _Met]) -> jax.Array:
+    def more(carry: tuple[jax.Array, Met]) -> jax.Array:
         return carry[0] < TEST_BLOCK
 
-    def take(carry: tuple[jax.Array, _Met]) -> tuple[jax.Array, _Met]:
+    def take(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
         k, (best, chosen, nodes, count) = carry
         here = entry(node, k)
         # All is read before anything is written, or XLA would copy the lists for every pair.
@@ -210,18 +214,20 @@ def _taken_up(found: _Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arr
         nodes = put(nodes, here[None], count)
         best = put(best, jnp.where(better, own, least)[None], here)
         chosen = put(chosen, jnp.where(better, number, last)[None], here)
-        return next_one(k), _Met(best, chosen, nodes, count + (last < 0))
+        return next_one(k), Met(best, chosen, nodes, count + (last < 0))
 
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 
 
 def _landed_in_place(
-    landing: Landing, now: Step, mass: jax.Array, near: Near, due: Due, mold: Mold, touch: jax.Array
-) -> Landing:
+    landing: Landing, room: Met, now: Step, mass: jax.Array, near: Near, due: Due, mold: Mold, touch: jax.Array
+) -> tuple[Landing, Met]:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    met = _first_met(_Paths(landing.positions, landing.velocities, now.length), landing.stuck, near, due, touch)
+    paths = _Paths(landing.positions, landing.velocities, now.length)
+    met = _first_met(paths, landing.stuck, near, due, touch, room)
 
-    def one(k: jax.Array, landing: Landing) -> Landing:
+    def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
+        landing, beta, chosen = carry
         node = entry(met.listed, k)
 
         def own(values: jax.Array) -> jax.Array:
@@ -231,11 +237,14 @@ def _landed_in_place(
             return new if values.ndim == 0 else put(values, new, node)
 
         # All is read before anything is written, or XLA would copy the arrays.
-        old = jax.lax.optimization_barrier(jax.tree.map(own, landing))
-        new = landed(old, now, own(mass), mold, own(met.triangle))
-        return jax.tree.map(put_back, landing, new._replace(positions=rows_of(new.positions)))
+        old, triangle = jax.lax.optimization_barrier((jax.tree.map(own, landing), own(chosen)))
+        new = landed(old, now, own(mass), mold, triangle)
+        landing = jax.tree.map(put_back, landing, new._replace(positions=rows_of(new.positions)))
+        beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
+        return landing, beta, chosen
 
-    return jax.lax.fori_loop(0, met.count, one, landing)
+    landing, beta, chosen = jax.lax.fori_loop(0, met.count, one, (landing, met.beta, met.triangle))
+    return landing, Met(beta, chosen, met.listed, jnp.int32(0))
 
 
 def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:

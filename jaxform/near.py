@@ -7,12 +7,13 @@ node that is about to leave its ball halts the window: the next border gives it 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from jaxform.blocks import cut, listed, lowered, put
+from jaxform.blocks import BLOCK, cut, listed, lowered, over_blocks, put
 from jaxform.membrane import dot, gather
 from jaxform.pytree import pytree
 from jaxform.search import CLASSES, FarCells, SearchGrid
@@ -37,17 +38,24 @@ class Lists:
         node, triangle: The pairs (room,) that can meet.
         planes: Geometry of the pairs' triangles (12, room).
         candidates: The pairs (room,) that these were chosen from, and others.
+        balls: Of nodes, as `_Balls` has them: three components, radius and bound (5, n_node), the cells (1, n_node),
+            and whether the mold may be in them (1, n_node).
+        clear: The distance (n_node,) [m] that a node can go without touching.
+        squares: As the last four of `Near` (4, n_node).
     """
 
     node: jax.Array
     triangle: jax.Array
     planes: jax.Array
     candidates: tuple[jax.Array, jax.Array]
+    balls: tuple[jax.Array, jax.Array, jax.Array]
+    clear: jax.Array
+    squares: jax.Array
 
 
 @pytree
 class Near:
-    """What a window knows of the mold.
+    """What a window knows of the mold; of nodes beyond the blocks in use it knows nothing.
 
     Attributes:
         lists: The pairs of node and triangle that can meet.
@@ -55,18 +63,18 @@ class Near:
         start: Positions (3, n_node) [m] at the border.
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
         near_square: The same less what any node goes between two looks.
-        center: Of the balls (3, n_node) [m].
         limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
         alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
+        center: Of the balls (3, n_node) [m].
         overflow: Whether pairs were lost, so that the window must not be trusted.
     """
 
     lists: Lists
     count: jax.Array
     start: jax.Array
+    center: jax.Array
     clear_square: jax.Array
     near_square: jax.Array
-    center: jax.Array
     limit_square: jax.Array
     alarm_square: jax.Array
     overflow: jax.Array
@@ -105,18 +113,33 @@ def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_N
     room = -(-least // TEST_BLOCK) * TEST_BLOCK
     candidates = jnp.zeros(_CANDIDATES * room + _LANES * _DEPTH, jnp.int32)
     pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
-    return Lists(pairs, pairs, jnp.zeros((12, room + TEST_BLOCK), real), (candidates, candidates))
+    return Lists(
+        node=pairs,
+        triangle=pairs,
+        planes=jnp.zeros((12, room + TEST_BLOCK), real),
+        candidates=(candidates, candidates),
+        balls=(
+            jnp.zeros((5, node_count), real),
+            jnp.zeros((1, node_count), jnp.int32),
+            jnp.zeros((1, node_count), bool),
+        ),
+        clear=jnp.zeros(node_count, real),
+        squares=jnp.zeros((4, node_count), real),
+    )
 
 
 class _Found(NamedTuple):
-    """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance."""
+    """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance.
+
+    And the balls, as `Lists` has them.
+    """
 
     attempts: jax.Array
     candidates: _Pairs
     kept: _Pairs
     planes: jax.Array
     clear: jax.Array
-    balls: _Balls
+    balls: tuple[jax.Array, jax.Array, jax.Array]
 
 
 def list_near(
@@ -128,11 +151,12 @@ def list_near(
     grid: SearchGrid,
     skip_far: bool = True,
     into: Lists | None = None,
+    blocks: jax.Array | None = None,
 ) -> Near:
     """Lists the pairs of free nodes and triangles that may meet.
 
     Args:
-        positions: (3, n_node) [m].
+        positions: (3, n_node) [m]; whole blocks of nodes.
         velocities: (3, n_node) [m/s].
         free: Nodes (n_node,) that can still move.
         duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
@@ -140,8 +164,10 @@ def list_near(
         grid: Its search structure.
         skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
         into: What is written over, such as an old list's; a new one by default.
+        blocks: How many blocks of nodes are in use; all by default.
     """
     into = into or no_lists(free.size, positions.dtype)
+    blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
     room, most = into.node.size - TEST_BLOCK, into.candidates[0].size - _LANES * _DEPTH
 
     # Where there are too many pairs the balls shrink, and the window will halt the sooner.
@@ -150,58 +176,95 @@ def list_near(
         return (found.attempts == 0) | full & (found.attempts < _MOST_HALVINGS)
 
     def attempt(found: _Found) -> _Found:
-        balls = _balls(positions, velocities, free, duration, 0.5**found.attempts, grid, skip_far)
-        candidates = _candidates(balls, grid, found.candidates)
+        moving = positions, velocities, free, duration, half
+        arrays, clear = _balls(moving, 0.5**found.attempts, grid, skip_far, blocks, (*found.balls, found.clear[None]))
+        balls = _Balls(arrays[0][:3], arrays[0][3], arrays[1][0], arrays[0][4], arrays[2][0])
+        candidates = _candidates(balls, grid, found.candidates, blocks)
         last = jnp.minimum(candidates.count, most)
-        kept, planes, clear = _examined(candidates, last, positions, balls, grid, found.kept, found.planes)
-        return _Found(found.attempts + 1, candidates, kept, planes, clear, balls)
+        kept, planes, clear = _examined(candidates, last, positions, balls, grid, found.kept, found.planes, clear)
+        return _Found(found.attempts + 1, candidates, kept, planes, clear, arrays)
 
-    nowhere, none = jnp.zeros_like(positions[0]), jnp.zeros(free.size, jnp.int32)
-    nothing = _Balls(jnp.zeros_like(positions), nowhere, none, nowhere, jnp.zeros_like(free))
+    square = _fastest_square(velocities, blocks)
+    half = 0.5 * duration * jnp.sqrt(square)
     candidates, kept = _Pairs(*into.candidates, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
-    begun = _Found(jnp.int32(0), candidates, kept, into.planes, nowhere, nothing)
+    begun = _Found(jnp.int32(0), candidates, kept, into.planes, into.clear, into.balls)
     _, candidates, kept, planes, clear, balls = jax.lax.while_loop(too_many, attempt, begun)
-    limit = jnp.where(free, jnp.where(balls.near, balls.radius, balls.bound), jnp.inf)
-    path = duration * jnp.sqrt(dot(velocities, velocities))
-    alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * balls.radius), 0.0)
-    way = _slip(velocities, till_look)
+    # The fastest node's: a slow one may become so fast until the next look.
+    way = till_look * jnp.sqrt(square)
+
+    def work(velocities: jax.Array, free: jax.Array, ball: Any, near: jax.Array, clear: jax.Array) -> Any:
+        radius, bound = ball[3], ball[4]
+        limit = jnp.where(free, jnp.where(near[0], radius, bound), jnp.inf)
+        path = duration * jnp.sqrt(dot(velocities, velocities))
+        alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * radius), 0.0)
+        there = jnp.where(near[0], jnp.square(clear), jnp.inf)
+        soon = jnp.where(near[0], jnp.square(jnp.maximum(clear - way, 0.0)), jnp.inf)
+        return [[there, soon, jnp.square(limit), jnp.square(alarm)]], []
+
+    (squares,), _ = over_blocks(work, blocks, (velocities, free, balls[0], balls[2], clear), [into.squares])
     return Near(
-        lists=Lists(kept.node, kept.triangle, planes, (candidates.node, candidates.triangle)),
+        lists=Lists(
+            node=kept.node,
+            triangle=kept.triangle,
+            planes=planes,
+            candidates=(candidates.node, candidates.triangle),
+            balls=balls,
+            clear=clear,
+            squares=squares,
+        ),
         count=jnp.minimum(kept.count, room),
         start=positions,
-        clear_square=jnp.where(balls.near, jnp.square(clear), jnp.inf),
-        near_square=jnp.where(balls.near, jnp.square(jnp.maximum(clear - way, 0.0)), jnp.inf),
-        center=balls.center,
-        limit_square=jnp.square(limit),
-        alarm_square=jnp.square(alarm),
+        center=balls[0][:3],
+        clear_square=squares[0],
+        near_square=squares[1],
+        limit_square=squares[2],
+        alarm_square=squares[3],
         overflow=(candidates.count > most) | (kept.count > room),
     )
 
 
-def _slip(velocities: jax.Array, till_look: jax.Array) -> jax.Array:
-    """How far [m] the fastest node goes between two looks: a slow one may become so fast meanwhile."""
-    return till_look * jnp.sqrt(jnp.max(dot(velocities, velocities)))
+def _fastest_square(velocities: jax.Array, blocks: jax.Array) -> jax.Array:
+    """Square of the highest speed [m^2/s^2]."""
+    _, (square,) = over_blocks(lambda v: ([], [dot(v, v)]), blocks, (velocities,), [], most=1)
+    return square
 
 
 def _balls(
-    positions: jax.Array,
-    velocities: jax.Array,
-    free: jax.Array,
-    duration: jax.Array,
+    moving: tuple[jax.Array, ...],
     scale: jax.Array,
     grid: SearchGrid,
     skip_far: bool,
-) -> _Balls:
-    path = duration * velocities
-    half = 0.5 * jnp.sqrt(dot(path, path))
-    # The longest path covers what neighbours hand on, the reach's share the start from rest.
-    radius = half + _MARGIN * (half + 2 * jnp.max(half) + grid.reach)
-    if not skip_far:
-        radius = jnp.maximum(radius, grid.reach)
-    scale = scale * jnp.minimum(1.0, grid.farthest / radius)
-    center, radius = positions + 0.5 * scale * path, scale * radius
-    cell, bound = looked_up(center, grid)
-    return _Balls(center, radius, cell, bound, free & (bound < radius))
+    blocks: jax.Array,
+    into: Sequence[jax.Array],
+) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]:
+    """The balls, as `Lists` has them, and the clear distance (n_node,) before any triangle is looked at.
+
+    Args:
+        moving: Positions, velocities and whether nodes are free, as in `list_near`; the window's duration, and half
+            the longest path in it [m].
+        scale: Of the balls, so that the pairs find room.
+        grid: The mold's search structure.
+        skip_far: As in `list_near`.
+        blocks: How many blocks of nodes are in use.
+        into: What is written over.
+    """
+    positions, velocities, free, duration, longest = moving
+
+    def work(positions: jax.Array, velocities: jax.Array, free: jax.Array) -> Any:
+        path = duration * velocities
+        half = 0.5 * jnp.sqrt(dot(path, path))
+        # The longest path covers what neighbours hand on, the reach's share the start from rest.
+        radius = half + _MARGIN * (half + 2 * longest + grid.reach)
+        if not skip_far:
+            radius = jnp.maximum(radius, grid.reach)
+        own = scale * jnp.minimum(1.0, grid.farthest / radius)
+        center, radius = positions + 0.5 * own * path, own * radius
+        cell, bound = looked_up(center, grid)
+        x, y, z = center
+        return [[x, y, z, radius, bound], [cell], [free & (bound < radius)], [jnp.full_like(x, jnp.inf)]], []
+
+    (real, cell, near, clear), _ = over_blocks(work, blocks, (positions, velocities, free), list(into))
+    return (real, cell, near), clear[0]
 
 
 def cells(positions: jax.Array, grid: SearchGrid | FarCells, parts: jax.Array | int = 1) -> jax.Array:
@@ -239,9 +302,9 @@ def _listed_near(
     return jnp.where(beyond, far_begin, begin), jnp.where(beyond, far_end, end)
 
 
-def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs) -> _Pairs:
+def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs, blocks: jax.Array) -> _Pairs:
     """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
-    member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES)
+    member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES, BLOCK * blocks)
 
     def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
         return carry[0] < total
@@ -298,6 +361,7 @@ def _examined(
     grid: SearchGrid,
     into: _Pairs,
     planes: jax.Array,
+    clear: jax.Array,
 ) -> tuple[_Pairs, jax.Array, jax.Array]:
     """Those of the candidates, up to the last, that truly cut the balls, their planes (12, room), and the clear way."""
     touch = touch_distance(grid)
@@ -323,7 +387,6 @@ def _examined(
         kept = _with(kept, gather(node, place), gather(grid.number, gather(triangle, place)), more)
         return first + TEST_BLOCK, (kept, planes, clear)
 
-    clear = jnp.full(balls.near.shape, jnp.inf, start.dtype)
     nothing = into._replace(count=jnp.int32(0)), planes, clear
     return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]
 

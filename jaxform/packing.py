@@ -130,9 +130,9 @@ def pack(
     count, kept = listing.count, listing.kept
     place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts.nodes
     if moving is not None:
-        place, node_total = _ordered(_touched(kept, assembly, counts.nodes), assembly)
+        place, node_total = _ordered(_touched(kept, assembly, counts.nodes), assembly, counts.nodes)
     elif stepped and pairs is not None:
-        place, node_total = _ordered(place < counts.nodes, assembly)
+        place, node_total = _ordered(place < counts.nodes, assembly, counts.nodes)
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
 
@@ -298,22 +298,24 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
     return touched.at[assembly.spill_node].max(spilt)
 
 
-def _ordered(touched: jax.Array, assembly: Assembly) -> tuple[jax.Array, jax.Array]:
+def _ordered(touched: jax.Array, assembly: Assembly, node_count: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Places (n,) that put the marked nodes first, before all those with many elements; and how many are marked.
 
     So nearly all blocks of nodes look up the usual number of shares, and no more.
     """
     usual = usual_rows(assembly.pairs is not None)
     if len(assembly.table) <= usual:
-        return _first(touched)
-    many, _ = _first(assembly.table[usual] >= 0)
-    place, count = _first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True))
+        return _first(touched, node_count)
+    many, _ = _first(assembly.table[usual] >= 0, node_count)
+    place, count = _first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True), node_count)
     return place[many], count
 
 
-def _first(marked: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked."""
-    running = running_count(marked)
-    count = running[-1]
-    others = count + jnp.arange(marked.size, dtype=jnp.int32) - running
-    return jnp.where(marked, running - 1, others), count
+def _first(marked: jax.Array, size: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked.
+
+    Of the first `size` entries; the others keep their places.
+    """
+    running, own = running_count(marked, size), jnp.arange(marked.size, dtype=jnp.int32)
+    count = running[size - 1]
+    return jnp.where(own >= size, own, jnp.where(marked, running - 1, count + own - running)), count

@@ -11,11 +11,12 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxform import sizes
 from jaxform.body import NEVER, node_room
+from jaxform.errors import InputError
 from jaxform.mold import Mold
 from jaxform.pytree import as_index
 from jaxform.ranges import MOST_STEPS
@@ -57,53 +58,77 @@ class Padded(NamedTuple):
     Attributes:
         scene: It has the structure and shapes of all scenes of its kind and rungs.
         own: The scene as it was.
-        order: Where things of the one are in the other.
+        order: Where things of the one are in the other; None where they are the same.
     """
 
     scene: Scene
     own: Scene
-    order: _Order
+    order: _Order | None
 
     def result(self, result: Result) -> Result:
         """A result of the padded scene as one of the scene itself."""
+        if self.order is None:
+            return result
         nodes, forest, refinement = self.order.node, self.own.tables.forest, self.own.refinement
         used = np.asarray(result.used)
         count = len(self.own.parison.triangles)
         if refinement is not None:
             count = min(max(refinement.elements, int(used.sum())), used.size)
-        new: dict[str, Any] = {name: jnp.asarray(np.asarray(getattr(result, name))[nodes]) for name in _NODAL}
-        new |= {name: jnp.asarray(np.asarray(getattr(result, name))[:count]) for name in _OF_ELEMENTS}
+        new: dict[str, Any] = {name: np.asarray(getattr(result, name))[nodes] for name in _NODAL}
+        new |= {name: np.asarray(getattr(result, name))[:count] for name in _OF_ELEMENTS}
         triangles = np.asarray(result.triangles)[:count]
         if forest is not None:
             back = np.zeros(self.order.node_room, np.int32)
             back[nodes] = np.arange(len(nodes))
             triangles = back[triangles]
-        schedule = None if result.schedule is None else self._schedule(result.schedule)
-        return dataclasses.replace(result, triangles=jnp.asarray(triangles), schedule=schedule, **new)
+        schedule = None if result.schedule is None else self._schedule(result.schedule, self.order)
+        # Unlike `jnp.asarray` this compiles nothing.
+        new = jax.device_put(new | {"triangles": triangles, "schedule": schedule})
+        return dataclasses.replace(result, **new)
 
-    def _schedule(self, schedule: Schedule) -> Schedule:
+    def _schedule(self, schedule: Schedule, order: _Order) -> Schedule:
         """The decisions of the windows that the scene plans for, or that there were."""
         counts = np.asarray(schedule.counts)
         taken = np.flatnonzero(counts)
         count = max(self.own.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)
         rows = (schedule.lengths, schedule.counts, schedule.bounds, schedule.durations)
         split = schedule.split_at
-        if split is not None and self.order.triangle is not None:
-            split = jnp.asarray(np.asarray(split)[self.order.triangle])
-        return Schedule(*(jnp.asarray(np.asarray(row)[:count]) for row in rows), split)
+        if split is not None and order.triangle is not None:
+            split = np.asarray(split)[order.triangle]
+        return Schedule(*(np.asarray(row)[:count] for row in rows), split)  # pyright: ignore
 
     def schedule(self, schedule: Schedule) -> Schedule:
         """A schedule of the scene itself as one of the padded scene."""
+        if self.order is None:
+            return schedule
         room = sizes.windows(len(schedule.counts))
         rows = (schedule.lengths, schedule.counts, schedule.bounds, schedule.durations)
         split = schedule.split_at
         if split is not None and self.order.triangle is not None:
-            split = jnp.asarray(_spread(np.asarray(split), self.order.triangle, self.order.triangle_room, NEVER))
-        return Schedule(*(jnp.asarray(_padded(row, room, 0)) for row in rows), split)
+            split = _spread(split, self.order.triangle, self.order.triangle_room, NEVER)
+        return jax.device_put(Schedule(*(_padded(row, room, 0) for row in rows), split))  # pyright: ignore
 
 
-def padded(scene: Scene) -> Padded:
-    """A scene with room, of which nothing is traced."""
+def padded(scene: Scene) -> Scene:
+    """A scene in arrays as long as the rungs of the ladder of sizes, for `jax.jit` of functions of scenes.
+
+    Such scenes of a kind and rungs have the same structure and shapes, so that a jitted function of one is traced and
+    compiled once for all. Results have as much room: count nodes that are `active` and elements that are `used`; the
+    others have the thickness 0. `run`, `simulate` outside of traces, and `simulate_batch` do the same by themselves
+    with any scene, and give results without such room.
+
+    Raises:
+        InputError: If the scene is traced.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
+        raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
+    return on_rungs(scene).scene
+
+
+def on_rungs(scene: Scene) -> Padded:
+    """A scene with room, of which nothing is traced; one that has room already is as it was."""
+    if scene.tables.counts is not None:
+        return Padded(scene, scene, None)
     forest, refinement, tables = scene.tables.forest, scene.refinement, scene.tables
     if forest is None:
         elements = sizes.elements(len(scene.parison.triangles))
@@ -153,7 +178,7 @@ def padded(scene: Scene) -> Padded:
         tables=made,
         name="",
     )
-    return Padded(jax.tree.map(jnp.asarray, whole), scene, order)
+    return Padded(jax.device_put(whole), scene, order)
 
 
 def _padded(values: Any, room: int, fill: Any) -> np.ndarray:

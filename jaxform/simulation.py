@@ -19,11 +19,10 @@ from numpy.typing import ArrayLike
 
 from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
-from jaxform.compiling import compiled
 from jaxform.derivatives import Rule, apart, recomputed
 from jaxform.energy import UNBALANCED
 from jaxform.errors import InputError, InputWarning
-from jaxform.padding import padded
+from jaxform.padding import on_rungs
 from jaxform.ranges import RANGES, as_numbers
 from jaxform.refinement import refined
 from jaxform.replacing import check_numbers, replace, with_stand_ins
@@ -41,7 +40,6 @@ from jaxform.working import Working, still_worked_through, wholly_worked_through
 _IN_MEMORY = Store()
 
 
-@functools.partial(jax.jit, static_argnames="windows_per_checkpoint")
 def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_checkpoint: int = 1) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
@@ -57,6 +55,15 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
             which its steps are taken back. More: the state at every so many borders; windows are worked out once more
             in between, for less memory. 0: every step, by JAX's own derivative.
     """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
+        return _simulate(scene, schedule, windows_per_checkpoint)
+    room = on_rungs(scene)
+    given = None if schedule is None else room.schedule(schedule)
+    return room.result(_simulate(room.scene, given, windows_per_checkpoint))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _simulate(scene: Scene, schedule: Schedule | None, windows_per_checkpoint: int) -> Result:
     whole = functools.partial(_simulated, windows_per_checkpoint)
     if manual_axes(jax.tree.leaves((scene, schedule))):
         return apart(whole, scene, schedule)
@@ -139,9 +146,10 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if jax.default_backend() != "cpu":
         return _side_by_side(scene, rows)
-    whole = compiled(_whole, designs[0])
+    rooms = [on_rungs(design) for design in designs]
+    whole = _IN_MEMORY.program(_whole, rooms[0].scene)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        results = list(pool.map(lambda design: jax.block_until_ready(whole(design)), designs))
+        results = list(pool.map(lambda room: room.result(whole(room.scene)), rooms))
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *results)
 
 
@@ -218,7 +226,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             became thinner than makes any sense.
     """
     check_numbers(scene)
-    own, room, store = scene, padded(scene), store or _IN_MEMORY
+    own, room, store = scene, on_rungs(scene), store or _IN_MEMORY
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
     state, first, taken = store.program(_begin, scene)(scene)

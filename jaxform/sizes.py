@@ -1,8 +1,8 @@
 """The ladder of sizes: how long arrays are for which compiled programs are made.
 
 A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same rungs share all their
-programs, whatever their meshes and molds are; what is beyond a mesh is never worked through. A rung is twice the one
-below, or half as long again where room that is not used takes time.
+programs, whatever their meshes and molds are; what is beyond a mesh is not worked through. A rung is twice the one
+below, or half as long again where room that is not used takes some time all the same.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from jaxform.blocks import BLOCK
 _RATIO = 1.5
 _ELEMENTS = 11 * BLOCK  # the first rung: meshes of fewer elements take hardly any time
 _ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first, and room for those there will be
-_NODES, _PAIRS = 5 / 8, 9 / 16  # of the elements: a sheet with a rim has somewhat more nodes than half
+_RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of a sheet about as wide as it is long
+_PAIRS = 9 / 16  # of the elements: few are left over
 _SPILL, _KNOTS, _WINDOWS = BLOCK, 16, 256
 _ROWS, _MOST_ROWS = 6, 16  # of an assembly's table
 _MOLD, _CELLS, _LISTED, _FAR_CELLS, _BEND = 4096, 49_152, 196_608, 16_384, 500_000
@@ -28,7 +29,7 @@ def rung(count: int, first: int, ratio: float = 2.0) -> int:
 
 def elements(count: int) -> int:
     """Room for the elements of a mesh that stays as it is."""
-    return rung(count, _ELEMENTS)
+    return _in_blocks(count, _ELEMENTS)
 
 
 def roots(count: int) -> int:
@@ -38,12 +39,19 @@ def roots(count: int) -> int:
 
 def grown(count: int) -> int:
     """Room for the elements of a mesh that is refined."""
-    return next(room for k in itertools.count() if (room := BLOCK * round(_ADDED * _RATIO**k / BLOCK)) >= count)
+    return _in_blocks(count, _ADDED)
+
+
+def _in_blocks(count: int, first: int) -> int:
+    return next(room for k in itertools.count() if (room := BLOCK * round(first * _RATIO**k / BLOCK)) >= count)
 
 
 def nodes(count: int, room: int) -> int:
-    """Room for the nodes of a mesh with room for so many elements, and for one more."""
-    return rung(count + 1, int(_NODES * room) + 8)
+    """Room for the nodes of a mesh with room for so many elements, and for one more.
+
+    A sheet has half as many nodes as elements, and half as many more as its rim has.
+    """
+    return rung(count + 1, int(0.5 * room + _RIM * room**0.5) + 8, _RATIO)
 
 
 def pairs(count: int, room: int) -> int:

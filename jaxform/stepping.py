@@ -47,7 +47,7 @@ class _Moving:
     Positions (3, place) [m] are three rows where no derivative is taken: else they would be taken apart in every step.
     `landed` is the step in which a node landed, NEVER where it has not in this window, and the impact that of
     `contact.Landing`, None where it is not kept. What was seen last of the mold is None where there is none, the room
-    where derivatives are taken.
+    where derivatives are taken, and that for meetings in either case.
     """
 
     positions: Any
@@ -65,6 +65,7 @@ class _Moving:
     halted: jax.Array
     seen: Seen | None
     room: Corners | None
+    met: contact.Met | None
 
 
 @pytree
@@ -231,9 +232,8 @@ def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Mo
     )
     due, leaving = _watched(moved, scene, now)
     this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
-    differentiable = moved.room is None
-    landing = contact.land(
-        landing, this, due, now.working.mass, now.near, scene.mold, scene.tables.grid, differentiable=differentiable
+    landing, met = contact.land(
+        landing, this, due, now.working.mass, now.near, scene.mold, scene.tables.grid, moved.met
     )
     return dataclasses.replace(
         moved,
@@ -245,6 +245,7 @@ def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Mo
         landed=landing.step,
         impact=landing.impact,
         contact_loss=landing.loss,
+        met=met,
         halted=moved.halted | leaving | moved.seen.missed | (moved.count >= now.most),
     )
 
@@ -320,7 +321,7 @@ def _stepped(
         most=most,
         row=row,
         duration=duration,
-        near=_list_near(state, scene, duration, length, room),
+        near=_list_near(state, scene, working, duration, length, room),
         wary=state.last_count == 0,
     )
     corners = None if differentiable else no_corners(state.positions, working.packed.elements)
@@ -418,6 +419,7 @@ def _begun(state: State, now: _Window, room: Corners | None, impacts: bool) -> _
         halted=jnp.asarray(False),
         seen=None if now.near is None else unseen(),
         room=room,
+        met=None if now.near is None or room is None else contact.nothing_met(places, positions.dtype),
     )
 
 
@@ -443,7 +445,9 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
 
-def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Array, room: Room | None) -> Near | None:
+def _list_near(
+    state: State, scene: Scene, working: Working, duration: jax.Array, length: jax.Array, room: Room | None
+) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
     positions, velocities, grid, duration = jax.lax.stop_gradient(
@@ -451,7 +455,8 @@ def _list_near(state: State, scene: Scene, duration: jax.Array, length: jax.Arra
     )
     into = _no_lists(scene, positions) if room is None or room.lists is None else room.lists
     till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
-    return list_near(positions, velocities, ~state.stuck, duration, till_look, grid, skip_far, into)
+    blocks = working.packed.elements.node_block_count
+    return list_near(positions, velocities, ~state.stuck, duration, till_look, grid, skip_far, into, blocks)
 
 
 def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:
