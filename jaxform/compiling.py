@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import gc
+import os
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +32,36 @@ def compiler_options() -> dict[str, int]:
 
 def compiled(function: Any, *arguments: Any) -> Any:
     """A jitted function, compiled ahead for arguments like these."""
+    return compiling_soon(function, *arguments)[1].result()
+
+
+def compiling_soon(function: Any, *arguments: Any) -> tuple[Any, Future[Any]]:
+    """The shapes of a jitted function's results, and the function, which is being compiled for arguments like these.
+
+    XLA holds no lock of the interpreter: others are traced and compiled meanwhile.
+    """
     if crowded():
         jax.clear_caches()
-    return function.lower(*arguments).compile(compiler_options())
+    with _no_collection():
+        lowered = function.lower(*arguments)
+    return lowered.out_info, _compilers().submit(lowered.compile, compiler_options())
+
+
+@functools.cache
+def _compilers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count())
+
+
+@contextlib.contextmanager
+def _no_collection() -> Iterator[None]:
+    """Tracing makes many objects that live on: to look for garbage among them takes a tenth of its time."""
+    used = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if used:
+            gc.enable()
 
 
 def crowded() -> bool:

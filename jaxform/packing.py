@@ -7,7 +7,6 @@ of blocks in use is data.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -252,9 +251,9 @@ def _shares(
     """Where the shares of the nodes in use are (depth, place), and how many rows each block of nodes uses of it."""
 
     def work(node: jax.Array, exists: jax.Array) -> Any:
-        codes = [row[node] for row in table]
-        count = sum((code >= 0).astype(jnp.int32) for code in codes)
-        return [[slots(code, exists) for code in codes], [jnp.where(exists, count, 0)]], []
+        codes = gather(table, node)
+        count = jnp.sum(codes >= 0, axis=0, dtype=jnp.int32)
+        return [list(slots(codes, exists)), [jnp.where(exists, count, 0)]], []
 
     depth = table.shape[0]
     into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]
@@ -284,9 +283,8 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
     table = assembly.table
 
     def work(node: jax.Array) -> Any:
-        codes = [row.at[node].get(mode="clip") for row in table]
-        touched = [(code >= 0) & moving[jnp.maximum(code, 0) >> 2] for code in codes]
-        return [[functools.reduce(jnp.logical_or, touched)]], []
+        codes = gather(table, jnp.minimum(node, table.shape[1] - 1))
+        return [[jnp.any((codes >= 0) & gather(moving, jnp.maximum(codes, 0) >> 2), axis=0)]], []
 
     places = padded(table.shape[1])
     into = [jnp.zeros((1, places), bool)]

@@ -31,11 +31,10 @@ class Timing(NamedTuple):
 
 def pressures(pressure: Pressure, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
     """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa]."""
-    index = jnp.arange(count)
-    times = timing.begin + index * timing.length
-    now = pressure.at(times)
-    before = pressure.at(jnp.where(index == 0, timing.begin - timing.before, times - timing.length))
-    return now, 0.5 * (before + now)
+    # The step before the window's first has a length of its own.
+    times = timing.begin + jnp.arange(count) * timing.length
+    found = pressure.at(jnp.append(timing.begin - timing.before, times))
+    return found[1:], 0.5 * (found[:-1] + found[1:])
 
 
 def kicks(timing: Timing, count: int) -> jax.Array:

@@ -34,7 +34,7 @@ from jaxform.scene import Scene
 from jaxform.sealed import manual_axes
 from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
 from jaxform.stepping import energy_rounding, window, window_in_place, with_room
-from jaxform.store import Store
+from jaxform.store import Soon, Store
 from jaxform.working import Working, still_worked_through, wholly_worked_through
 
 _IN_MEMORY = Store()
@@ -229,8 +229,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     own, room, store = scene, on_rungs(scene), store or _IN_MEMORY
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
-    state, first, taken = store.program(_begin, scene)(scene)
-    advance, closed, result = _programs(state, scene, first, taken, store)
+    begin, advance, closed, result = _programs(scene, store)
+    state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     compiling = ready - began
     while left := windows_left(scene, state, limit):
@@ -241,14 +241,14 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
             scene, state, taken = more
-            first = store.program(_begin, scene)(scene)[1]
-            advance, closed, result = _programs(state, scene, first, taken, store)
+            begin, advance, closed, result = _programs(scene, store)
+            first = begin(scene)[1]
             compiling += time.perf_counter() - paused
             telling += time.perf_counter() - paused
             continue
         if on_window is not None:
-            now = functools.partial(result, state, scene, first, taken)
-            moment = _moment(state, scene, lambda now=now: room.result(now()))
+            now = state, scene, first, taken
+            moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now)))
             told = time.perf_counter()
             stop = on_window(moment)
             telling += time.perf_counter() - told
@@ -258,7 +258,11 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
                 break
         if done:
             break
-    final = room.result(result(closed(state, scene, first), scene, first, taken))
+    paused = time.perf_counter()
+    close, made = closed.ready(), result.ready()
+    compiling += time.perf_counter() - paused
+    telling += time.perf_counter() - paused
+    final = room.result(made(close(state, scene, first), scene, first, taken))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
@@ -329,19 +333,27 @@ def _unless_full[T](
     return only_if(status == 0, take, now, differentiable=differentiable)
 
 
-def _programs(
-    state: State, scene: Scene, first: Body, taken: Taken, store: Store
-) -> tuple[Callable[..., tuple[State, Taken, jax.Array]], Callable[..., State], Callable[..., Result]]:
-    """Compiled for a scene's sizes: what takes windows, what ends a run, and what makes its result."""
-    advance = _compiled(state, scene, first, taken, store)
-    closed = store.program(_closed, state, scene, first)
-    return advance, closed, store.program(_make_result, state, scene, first, taken)
+class _Programs(NamedTuple):
+    """Compiled for a scene's sizes: what begins a run and takes windows; soon, what ends it and makes its result."""
+
+    begin: Callable[[Scene], tuple[State, Body, Taken]]
+    advance: Callable[..., tuple[State, Taken, jax.Array]]
+    closed: Soon
+    result: Soon
 
 
-def _compiled(
-    state: State, scene: Scene, first: Body, taken: Taken, store: Store | None = None
-) -> Callable[..., tuple[State, Taken, jax.Array]]:
-    return (store or _IN_MEMORY).program(_advance, state, scene, first, taken, np.int32(1))
+def _programs(scene: Scene, store: Store) -> _Programs:
+    """Compiled side by side, the longest begun as soon as its arguments' shapes are known."""
+    begin = store.soon(_begin, scene)
+    state, first, taken = begin.shapes
+    advance = store.soon(_advance, state, scene, first, taken, np.int32(1))
+    closed = store.soon(_closed, state, scene, first)
+    result = store.soon(_make_result, state, scene, first, taken)
+    return _Programs(begin.ready(), advance.ready(), closed, result)
+
+
+def _compiled(state: State, scene: Scene, first: Body, taken: Taken) -> Callable[..., tuple[State, Taken, jax.Array]]:
+    return _IN_MEMORY.program(_advance, state, scene, first, taken, np.int32(1))
 
 
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:

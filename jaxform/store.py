@@ -14,14 +14,15 @@ import io
 import os
 import tempfile
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from jaxform import disk
-from jaxform.compiling import compiled, crowded
+from jaxform.compiling import compiling_soon, crowded
 from jaxform.errors import InputError
 from jaxform.pytree import is_own
 
@@ -29,6 +30,22 @@ Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
 _SEAL = hashlib.sha256().digest_size
 _MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
+
+
+class Soon(NamedTuple):
+    """A function that is being compiled, or has been.
+
+    Attributes:
+        shapes: Of its results: a tree with shapes and types.
+        future: Gives the compiled function.
+    """
+
+    shapes: Any
+    future: Future[Callable[..., Any]]
+
+    def ready(self) -> Callable[..., Any]:
+        """The compiled function; waits for it."""
+        return self.future.result()
 
 
 class Store:
@@ -40,7 +57,7 @@ class Store:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
-        self._programs: dict[tuple[Any, ...], Callable[..., Any]] = {}
+        self._programs: dict[tuple[Any, ...], Soon] = {}
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -69,6 +86,10 @@ class Store:
             function: Jitted; it depends on its arguments only.
             arguments: Pytrees of arrays; the structure, shapes and types count, not the values.
         """
+        return self.soon(function, *arguments).ready()
+
+    def soon(self, function: Any, *arguments: Any) -> Soon:
+        """As `program`; it is compiled while others are traced and compiled."""
         leaves, tree = jax.tree.flatten(arguments)
         kinds = tuple((np.shape(leaf), str(leaf.dtype)) for leaf in leaves)
         key = function, tree, kinds, jax.default_backend()
@@ -79,7 +100,7 @@ class Store:
                 self._programs.clear()
             while len(self._programs) >= _MOST_PROGRAMS:
                 self._programs.pop(next(iter(self._programs)), None)
-            self._programs[key] = compiled(made, *arguments)
+            self._programs[key] = Soon(*compiling_soon(made, *arguments))
         return self._programs[key]
 
     def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:

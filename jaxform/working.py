@@ -107,7 +107,8 @@ def worked_through(state: State, scene: Scene, sheet_body: Body, *, differentiab
 
 def wholly_worked_through(state: State, scene: Scene, sheet_body: Body) -> Working:
     """All there is, in the mesh's own order."""
-    return _working(sheet_body.whole, state.positions, scene, sheet_body, differentiable=False)
+    none = jnp.zeros((), state.positions.dtype)
+    return _with_masses(sheet_body.whole, sheet_body, none, none)
 
 
 def still_worked_through(
@@ -168,13 +169,17 @@ def _(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _working(packed: Packed, positions: jax.Array, scene: Scene, sheet_body: Body, *, differentiable: bool) -> Working:
-    thickness = sheet_body.thickness[packed.element]
     energy, volume = _idle(positions, scene, sheet_body, packed)
     if differentiable:
         volume = idle_volume(positions, scene, sheet_body, packed)
     elif scene.packs_moving:
         # Second derivatives take this way as well.
         volume = _with_slope(volume, positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return _with_masses(packed, sheet_body, volume, energy)
+
+
+def _with_masses(packed: Packed, sheet_body: Body, idle_volume: jax.Array, idle_energy: jax.Array) -> Working:
+    thickness = sheet_body.thickness[packed.element]
     return Working(
         packed=packed,
         thickness=thickness,
@@ -182,6 +187,6 @@ def _working(packed: Packed, positions: jax.Array, scene: Scene, sheet_body: Bod
         mass=packed.taken(sheet_body.mass),
         compliance=packed.taken(sheet_body.compliance),
         substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
-        idle_volume=volume,
-        idle_energy=energy,
+        idle_volume=idle_volume,
+        idle_energy=idle_energy,
     )

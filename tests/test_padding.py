@@ -1,0 +1,242 @@
+"""Scenes in the room of the ladder of sizes: the same results, nothing read beyond, nothing compiled twice."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxform
+from jaxform import molds, padding, shapes, simulation, sizes
+from tests.scenes import cup
+
+pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*hardly moved")
+
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+simulate = jax.jit(jaxform.simulate)
+
+
+def dish(depth: float, elements: int, knots: int = 2, stiffness: float = 2.0e5) -> jaxform.Scene:
+    """A quarter of a disc blown into a truncated cone of that depth [m]."""
+    sheet = shapes.disc(radius=0.1, elements=elements, symmetry="quarter")
+    wall = molds.revolved(profile=[[0.0, depth], [0.1 - 0.5 * depth, depth], [0.1, 0.0]], segments=24)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(jnp.asarray(stiffness), jnp.asarray(0.1), jnp.asarray(1000.0)),
+        pressure=jaxform.make_pressure(np.linspace(0.0, 0.2, knots), np.linspace(0.0, 2.0e4, knots)),
+        solver=jaxform.make_solver(end_time=0.1, damping=100.0),
+        mold=jaxform.make_mold(wall.vertices, wall.triangles),
+        name=f"dish {depth}",
+    )
+
+
+def refined(elements: int) -> jaxform.Scene:
+    """The same, refined where it bends."""
+    scene = dish(0.05, elements)
+    return jaxform.build_scene(
+        parison=scene.parison,
+        material=scene.material,
+        pressure=scene.pressure,
+        solver=scene.solver,
+        mold=scene.mold,
+        refinement=jaxform.make_refinement(angle=4.0, interval=64, max_level=2, elements=300),
+    )
+
+
+@pytest.fixture
+def compilations() -> Iterator[Callable[[], int]]:
+    """How many programs were compiled, or loaded compiled, so far."""
+    count = [0]
+
+    def listen(event: str, _: float, **__: Any) -> None:
+        count[0] += event == _COMPILED
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield lambda: count[0]
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_a_second_scene_of_a_kind_compiles_nothing(compilations: Callable[[], int]) -> None:
+    jaxform.run(dish(0.05, 60))
+    before = compilations()
+    for other in (dish(0.06, 80), dish(0.04, 120, knots=9), dish(0.05, 60, stiffness=3.0e5)):
+        jaxform.run(other)
+    assert compilations() == before
+
+
+def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callable[[], int]) -> None:
+    scenes = [jaxform.padded(dish(0.05, 60)), jaxform.padded(dish(0.06, 90, knots=5))]
+    assert jax.tree.structure(scenes[0]) == jax.tree.structure(scenes[1])
+    traced = []
+
+    @jax.jit
+    def thinnest(scene: jaxform.Scene) -> jax.Array:
+        traced.append(1)
+        result = jaxform.simulate(scene)
+        return jnp.min(jnp.where(result.active, result.thickness, jnp.inf))
+
+    first, before = float(thinnest(scenes[0])), compilations()
+    assert float(thinnest(scenes[1])) < first  # it is deeper
+    assert len(traced) == 1 and compilations() == before
+
+
+@pytest.mark.parametrize("elements", [30, 77])
+def test_the_same_as_without_room(elements: int) -> None:
+    scene = dish(0.05, elements)
+    padded, plain = jaxform.run(scene), simulate(scene)
+    assert int(padded.status) == int(plain.status) == 0
+    assert np.asarray(padded.steps) == np.asarray(plain.steps)
+    for name in ("positions", "thickness", "contact_time", "element_thickness", "stretches", "velocities"):
+        one, other = np.asarray(getattr(padded, name)), np.asarray(getattr(plain, name))
+        assert one.shape == other.shape
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+    assert np.array_equal(padded.triangles, plain.triangles) and np.array_equal(padded.wall, plain.wall)
+    for name in ("strain", "external_work", "damping_loss", "contact_loss"):
+        assert float(getattr(padded.energy, name)) == pytest.approx(float(getattr(plain.energy, name)), rel=1e-9)
+
+
+def test_the_same_as_without_room_where_the_mesh_is_refined() -> None:
+    scene = refined(40)
+    padded, plain = jaxform.run(scene), simulate(scene)
+    assert int(padded.status) == int(plain.status) == 0
+    assert int(padded.used.sum()) > 40
+    count = int(padded.used.sum())
+    for name in ("triangles", "level", "used"):
+        assert np.array_equal(np.asarray(getattr(padded, name))[:count], np.asarray(getattr(plain, name))[:count])
+    for name in ("positions", "thickness", "contact_time", "active", "wall"):
+        one, other = np.asarray(getattr(padded, name)), np.asarray(getattr(plain, name))
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+
+
+def _worth(scene: jaxform.Scene) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    def value(thickness: jax.Array, pressure: jax.Array) -> jax.Array:
+        changes = {"parison.thickness": thickness, "pressure.value": pressure}
+        result = jaxform.simulate(jaxform.replace(scene, changes))
+        return 1e6 * jnp.sum(jnp.square(jnp.where(result.active, result.thickness, 0.0)))
+
+    return value
+
+
+@pytest.mark.parametrize("make", [lambda: dish(0.05, 40), lambda: refined(30)], ids=["uniform", "refined"])
+def test_the_same_gradient_and_none_beyond(make: Callable[[], jaxform.Scene]) -> None:
+    scene = make()
+    room = padding.on_rungs(scene)
+    assert room.order is not None
+    found = []
+    for each in (scene, room.scene):
+        both = jax.jit(jax.value_and_grad(_worth(each), argnums=(0, 1)))
+        found.append(both(each.parison.thickness, each.pressure.value))
+    (value, (thickness, pressure)), (same, (wide, long)) = found
+    assert float(value) == pytest.approx(float(same), rel=1e-10)
+    inside = np.zeros(len(wide), bool)
+    inside[room.order.node] = True
+    np.testing.assert_allclose(wide[inside], thickness, rtol=1e-8, atol=1e-9 * np.abs(thickness).max())
+    assert np.all(np.asarray(wide)[~inside] == 0.0)
+    np.testing.assert_allclose(long[: len(pressure)], pressure, rtol=1e-8)
+    assert np.all(np.asarray(long)[len(pressure) :] == 0.0)
+
+
+@pytest.mark.parametrize("make", [lambda: dish(0.05, 60), lambda: refined(40)], ids=["uniform", "refined"])
+def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
+    """Other nodes, other triangles of the mold and other entries of lists there change no bit."""
+    room = padding.on_rungs(make())
+    assert room.order is not None
+    scene, own = room.scene, room.own
+    whole = simulation._whole
+    expected = whole(scene)
+    beyond = np.ones(len(scene.parison.positions), bool)
+    beyond[room.order.node] = False
+    assert beyond.any() and scene.mold is not None and own.mold is not None and scene.tables.grid is not None
+
+    def moved(values: Any, where: Any) -> jax.Array:
+        return jnp.where(where.reshape(-1, *[1] * (np.ndim(values) - 1)), 7.0 + 0.5 * jnp.asarray(values), values)
+
+    mold, grid = scene.mold, scene.tables.grid
+    other_rows = np.arange(len(mold.triangles)) >= len(own.mold.triangles)
+    vertices = moved(mold.vertices, np.arange(len(mold.vertices)) >= len(own.mold.vertices))
+    grid = dataclasses.replace(grid, frames=moved(grid.frames, other_rows), outlines=moved(grid.outlines, other_rows))
+    parison = dataclasses.replace(
+        scene.parison,
+        positions=moved(scene.parison.positions, beyond),
+        thickness=moved(scene.parison.thickness, beyond),
+    )
+    changed = dataclasses.replace(
+        scene,
+        parison=parison,
+        mold=dataclasses.replace(mold, vertices=vertices),
+        tables=dataclasses.replace(scene.tables, grid=grid),
+    )
+    found = whole(changed)
+    for name in ("thickness", "contact_time", "velocities", "element_thickness", "steps", "windows", "mass"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name)), name
+    inside = ~beyond & np.asarray(expected.active)
+    assert np.array_equal(np.asarray(found.positions)[inside], np.asarray(expected.positions)[inside])
+    assert np.array_equal(found.active, inside)
+
+
+def test_a_schedule_is_one_of_the_scene_itself() -> None:
+    scene = refined(40)
+    first = jaxform.run(scene)
+    assert first.schedule is not None and first.schedule.split_at is not None and scene.tables.forest is not None
+    assert first.schedule.split_at.shape == scene.tables.forest.partner.shape
+    again = jaxform.simulate(scene, schedule=first.schedule)
+    np.testing.assert_allclose(again.thickness, first.thickness, rtol=1e-9, atol=1e-15)
+    plain = simulate(scene, schedule=first.schedule)
+    np.testing.assert_allclose(plain.thickness, first.thickness, rtol=1e-9, atol=1e-15)
+
+
+def test_frames_and_stops_see_the_scene_itself() -> None:
+    scene, seen = dish(0.05, 60), []
+
+    def look(moment: jaxform.Moment) -> bool:
+        seen.append(moment.result())
+        return len(seen) == 3
+
+    result = jaxform.run(scene, on_window=look)
+    assert len(seen) == 3
+    for each in (*seen, result):
+        assert each.positions.shape == scene.parison.positions.shape
+        assert each.triangles.shape == scene.parison.triangles.shape
+
+
+def test_what_has_room_already_keeps_it() -> None:
+    scene = jaxform.padded(dish(0.05, 60))
+    assert jaxform.padded(scene) is scene
+    result = jaxform.run(scene)
+    assert result.thickness.shape == scene.parison.thickness.shape
+    assert int(result.active.sum()) < len(result.active)
+
+
+def test_a_traced_scene_is_not_padded() -> None:
+    with pytest.raises(jaxform.InputError, match="is traced"):
+        jax.jit(jaxform.padded)(cup())
+
+
+@given(st.integers(1, 3_000_000), st.integers(0, 3_000_000))
+def test_rungs_hold_what_they_are_for(count: int, more: int) -> None:
+    ladders: list[Callable[[int], int]] = [
+        sizes.elements,
+        sizes.roots,
+        sizes.grown,
+        sizes.knots,
+        sizes.windows,
+        sizes.mold_triangles,
+        sizes.cells,
+        sizes.listed,
+        lambda count: sizes.nodes(count, 1000),
+        lambda count: sizes.pairs(count, 1000),
+    ]
+    for ladder in ladders:
+        room = ladder(count)
+        assert count <= room <= max(ladder(1), 4 * count)
+        assert ladder(room + more) >= room
+    assert sizes.nodes(count, 1000) > count and sizes.pairs(count, 1000) > count
+    edges = sizes.half_edges(count, 1000)
+    assert edges % 2 == 0 and edges >= count + 2
