@@ -144,7 +144,7 @@ def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
         planned = min(planned + building._spare_windows(scene.tables.grid), WINDOWS)
         tags.append("shortened")
     grid = None if scene.mold is None else _common_grid(scene)
-    longest = LONG_WINDOW if scene.refinement is None else SHORT_WINDOW
+    longest = np.int32(LONG_WINDOW if scene.refinement is None else SHORT_WINDOW)
     tables = dataclasses.replace(scene.tables, grid=grid, window_count=WINDOWS, longest_window=longest)
     if tables.forest is not None and tables.forest.bend is not None and scene.mold is not None and grid is not None:
         forest = dataclasses.replace(tables.forest, bend=building.bends(scene.mold, grid))

@@ -189,8 +189,7 @@ def list_near(
     candidates, kept = _Pairs(*into.candidates, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
     begun = _Found(jnp.int32(0), candidates, kept, into.planes, into.clear, into.balls)
     _, candidates, kept, planes, clear, balls = jax.lax.while_loop(too_many, attempt, begun)
-    # The fastest node's: a slow one may become so fast until the next look.
-    way = till_look * jnp.sqrt(square)
+    way = _slip(square, till_look)
 
     def work(velocities: jax.Array, free: jax.Array, ball: Any, near: jax.Array, clear: jax.Array) -> Any:
         radius, bound = ball[3], ball[4]
@@ -221,6 +220,11 @@ def list_near(
         alarm_square=squares[3],
         overflow=(candidates.count > most) | (kept.count > room),
     )
+
+
+def _slip(square: jax.Array, till_look: jax.Array) -> jax.Array:
+    """How far [m] the fastest node goes between two looks: a slow one may become so fast meanwhile."""
+    return till_look * jnp.sqrt(square)
 
 
 def _fastest_square(velocities: jax.Array, blocks: jax.Array) -> jax.Array:

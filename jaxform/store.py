@@ -91,7 +91,7 @@ class Store:
     def soon(self, function: Any, *arguments: Any) -> Soon:
         """As `program`; it is compiled while others are traced and compiled."""
         leaves, tree = jax.tree.flatten(arguments)
-        kinds = tuple((np.shape(leaf), str(leaf.dtype)) for leaf in leaves)
+        kinds = tuple((np.shape(leaf), str(getattr(leaf, "dtype", type(leaf)))) for leaf in leaves)
         key = function, tree, kinds, jax.default_backend()
         if key not in self._programs:
             path = self._path(function.__name__, tuple(str(part) for part in key[1:])) if is_own(tree) else None

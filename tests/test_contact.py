@@ -274,7 +274,7 @@ def test_what_touches_between_two_looks_unseen_is_taken_anew(monkeypatch: pytest
     seen = jaxform.run(scene)
     monkeypatch.setattr(watch, "_AHEAD", 0.0)
     monkeypatch.setattr(stepping, "LOOK_EVERY", 16)
-    monkeypatch.setattr(nearness, "_slip", lambda velocities, till_look: jnp.zeros(()))
+    monkeypatch.setattr(nearness, "_slip", lambda square, till_look: jnp.zeros(()))
     jax.clear_caches()
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
     jax.clear_caches()
@@ -288,13 +288,13 @@ def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = scenes.cup()
-    roomy = jaxform.run(scene)
-    # Room for 128 pairs; the program that is in memory has more.
+    roomy = jax.jit(jaxform.simulate)(scene)
+    # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
     monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
     monkeypatch.setattr(nearness, "PAIRS_PER_NODE", 1)
     monkeypatch.setattr(nearness, "_CANDIDATES", 1)
-    tight = jaxform.run(narrow, store=Store())
+    tight = jax.jit(jaxform.simulate)(narrow)
     assert jaxform.explain(tight) == "ok"
     assert int(tight.shortened) > int(roomy.shortened)
     assert penetrated(tight, scene).nodes < 1e-12

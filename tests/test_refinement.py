@@ -322,7 +322,7 @@ def test_a_batch_is_single_runs(scene: Scene) -> None:
 
 def test_too_little_room_is_told_and_a_run_takes_more(live: Result) -> None:
     small = cup(96)  # becomes the room of the other tests
-    short = jaxform.simulate(small)
+    short = jax.jit(jaxform.simulate)(small)
     assert "room" in jaxform.explain(short) and "refinement.elements" in jaxform.explain(short)
     grown = jaxform.run(small)
     assert jaxform.explain(grown) == "ok"

@@ -13,7 +13,7 @@ import jaxform
 from jaxform import compiling, files, store
 from jaxform.simulation import run
 from jaxform.store import Store
-from tests.scenes import cup
+from tests.scenes import cup, free_disc, mooney
 
 # The runs end before the sheet reaches the cup.
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold")
@@ -97,7 +97,7 @@ def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytes
     monkeypatch.setattr(compiling, "_CROWDED", 0.0)
     if not compiling.crowded():
         pytest.skip("only Linux tells how many mappings a process has")
-    run(cup(80, 2.0), store=kept)
+    run(free_disc(60, 0.5, mooney(0.1), end_time=2.0), store=kept)
     assert len(kept._programs) == 1  # all but the last one made
     again = jax.tree.leaves(run(scene, store=kept))
     assert _same(again[:-2], plain[:-2])  # but for the seconds
