@@ -17,6 +17,7 @@ import jaxform
 from jaxform import checking, files, meshes, output, plots
 from jaxform.molds import MoldShape, revolved
 from jaxform.result import penetrated
+from jaxform.store import Store
 
 SIZES = (100_000, 400_000)  # elements
 MOLDS = (300, 200_000)  # triangles
@@ -74,7 +75,7 @@ def show(elements: int, triangles: int, folder: Path) -> None:
     scene, load = timed("load", lambda: files.build(document))
     assert scene.mold is not None
     print(f"  {len(scene.parison.triangles)} elements, {len(scene.mold.triangles)} mold triangles", flush=True)
-    _, check = timed("check, beside loading", lambda: list(checking.scene_lines(document, scene)))
+    _, check = timed("check, beside loading", lambda: list(checking.scene_lines(document, scene, Store())))
     result = jaxform.run(scene)
     _, through = timed("penetration", lambda: penetrated(result, scene))
     _, written = timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))

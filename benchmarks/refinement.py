@@ -23,7 +23,7 @@ import jaxform
 from benchmarks.accuracy import away_from_corner, exact_ratio, rms
 from benchmarks.bench import one_core, say
 from benchmarks.sheets import best_in_turns
-from jaxform import body, files, refinement, simulation, stepping
+from jaxform import body, files, refinement, simulation, stepping, working
 from jaxform.result import Result, only_used
 from jaxform.scene import Scene
 from jaxform.state import State, finished
@@ -210,7 +210,7 @@ def show_overhead() -> list[Row]:
     ):
         scene, part, seconds = timed(scene)
         state, first, _ = simulation._begin(scene)
-        look = jax.jit(lambda state, now, scene=scene: refinement.refined(state, scene, now, differentiable=False))
+        look = jax.jit(functools.partial(_look, scene))
         advance = jax.jit(lambda state, now, scene=scene: stepping.window(state, scene, now, differentiable=False))
         now, spent, growths = body.present_body(scene, state.mesh, first), 0.0, 0
         while not finished(state, scene):
@@ -229,6 +229,12 @@ def show_overhead() -> list[Row]:
         rows[-1] |= {"refining": spent, "share": spent / seconds}
         say(rows[-1])
     return rows
+
+
+def _look(scene: jaxform.Scene, state: State, now: body.Body) -> tuple[State, body.Body]:
+    packed = working.worked_through(state, scene, now)
+    state, now = refinement.refined(packed.taken(state), scene, now, working=packed)
+    return packed.put_back(state), now
 
 
 def _count(state: State) -> int:

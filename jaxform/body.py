@@ -84,9 +84,9 @@ def body(scene: Scene) -> Body:
     return Body(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
 
 
-def present_body(scene: Scene, mesh: Mesh | None, first: Body) -> Body:
-    """The sheet as it is with a mesh, from what it was at first."""
-    return first if mesh is None or first.volumes is None else refined_body(scene, mesh, first.volumes)
+def present_body(scene: Scene, mesh: Mesh | None, first: Body, *, stepped: bool = False) -> Body:
+    """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
+    return first if mesh is None or first.volumes is None else refined_body(scene, mesh, first.volumes, stepped=stepped)
 
 
 def forest_volumes(scene: Scene) -> jax.Array:
@@ -143,7 +143,7 @@ def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
     return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
 
 
-def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
+def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False) -> Body:
     """The sheet of the elements that a mesh lists."""
     forest = scene.tables.forest
     assert forest is not None
@@ -161,7 +161,7 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
     heavy = jnp.where(exists, mass, 1.0)
     none = jnp.zeros(0, jnp.int32)
-    assembly = Assembly(mesh.corner, none, none)
+    assembly, counts = Assembly(mesh.corner, none, none), Counts(mesh.element_count, mesh.node_count)
     return Body(
         sheet=sheet,
         assembly=assembly,
@@ -169,6 +169,6 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array) -> Body:
         thickness=volume / forest.sheet.area[element],
         mass=heavy,
         compliance=jnp.where(exists, forest.mobility[:, mesh.node] / heavy, 0.0),
-        whole=pack(None, sheet, assembly, Counts(mesh.element_count, mesh.node_count), stepped=not scene.packs_moving),
+        whole=pack(None, sheet, assembly, counts, stepped=stepped or not scene.packs_moving),
         volumes=volumes,
     )

@@ -12,12 +12,13 @@ from jaxform import building, files, schema, seams
 from jaxform.files import SceneDocument
 from jaxform.result import SLOW_ENOUGH
 from jaxform.scene import SHORT_WINDOW, Scene
+from jaxform.simulation import is_compiled
 from jaxform.store import Store
 from jaxform.survey import Survey, survey
 
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
 # process takes before it has a scene.
-_PER_ELEMENT, _PER_STEP, _SECONDS_TO_COMPILE = 12e-9, 10e-6, 6.0
+_PER_ELEMENT, _PER_STEP, _SECONDS_TO_COMPILE = 12e-9, 10e-6, {False: 6, True: 20}  # uniform, refined
 _MEASURED_TO_BOUND = 1.6  # of the built-in scenes' first steps, 1.5 to 1.9
 _BYTES_AT_FIRST, _COPIES = 350e6, 3.0
 
@@ -67,12 +68,12 @@ def _short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def scene_lines(document: SceneDocument, scene: Scene) -> Iterator[str]:
+def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator[str]:
     """What will be simulated, how, and what is skipped."""
     seen = survey(scene)
     yield from _sheet_lines(document, scene, seen)
     yield from _mold_lines(scene, seen)
-    yield from _run_lines(scene)
+    yield from _run_lines(scene, store)
     skipped = {
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
@@ -119,7 +120,7 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
     yield sides
 
 
-def _run_lines(scene: Scene) -> Iterator[str]:
+def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     forest, refinement = scene.tables.forest, scene.refinement
     elements = len(scene.parison.triangles)
     if forest is not None and refinement is not None:
@@ -139,10 +140,14 @@ def _run_lines(scene: Scene) -> Iterator[str]:
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if refinement is not None else ""
     yield (
-        f"about {steps:.2g} steps, fewer where all sticks sooner: {most}{_duration(seconds)}, and "
-        f"{_SECONDS_TO_COMPILE:.0f} s or more to compile where no such scene was run before; "
+        f"about {steps:.2g} steps, fewer where all sticks sooner: {most}{_duration(seconds)}; "
         f"{most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
     )
+    if is_compiled(scene, store):
+        yield "its programs are compiled already"
+    else:
+        wait = _SECONDS_TO_COMPILE[refinement is not None]
+        yield f"compiles first, for about {wait} s: no scene of this kind and size was run here before"
     if scene.solver.quasi_static:
         yield f"meant to be slow: it is warned of if the wall is more than {100 * SLOW_ENOUGH:.2g} % off for haste"
 

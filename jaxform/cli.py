@@ -1,4 +1,4 @@
-"""The command: `jaxform scenes | simulate | optimize | check`. The one room that knows both jaxform and optimize.
+"""The command: `jaxform scenes | simulate | optimize | check | warm`. It alone knows both jaxform and optimize.
 
 Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
 computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
@@ -94,6 +94,12 @@ def _parser() -> argparse.ArgumentParser:
             words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
             sub.add_argument("--resume", action="store_true", help=words)
         sub.set_defaults(command=command)
+    words = "compile beforehand what common scenes need, or the scenes that are named"
+    warm = commands.add_parser("warm", help=words, description=words)
+    warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
+    warm.add_argument("--quiet", action="store_true", help="print errors only")
+    warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    warm.set_defaults(command=_warm)
     return parser
 
 
@@ -323,7 +329,7 @@ def _check(arguments: argparse.Namespace) -> int:
     files.read_reference(document)
     if arguments.out is not None:
         _open_folder(arguments.out, arguments.force)
-    for line in [*lines, *checking.scene_lines(document, scene)]:
+    for line in [*lines, *checking.scene_lines(document, scene, store)]:
         say(line)
     if arguments.out is not None:
         from jaxform import preview
@@ -337,6 +343,12 @@ def _optimize(arguments: argparse.Namespace) -> int:
     from jaxform import designing
 
     return designing.optimize_study(arguments)
+
+
+def _warm(arguments: argparse.Namespace) -> int:
+    from jaxform import warming
+
+    return warming.warm(arguments)
 
 
 if __name__ == "__main__":

@@ -194,7 +194,7 @@ def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinemen
     if table is None:
         return None, None
     roots, deepest = len(sheet.triangles), bisection.even_depth(max(table.max_level, table.base_level))
-    elements = min(table.elements or _room(roots), roots << deepest)
+    elements = min(table.elements or usual_room(roots), roots << deepest)
     refinement = make_refinement(**table.model_dump(exclude={"elements"}), elements=elements)
     made = bisection.build_forest(
         sheet.positions, sheet.triangles, deepest, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap
@@ -202,7 +202,7 @@ def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinemen
     return refinement, made
 
 
-def _room(roots: int) -> int:
+def usual_room(roots: int) -> int:
     """Room for elements where none is asked for: for as many as the paper's scenes end with, and not much more.
 
     A run with too little takes more, but compiles again; room that is not used takes time, so large meshes get less.

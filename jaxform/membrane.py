@@ -116,22 +116,29 @@ def rows_of(positions: jax.Array | Vector) -> Vector:
 
 def minus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
     """Difference of two vectors, component by component."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    (x, y, z), (u, v, w) = a, b
+    return x - u, y - v, z - w
 
 
 def plus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
     """Sum of two vectors, component by component."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+    (x, y, z), (u, v, w) = a, b
+    return x + u, y + v, z + w
 
 
 def dot(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
     """Scalar products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    if not isinstance(a, tuple) and not isinstance(b, tuple):
+        # Two operations instead of seventeen, where no loop over steps waits for them.
+        return jnp.sum(a * b, axis=0)
+    (x, y, z), (u, v, w) = a, b
+    return x * u + y * v + z * w
 
 
 def cross(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
     """Vector products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    (x, y, z), (u, v, w) = a, b
+    return y * w - z * v, z * u - x * w, x * v - y * u
 
 
 def metric(edge1: Vector, edge2: Vector) -> Metric:

@@ -214,9 +214,14 @@ def _settled(nodes: _Nodes, births: _Births, scene: Scene, older: _Older, time: 
     ends = [nodes.stuck[at] for at in births.ends]
     sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
-    chosen = jnp.where(beyond, _facing(places, found.triangle, outlook.seen, mold), found.triangle)
+    # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
+    last = outlook.seen.triangle
+    both, known = jnp.append(found.triangle, last), jnp.append(free & (found.triangle >= 0), free & (last >= 0))
+    nearest, front = jnp.split(_closest(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
+    turned = beyond & _on_its_back(nearest - places, found.triangle, outlook.seen, mold)
+    chosen = jnp.where(turned, jnp.maximum(last, 0), found.triangle)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
-    point = _closest(points, mold, triangle, lands | flies)
+    point = jnp.where(turned, front, nearest)
     velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
     if refinement.at_rest:
         edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
@@ -256,15 +261,14 @@ def _outlook(
     return _Outlook(begin, seen(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
 
 
-def _facing(points: jax.Array, nearest: jax.Array, seen: Sight, mold: Mold) -> jax.Array:
-    """Of points (3, n) [m] beyond the mold the nearest triangle, or where that is the back of a thin wall, the front.
+def _on_its_back(gap: jax.Array, nearest: jax.Array, seen: Sight, mold: Mold) -> jax.Array:
+    """Of points (n,) beyond the mold whether the nearest triangle, a gap (3, n) [m] away, is the back of a thin wall.
 
-    The front is what the way from the sheet crosses last.
+    Or is not known. Its front is what the way from the sheet crosses last.
     """
-    last = jnp.maximum(seen.triangle, 0)
-    gap = _closest(points, mold, jnp.maximum(nearest, 0), nearest >= 0) - points
-    back = seen.side * dot(gap, _normal(mold, last)) < -_BACKWARD * jnp.sqrt(dot(gap, gap))
-    return jnp.where((nearest < 0) | back, last, nearest)
+    gap = jax.lax.stop_gradient(gap)
+    front = jax.lax.stop_gradient(_normal(mold, jnp.maximum(seen.triangle, 0)))
+    return (nearest < 0) | (seen.side * dot(gap, front) < -_BACKWARD * jnp.sqrt(dot(gap, gap)))
 
 
 def _normal(mold: Mold, triangle: jax.Array) -> jax.Array:

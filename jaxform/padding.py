@@ -34,7 +34,7 @@ from jaxform.scene import (
     Sheet,
     Tables,
 )
-from jaxform.search import CLASSES, SearchGrid
+from jaxform.search import CLASSES, FarCells, SearchGrid
 from jaxform.state import Schedule
 
 _NODAL = ("positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities")
@@ -43,10 +43,14 @@ _FAR_LATER = 1e6  # times as late as the last knot, or as many seconds: where th
 
 
 class _Order(NamedTuple):
-    """Where the nodes (n_node,), and the triangles of the forest (n_triangle,), of a scene are in a padded one."""
+    """Where the nodes (n_node,), and the triangles of the forest (n_triangle,), of a scene are in a padded one.
+
+    And the room for elements and for nodes before the mesh is refined, then for all nodes and triangles.
+    """
 
     node: np.ndarray
     triangle: np.ndarray | None
+    elements: int
     first_nodes: int
     node_room: int
     triangle_room: int
@@ -125,21 +129,27 @@ def padded(scene: Scene) -> Scene:
     return on_rungs(scene).scene
 
 
-def on_rungs(scene: Scene) -> Padded:
-    """A scene with room, of which nothing is traced; one that has room already is as it was."""
+def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
+    """A scene with room, of which nothing is traced; one that has room already is as it was.
+
+    Args:
+        scene: The scene.
+        least: As if it had so many elements before it is refined, where it has fewer.
+        recorded: Whether its windows are only recorded, as by `run`, and no derivative is taken.
+    """
     if scene.tables.counts is not None:
         return Padded(scene, scene, None)
     forest, refinement, tables = scene.tables.forest, scene.refinement, scene.tables
     if forest is None:
-        elements = sizes.elements(len(scene.parison.triangles))
+        elements = sizes.elements(max(len(scene.parison.triangles), least))
         count = len(scene.parison.positions)
         room = sizes.nodes(count, elements)
-        order = _Order(np.arange(count), None, room, room, 0)
+        order = _Order(np.arange(count), None, elements, room, room, 0)
         pairs = tables.assembly.pairs
         pair_count = None if pairs is None else pairs.element.shape[1]
         assembly = _assembly(tables.assembly, elements, order.node_room)
     else:
-        elements = sizes.roots(forest.root_count)
+        elements = sizes.roots(max(forest.root_count, least))
         order, pair_count = _forest_order(forest, elements), None
         none = np.zeros(0, np.int32)
         # What the mesh was before it was refined is not worked through.
@@ -163,9 +173,11 @@ def on_rungs(scene: Scene) -> Padded:
         forest=grown,
         lying=_lying(scene, order),
         longest_window=tables.longest_window,
-        window_count=sizes.windows(tables.window_count),
+        window_count=sizes.windows(tables.window_count, recorded=recorded),
         window_room=tables.window_room,
-        pairs_per_node=tables.pairs_per_node,
+        pairs_per_node=sizes.pairs_per_node(
+            tables.pairs_per_node, order.node_room if grown is None else grown.node_room
+        ),
         counts=counts,
     )
     whole = Scene(
@@ -294,11 +306,11 @@ def _mold(mold: Mold) -> Mold:
 
 def _grid(grid: SearchGrid) -> SearchGrid:
     """No cell lists a triangle beyond those there are."""
-    room, rows = sizes.cells(grid.bound.size), sizes.mold_triangles(grid.number.size)
-    far = grid.far
-    if far is not None:
-        wide = sizes.far_cells(far.start.size)
-        far = dataclasses.replace(far, start=_padded(far.start, wide + 1, 0), ends=_padded(far.ends, CLASSES * wide, 0))
+    cells = max(grid.bound.size, 0 if grid.far is None else grid.far.start.size)
+    room, rows = sizes.cells(cells), sizes.mold_triangles(grid.number.size)
+    # Where no wider cells are needed the usual ones stand for them.
+    far = grid.far or FarCells(grid.corner, grid.width, grid.reach, grid.start, grid.ends, grid.shape)
+    wide = dataclasses.replace(far, start=_padded(far.start, room + 1, 0), ends=_padded(far.ends, CLASSES * room, 0))
     return SearchGrid(
         corner=grid.corner,
         width=grid.width,
@@ -311,7 +323,7 @@ def _grid(grid: SearchGrid) -> SearchGrid:
         number=_padded(grid.number, rows, 0),  # pyright: ignore
         outlines=_like_first(np.asarray(grid.outlines).T, rows).T,  # pyright: ignore
         frames=_like_first(np.asarray(grid.frames).T, rows).T,  # pyright: ignore
-        far=far,
+        far=wide,
         shape=grid.shape,
     )
 
@@ -326,13 +338,13 @@ def _forest_order(forest: Forest, roots: int) -> _Order:
     first_room = sizes.nodes(first, roots)
     node = np.arange(count) + np.where(np.arange(count) < first, 0, first_room - first)
     node_room = first_room + sizes.nodes(count - first, roots << forest.depth)
-    return _Order(node, triangle, first_room, node_room, room)
+    return _Order(node, triangle, roots, first_room, node_room, room)
 
 
 def _forest(forest: Forest, refinement: Refinement, order: _Order) -> Forest:
     assert order.triangle is not None
     place, room, node = order.triangle, order.triangle_room, order.node
-    roots, first = sizes.roots(forest.root_count), order.first_nodes
+    roots, first = order.elements, order.first_nodes
 
     def of_triangles(values: Any, fill: Any) -> Any:
         return _spread(values, place, room, fill)

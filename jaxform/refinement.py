@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform import membrane
+from jaxform import membrane, sizes
 from jaxform.blocks import BLOCK, listed, only_if, over_blocks, padded
 from jaxform.body import NEVER, Body, levels, node_room, refined_body
 from jaxform.membrane import Vector, dot, gather, minus
@@ -23,16 +23,29 @@ from jaxform.remeshing import Queue, bisected, closed, queued
 from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.scheme import caught_up
 from jaxform.state import Schedule, State, Status, account, kinetic_energy
+from jaxform.working import Working
 
 _SPARE_BLOCKS = 2
 
 
 def refined(
-    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
+    state: State,
+    scene: Scene,
+    sheet_body: Body,
+    schedule: Schedule | None = None,
+    *,
+    working: Working | None = None,
 ) -> tuple[State, Body]:
     """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
 
     With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
+
+    Args:
+        state: In the mesh's order; or in that of what is worked through, as is the new one.
+        scene: The scene.
+        sheet_body: The sheet with the state's mesh.
+        schedule: The decisions that are taken; None where the mesh decides.
+        working: What the last window worked through, where no derivative is taken.
     """
     refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
     if refinement is None or forest is None or mesh is None:
@@ -48,9 +61,11 @@ def refined(
 
     def look(now: tuple[State, Body]) -> tuple[State, Body]:
         state, body = now
-        return _grown(state, scene, body, *wanted(state, scene, body), differentiable=differentiable)
+        state = state if working is None else working.put_back(state)
+        state, body = _grown(state, scene, body, *wanted(state, scene, body), working)
+        return state if working is None else working.taken(state), body
 
-    return only_if(due, look, (state, sheet_body), differentiable=differentiable)
+    return only_if(due, look, (state, sheet_body), differentiable=working is None)
 
 
 def looks(window: jax.Array, scene: Scene) -> jax.Array:
@@ -116,7 +131,7 @@ def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
     """A scene with twice the room for elements, and a state that found too little as it was before it did."""
     refinement, mesh = scene.refinement, state.mesh
     assert refinement is not None and mesh is not None
-    scene = _with_room(scene, -(-2 * refinement.elements // BLOCK))
+    scene = _with_room(scene, sizes.grown(2 * refinement.elements) // BLOCK)
     assert scene.refinement is not None and scene.tables.forest is not None
     elements, nodes = scene.refinement.elements, scene.tables.forest.node_room
     nodal = ("positions", "velocities", "stuck", "contact_time", "wall", *(("mode",) if state.mode is not None else ()))
@@ -216,7 +231,7 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
 
 
 def _grown(
-    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, *, differentiable: bool
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, working: Working | None
 ) -> tuple[State, Body]:
     """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
     mesh = state.mesh
@@ -229,18 +244,19 @@ def _grown(
 
     def grow(now: tuple[State, Body]) -> tuple[State, Body]:
         state, body = now
-        return _with_parts(state, scene, body, split_at, queue, differentiable=differentiable)
+        return _with_parts(state, scene, body, split_at, queue, working)
 
-    return only_if(fits & (queue.count > 0), grow, (state, sheet_body), differentiable=differentiable)
+    return only_if(fits & (queue.count > 0), grow, (state, sheet_body), differentiable=working is None)
 
 
 def _with_parts(
-    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, *, differentiable: bool
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, working: Working | None
 ) -> tuple[State, Body]:
     """The state with the queue's triangles bisected."""
+    differentiable = working is None
     forest, old = scene.tables.forest, state.mesh
     assert forest is not None and old is not None and sheet_body.volumes is not None
-    before, state = state, caught_up(state, scene, sheet_body)
+    before, state = state, caught_up(state, scene, sheet_body, working)
     mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
     body = refined_body(scene, mesh, sheet_body.volumes)
     new = born(state, mesh, scene, sheet_body.volumes, differentiable=differentiable)

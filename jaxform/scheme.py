@@ -18,7 +18,7 @@ from jaxform.force import Load, force
 from jaxform.membrane import vector
 from jaxform.scene import Pressure, Scene
 from jaxform.state import State, enclosed_volume, last_pressure
-from jaxform.working import worked_through
+from jaxform.working import Working, worked_through
 
 
 class Timing(NamedTuple):
@@ -65,7 +65,7 @@ def kicked(
     return new, kick * damping * mass * membrane.dot(mean, mean)
 
 
-def caught_up(state: State, scene: Scene, sheet_body: Body) -> State:
+def caught_up(state: State, scene: Scene, sheet_body: Body, working: Working | None = None) -> State:
     """The state with velocities at the time of the positions, and its account closed.
 
     Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
@@ -74,8 +74,9 @@ def caught_up(state: State, scene: Scene, sheet_body: Body) -> State:
         state: In the mesh's order.
         scene: The scene.
         sheet_body: The sheet with that mesh.
+        working: What of it can move, and maybe more; found here by default, differentiably.
     """
-    working = worked_through(state, scene, sheet_body, differentiable=True)
+    working = working or worked_through(state, scene, sheet_body, differentiable=True)
     packed = working.taken(state)
     load = Load(packed.positions, working.thickness, scene.pressure.at(state.time), scene.material)
     nodes, damping = (packed.stuck, working.mass, working.compliance), scene.solver.damping

@@ -146,7 +146,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if jax.default_backend() != "cpu":
         return _side_by_side(scene, rows)
-    rooms = [on_rungs(design) for design in designs]
+    rooms = [on_rungs(design, recorded=True) for design in designs]
     whole = _IN_MEMORY.program(_whole, rooms[0].scene)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         results = list(pool.map(lambda room: room.result(whole(room.scene)), rooms))
@@ -226,7 +226,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             became thinner than makes any sense.
     """
     check_numbers(scene)
-    own, room, store = scene, on_rungs(scene), store or _IN_MEMORY
+    own, room, store = scene, on_rungs(scene, recorded=True), store or _IN_MEMORY
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
     begin, advance, closed, result = _programs(scene, store)
@@ -291,10 +291,10 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
     def take(carry: _Going) -> _Going:
         state, now, stale = carry.state, carry.now, carry.count == 0
         if state.mesh is not None:
-            whole, now = refined(carry.working.put_back(state), scene, now, differentiable=False)
-            assert whole.mesh is not None
-            stale |= whole.mesh.element_count != state.mesh.element_count
-            state = carry.working.taken(whole)
+            before = state.mesh.element_count
+            state, now = refined(state, scene, now, working=carry.working)
+            assert state.mesh is not None
+            stale |= state.mesh.element_count != before
         state, working = still_worked_through(state, scene, now, carry.working, stale)
         whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
         after, working = _unless_full(state.status, scene, whole_window, (state, working), differentiable=False)
@@ -302,7 +302,7 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, _latest(after))
         return _Going(after, now, working, taken, carry.count + 1)
 
-    now = present_body(scene, state.mesh, first)
+    now = present_body(scene, state.mesh, first, stepped=True)
     working = with_room(wholly_worked_through(state, scene, now), scene)
     begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
@@ -350,6 +350,23 @@ def _programs(scene: Scene, store: Store) -> _Programs:
     closed = store.soon(_closed, state, scene, first)
     result = store.soon(_make_result, state, scene, first, taken)
     return _Programs(begin.ready(), advance.ready(), closed, result)
+
+
+def is_compiled(scene: Scene, store: Store, least: int = 0) -> bool:
+    """Whether a run of a scene, as if it had at least so many elements, finds all its programs compiled."""
+    scene = on_rungs(scene, least, recorded=True).scene
+    if not store.holds(_begin, scene):
+        return False
+    state, first, taken = store.soon(_begin, scene).shapes
+    ending = store.holds(_closed, state, scene, first) and store.holds(_make_result, state, scene, first, taken)
+    return ending and store.holds(_advance, state, scene, first, taken, np.int32(1))
+
+
+def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
+    """Compiles what runs of scenes of a kind and rungs need, and keeps it; as if one had at least so many elements."""
+    programs = _programs(on_rungs(scene, least, recorded=True).scene, store)
+    programs.closed.ready()
+    programs.result.ready()
 
 
 def _compiled(state: State, scene: Scene, first: Body, taken: Taken) -> Callable[..., tuple[State, Taken, jax.Array]]:

@@ -2,7 +2,7 @@
 
 A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same rungs share all their
 programs, whatever their meshes and molds are; what is beyond a mesh is not worked through. A rung is twice the one
-below, or half as long again where room that is not used takes some time all the same.
+below, or half as long again where room that is not used takes some time all the same, or four times as long.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ _RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of 
 _PAIRS = 9 / 16  # of the elements: few are left over
 _SPILL, _KNOTS, _WINDOWS = BLOCK, 16, 256
 _ROWS, _MOST_ROWS = 6, 16  # of an assembly's table
-_MOLD, _CELLS, _LISTED, _FAR_CELLS, _BEND = 4096, 49_152, 196_608, 16_384, 500_000
+# What is only looked up takes memory, but no time: few rungs, far apart.
+_MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
+_MANY_PAIRS, _FEW_NODES = 16, 2000  # near a node, for which there is room where there are few nodes
 _HALF_EDGES = 17 / 8  # of all triangles of a forest
 
 
@@ -76,37 +78,37 @@ def valence(count: int) -> int:
 
 def spill(count: int) -> int:
     """Room for shares beyond an assembly's table."""
-    return rung(count, _SPILL, 4.0)
+    return rung(count, _SPILL, _FAR_APART)
 
 
 def knots(count: int) -> int:
     """Room for the knots of a pressure history."""
-    return rung(count, _KNOTS, 4.0)
+    return rung(count, _KNOTS, _FAR_APART)
 
 
-def windows(count: int) -> int:
-    """How many windows are planned for."""
-    return rung(count, _WINDOWS)
+def windows(count: int, *, recorded: bool = False) -> int:
+    """How many windows are planned for; where they are only recorded, room for more takes nothing."""
+    return rung(count, 4 * _WINDOWS if recorded else _WINDOWS)
 
 
 def mold_triangles(count: int) -> int:
     """Room for the triangles of a mold."""
-    return rung(count, _MOLD)
+    return rung(count, _MOLD, _FAR_APART)
 
 
 def cells(count: int) -> int:
-    """Room for the cells of a mold's search grid."""
-    return rung(count, _CELLS)
-
-
-def far_cells(count: int) -> int:
-    """Room for its wider cells."""
-    return rung(count, _FAR_CELLS, 4.0)
+    """Room for the cells of a mold's search grid, and for the wider ones."""
+    return rung(count, _CELLS, _FAR_APART)
 
 
 def listed(count: int) -> int:
     """Room for what the cells list."""
-    return rung(count, _LISTED)
+    return rung(count, _LISTED, _FAR_APART)
+
+
+def pairs_per_node(count: int, room: int) -> int:
+    """Room for pairs of a node and a triangle of the mold, for each of the nodes that there is room for."""
+    return max(count, _MANY_PAIRS) if room <= _FEW_NODES else count
 
 
 def bend(count: int) -> int:

@@ -88,13 +88,26 @@ class Store:
         """
         return self.soon(function, *arguments).ready()
 
-    def soon(self, function: Any, *arguments: Any) -> Soon:
-        """As `program`; it is compiled while others are traced and compiled."""
+    def holds(self, function: Any, *arguments: Any) -> bool:
+        """Whether a program is there already, in memory or in a file."""
+        key, path = self._key(function, arguments)
+        return key in self._programs or (path is not None and path.exists())
+
+    def forget(self) -> None:
+        """Lets go of the programs in memory; those in files stay."""
+        self._programs.clear()
+
+    def _key(self, function: Any, arguments: Any) -> tuple[tuple[Any, ...], Path | None]:
+        """What a program is known by in memory, and its file; None where it is kept in none."""
         leaves, tree = jax.tree.flatten(arguments)
         kinds = tuple((np.shape(leaf), str(getattr(leaf, "dtype", type(leaf)))) for leaf in leaves)
         key = function, tree, kinds, jax.default_backend()
+        return key, self._path(function.__name__, tuple(str(part) for part in key[1:])) if is_own(tree) else None
+
+    def soon(self, function: Any, *arguments: Any) -> Soon:
+        """As `program`; it is compiled while others are traced and compiled."""
+        key, path = self._key(function, arguments)
         if key not in self._programs:
-            path = self._path(function.__name__, tuple(str(part) for part in key[1:])) if is_own(tree) else None
             made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
             if crowded():
                 self._programs.clear()
