@@ -12,22 +12,36 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 _LEVEL = 2  # of optimization, of the 3 that XLA's CPU compiler has
 _CROWDED = 0.5  # of the mappings that Linux lets a process have
 
 
-def compiler_options() -> dict[str, int]:
+def compiler_options() -> dict[str, int | str]:
     """For `jax.jit` around `simulate`, or `compile` of what it lowers: programs then take up to a quarter less time.
 
     On the CPU the widest vectors it has, 512 bits: LLVM takes half of them by itself. Where there are none so wide it
     changes nothing. And not the highest level of optimization: it unrolls short loops before it looks whether they can
     be done in vectors, and then they cannot. Long work on whole arrays beside the simulation may want that level: give
-    it a `jit` of its own. On other devices there is nothing to ask for. `run`, `simulate_batch` and designs use it.
+    it a `jit` of its own. And, where it knows of that, no sharing out of sums and products of whole arrays over
+    threads: the arrays are so short that this takes longer than they do. On other devices there is nothing to ask for.
+    `run`, `simulate_batch` and designs use it.
     """
     if jax.default_backend() != "cpu":
         return {}
-    return {"xla_cpu_prefer_vector_width": 512, "xla_backend_optimization_level": _LEVEL}
+    return {"xla_cpu_prefer_vector_width": 512, "xla_backend_optimization_level": _LEVEL, **_unshared()}
+
+
+@functools.cache
+def _unshared() -> dict[str, int | str]:
+    """An option that may come and go with XLA's versions, where the present one knows it."""
+    option: dict[str, int | str] = {"xla_cpu_experimental_ynn_fusion_type": ""}
+    try:
+        jax.jit(lambda x: x).lower(np.float32(0.0)).compile(option)
+    except RuntimeError:
+        return {}
+    return option
 
 
 def compiled(function: Any, *arguments: Any) -> Any:

@@ -207,7 +207,7 @@ def usual_room(roots: int) -> int:
 
     A run with too little takes more, but compiles again; room that is not used takes time, so large meshes get less.
     """
-    return max(16 * roots, min(max(1280, 32 * roots), 8192))
+    return max(16 * roots, min(max(2300, 32 * roots), 8192))
 
 
 def _sheet(document: SceneDocument) -> shapes.Sheet:

@@ -390,5 +390,5 @@ def _forest(forest: Forest, refinement: Refinement, order: _Order) -> Forest:
         first_nodes=first,
         half_edge_count=edges,
         valence=sizes.valence(forest.valence),
-        node_room=node_room(refinement.elements, first, order.node_room),
+        node_room=sizes.apart(node_room(refinement.elements, first, order.node_room)),
     )

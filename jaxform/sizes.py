@@ -29,6 +29,14 @@ def rung(count: int, first: int, ratio: float = 2.0) -> int:
     return next(length for k in itertools.count() if (length := round(first * ratio**k)) >= count)
 
 
+def apart(room: int, block: int = BLOCK) -> int:
+    """Room for as much or somewhat more, in so many blocks that rows of numbers do not share the cache's sets.
+
+    Rows that are a multiple of 4096 bytes apart do: an odd number of eighths of that keeps them apart.
+    """
+    return room + block if (room // block + 1) % 8 == 0 else room
+
+
 def elements(count: int) -> int:
     """Room for the elements of a mesh that stays as it is."""
     return _in_blocks(count, _ELEMENTS)
@@ -45,7 +53,7 @@ def grown(count: int) -> int:
 
 
 def _in_blocks(count: int, first: int) -> int:
-    return next(room for k in itertools.count() if (room := BLOCK * round(first * _RATIO**k / BLOCK)) >= count)
+    return apart(next(room for k in itertools.count() if (room := BLOCK * round(first * _RATIO**k / BLOCK)) >= count))
 
 
 def nodes(count: int, room: int) -> int:
@@ -53,12 +61,12 @@ def nodes(count: int, room: int) -> int:
 
     A sheet has half as many nodes as elements, and half as many more as its rim has.
     """
-    return rung(count + 1, int(0.5 * room + _RIM * room**0.5) + 8, _RATIO)
+    return apart(rung(count + 1, int(0.5 * room + _RIM * room**0.5) + 8, _RATIO))
 
 
 def pairs(count: int, room: int) -> int:
     """Room for the pairs of elements of a mesh with room for so many elements, and for one more."""
-    return rung(count + 1, int(_PAIRS * room))
+    return apart(rung(count + 1, int(_PAIRS * room)), BLOCK // 2)
 
 
 def half_edges(count: int, triangles: int) -> int:
