@@ -34,7 +34,7 @@ from jaxform.scene import (
     Sheet,
     Tables,
 )
-from jaxform.search import CLASSES, FarCells, SearchGrid
+from jaxform.search import CLASSES, SearchGrid
 from jaxform.state import Schedule
 
 _NODAL = ("positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities")
@@ -175,9 +175,7 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
         longest_window=tables.longest_window,
         window_count=sizes.windows(tables.window_count, recorded=recorded),
         window_room=tables.window_room,
-        pairs_per_node=sizes.pairs_per_node(
-            tables.pairs_per_node, order.node_room if grown is None else grown.node_room
-        ),
+        pairs_per_node=tables.pairs_per_node,
         counts=counts,
     )
     whole = Scene(
@@ -308,9 +306,9 @@ def _grid(grid: SearchGrid) -> SearchGrid:
     """No cell lists a triangle beyond those there are."""
     cells = max(grid.bound.size, 0 if grid.far is None else grid.far.start.size)
     room, rows = sizes.cells(cells), sizes.mold_triangles(grid.number.size)
-    # Where no wider cells are needed the usual ones stand for them.
-    far = grid.far or FarCells(grid.corner, grid.width, grid.reach, grid.start, grid.ends, grid.shape)
-    wide = dataclasses.replace(far, start=_padded(far.start, room + 1, 0), ends=_padded(far.ends, CLASSES * room, 0))
+    far = grid.far
+    if far is not None:
+        far = dataclasses.replace(far, start=_padded(far.start, room + 1, 0), ends=_padded(far.ends, CLASSES * room, 0))
     return SearchGrid(
         corner=grid.corner,
         width=grid.width,
@@ -323,7 +321,7 @@ def _grid(grid: SearchGrid) -> SearchGrid:
         number=_padded(grid.number, rows, 0),  # pyright: ignore
         outlines=_like_first(np.asarray(grid.outlines).T, rows).T,  # pyright: ignore
         frames=_like_first(np.asarray(grid.frames).T, rows).T,  # pyright: ignore
-        far=wide,
+        far=far,
         shape=grid.shape,
     )
 

@@ -16,11 +16,10 @@ _ELEMENTS = 11 * BLOCK  # the first rung: meshes of fewer elements take hardly a
 _ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first, and room for those there will be
 _RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of a sheet about as wide as it is long
 _PAIRS = 9 / 16  # of the elements: few are left over
-_SPILL, _KNOTS, _WINDOWS = BLOCK, 16, 256
-_ROWS, _MOST_ROWS = 6, 16  # of an assembly's table
+_SPILL, _KNOTS, _WINDOWS, _RECORDED = BLOCK, 16, 256, 512
+_ROWS = 4, 6, 16  # of an assembly's table
 # What is only looked up takes memory, but no time: few rungs, far apart.
 _MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
-_MANY_PAIRS, _FEW_NODES = 16, 2000  # near a node, for which there is room where there are few nodes
 _HALF_EDGES = 17 / 8  # of all triangles of a forest
 
 
@@ -76,7 +75,7 @@ def half_edges(count: int, triangles: int) -> int:
 
 def rows(count: int) -> int:
     """Rows of an assembly's table."""
-    return _ROWS if count <= _ROWS else _MOST_ROWS
+    return next(room for room in _ROWS if room >= count)
 
 
 def valence(count: int) -> int:
@@ -96,7 +95,7 @@ def knots(count: int) -> int:
 
 def windows(count: int, *, recorded: bool = False) -> int:
     """How many windows are planned for; where they are only recorded, room for more takes nothing."""
-    return rung(count, 4 * _WINDOWS if recorded else _WINDOWS)
+    return rung(count, _RECORDED if recorded else _WINDOWS)
 
 
 def mold_triangles(count: int) -> int:
@@ -112,11 +111,6 @@ def cells(count: int) -> int:
 def listed(count: int) -> int:
     """Room for what the cells list."""
     return rung(count, _LISTED, _FAR_APART)
-
-
-def pairs_per_node(count: int, room: int) -> int:
-    """Room for pairs of a node and a triangle of the mold, for each of the nodes that there is room for."""
-    return max(count, _MANY_PAIRS) if room <= _FEW_NODES else count
 
 
 def bend(count: int) -> int:
