@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import jaxform
-from jaxform import checking, files, meshes, output, plots
+from jaxform import checking, files, meshes, output, padding, plots
 from jaxform.molds import MoldShape, revolved
 from jaxform.result import penetrated
 from jaxform.store import Store
@@ -76,11 +76,12 @@ def show(elements: int, triangles: int, folder: Path) -> None:
     assert scene.mold is not None
     print(f"  {len(scene.parison.triangles)} elements, {len(scene.mold.triangles)} mold triangles", flush=True)
     _, check = timed("check, beside loading", lambda: list(checking.scene_lines(document, scene, Store())))
+    _, roomy = timed("arrays of their rungs", lambda: padding.on_rungs(scene, recorded=True))
     result = jaxform.run(scene)
     _, through = timed("penetration", lambda: penetrated(result, scene))
     _, written = timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))
     _, drawn = timed("pictures", lambda: plots.thickness_picture(folder / "thickness.png", scene, result, None))
-    total = load + check + through + written + drawn
+    total = load + check + roomy + through + written + drawn
     asked = f" (asked: {_LIMITS[elements]:g} s)" if elements in _LIMITS else ""
     print(f"  together: {total:.2f} s{asked}", flush=True)
 
