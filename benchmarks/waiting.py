@@ -234,7 +234,7 @@ def main(names: list[str]) -> int:
     jax.config.update("jax_enable_compilation_cache", False)
     warnings.simplefilter("ignore")
 
-    def listen(event: str, _: float, **__: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         _compiled[0] += event == _COMPILED
 
     jax.monitoring.register_event_duration_secs_listener(listen)

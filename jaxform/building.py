@@ -284,10 +284,11 @@ def bends(mold: Mold, grid: SearchGrid, store: Store | None = None) -> Bend:
     """
     edges = topology.feature_edges(np.asarray(mold.vertices, float), np.asarray(mold.triangles), _BEND, rims=False)
     parts = max(1, int(np.cbrt(_MOST_BEND_CELLS / np.prod(np.asarray(grid.shape, float)))))
-    shape, width = tuple(parts * count for count in np.asarray(grid.shape).tolist()), float(grid.width) / parts
+    shape = tuple(parts * int(count) for count in np.asarray(grid.shape))
+    width = float(grid.width) / parts
     corner = np.asarray(grid.corner, float)
     if not len(edges):
-        return Bend(as_real(np.full(np.prod(shape), np.inf)), as_index(parts))
+        return Bend(as_real(np.full(int(np.prod(shape)), np.inf)), as_index(parts))
     key = edges, corner, np.array([width, *shape])
     kept = (store or Store()).arrays("bends", key, lambda: {"distance": _to_edges(edges, corner, width, shape)})
     return Bend(as_real(kept["distance"].ravel()), as_index(parts))

@@ -39,6 +39,7 @@ from jaxform.state import Schedule
 
 _NODAL = ("positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities")
 _OF_ELEMENTS = ("level", "used", "element_volume", "element_thickness", "stretches")
+_OF_WINDOWS = ("lengths", "counts", "bounds", "durations")
 _FAR_LATER = 1e6  # times as late as the last knot, or as many seconds: where the pressure's other knots are
 
 
@@ -95,22 +96,22 @@ class Padded(NamedTuple):
         counts = np.asarray(schedule.counts)
         taken = np.flatnonzero(counts)
         count = max(self.own.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)
-        rows = (schedule.lengths, schedule.counts, schedule.bounds, schedule.durations)
-        split = schedule.split_at
+        split: Any = schedule.split_at
         if split is not None and order.triangle is not None:
             split = np.asarray(split)[order.triangle]
-        return Schedule(*(np.asarray(row)[:count] for row in rows), split)  # pyright: ignore
+        rows = {name: np.asarray(getattr(schedule, name))[:count] for name in _OF_WINDOWS}
+        return dataclasses.replace(schedule, **rows, split_at=split)
 
     def schedule(self, schedule: Schedule) -> Schedule:
         """A schedule of the scene itself as one of the padded scene."""
         if self.order is None:
             return schedule
         room = sizes.windows(len(schedule.counts))
-        rows = (schedule.lengths, schedule.counts, schedule.bounds, schedule.durations)
-        split = schedule.split_at
+        split: Any = schedule.split_at
         if split is not None and self.order.triangle is not None:
             split = _spread(split, self.order.triangle, self.order.triangle_room, NEVER)
-        return jax.device_put(Schedule(*(_padded(row, room, 0) for row in rows), split))  # pyright: ignore
+        rows = {name: _padded(getattr(schedule, name), room, 0) for name in _OF_WINDOWS}
+        return jax.device_put(dataclasses.replace(schedule, **rows, split_at=split))
 
 
 def padded(scene: Scene) -> Scene:
@@ -151,14 +152,13 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
     else:
         elements = sizes.roots(max(forest.root_count, least))
         order, pair_count = _forest_order(forest, elements), None
-        none = np.zeros(0, np.int32)
+        none: Any = np.zeros(0, np.int32)
         # What the mesh was before it was refined is not worked through.
-        assembly = Assembly(np.zeros((0, 0), np.int32), none, none)  # pyright: ignore
-    counts = Counts(
-        elements=np.int32(len(scene.parison.triangles)),  # pyright: ignore
-        nodes=np.int32(scene.first_nodes),  # pyright: ignore
-        pairs=None if pair_count is None else np.int32(pair_count),  # pyright: ignore
-    )
+        assembly = Assembly(none[None], none, none)
+    numbers: list[Any] = [
+        np.int32(count) for count in (len(scene.parison.triangles), scene.first_nodes, pair_count or 0)
+    ]
+    counts = Counts(numbers[0], numbers[1], None if pair_count is None else numbers[2])
     grown = None
     if forest is not None and refinement is not None:
         refinement = dataclasses.replace(refinement, elements=sizes.grown(refinement.elements))
@@ -191,7 +191,7 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
     return Padded(jax.device_put(whole), scene, order)
 
 
-def _padded(values: Any, room: int, fill: Any) -> np.ndarray:
+def _padded(values: Any, room: int, fill: Any) -> Any:
     """Values (..., n) with as many more as there is room for."""
     values = np.asarray(values)
     if values.shape[-1] == room:
@@ -201,7 +201,7 @@ def _padded(values: Any, room: int, fill: Any) -> np.ndarray:
     return new
 
 
-def _spread(values: Any, place: np.ndarray, room: int, fill: Any) -> np.ndarray:
+def _spread(values: Any, place: np.ndarray, room: int, fill: Any) -> Any:
     """Values (..., n) at places (n,) of the room, and elsewhere another."""
     values = np.asarray(values)
     if len(place) == room:
@@ -211,7 +211,7 @@ def _spread(values: Any, place: np.ndarray, room: int, fill: Any) -> np.ndarray:
     return new
 
 
-def _like_first(values: Any, room: int) -> np.ndarray:
+def _like_first(values: Any, room: int) -> Any:
     """Values (..., n) with as many more of the first one as there is room for."""
     values = np.asarray(values)
     new = np.empty((*values.shape[:-1], room), values.dtype)
@@ -220,35 +220,35 @@ def _like_first(values: Any, room: int) -> np.ndarray:
     return new
 
 
-def _nodal(values: Any, order: _Order, fill: Any) -> np.ndarray:
+def _nodal(values: Any, order: _Order, fill: Any) -> Any:
     return _spread(values, order.node, order.node_room, fill)
 
 
 def _parison(parison: Parison, elements: int, order: _Order) -> Parison:
     positions = np.asarray(parison.positions)
     there = _nodal(np.ones(len(order.node), bool), order, False)
-    places = np.where(there, _nodal(positions.T, order, 0.0), positions[:1].T).T
+    places: Any = np.where(there, _nodal(positions.T, order, 0.0), positions[:1].T).T
     thickness = np.asarray(parison.thickness)
     return Parison(
-        positions=places,  # pyright: ignore
-        triangles=_like_first(order.node[np.asarray(parison.triangles)].T, elements).T.astype(np.int32),  # pyright: ignore
-        thickness=np.where(there, _nodal(thickness, order, 0.0), thickness[0]),  # pyright: ignore
-        clamped=_nodal(parison.clamped, order, True),  # pyright: ignore
-        fixed=_nodal(np.asarray(parison.fixed).T, order, True).T,  # pyright: ignore
+        positions=places,
+        triangles=_like_first(order.node[np.asarray(parison.triangles)].T, elements).T.astype(np.int32),
+        thickness=np.where(there, _nodal(thickness, order, 0.0), thickness[0]),
+        clamped=_nodal(parison.clamped, order, True),
+        fixed=_nodal(np.asarray(parison.fixed).T, order, True).T,
     )
 
 
 def _sheet(sheet: Sheet, room: int, order: _Order) -> Sheet:
     """Elements beyond those there are lie where the first one lies, and have no area."""
     return Sheet(
-        triangles=_like_first(order.node[np.asarray(sheet.triangles)].astype(np.int32), room),  # pyright: ignore
-        inverse_metric=_like_first(sheet.inverse_metric, room),  # pyright: ignore
-        area=_padded(sheet.area, room, 0.0),  # pyright: ignore
+        triangles=_like_first(order.node[np.asarray(sheet.triangles)].astype(np.int32), room),
+        inverse_metric=_like_first(sheet.inverse_metric, room),
+        area=_padded(sheet.area, room, 0.0),
         origin=sheet.origin,
     )
 
 
-def _lying(scene: Scene, order: _Order) -> np.ndarray | None:
+def _lying(scene: Scene, order: _Order) -> Any:
     if scene.mold is None:
         return None
     lying = scene.tables.lying
@@ -257,26 +257,27 @@ def _lying(scene: Scene, order: _Order) -> np.ndarray | None:
 
 def _assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
     table, rows = np.asarray(assembly.table), sizes.rows(len(assembly.table))
-    deep = np.full((rows, nodes), -1, np.int32)
+    deep: Any = np.full((rows, nodes), -1, np.int32)
     deep[: table.shape[0], : table.shape[1]] = table
     spill = sizes.spill(len(assembly.spill))
     pairs = assembly.pairs
     if pairs is not None:
         room = sizes.pairs(pairs.element.shape[1], elements)
-        pair = np.asarray(pairs.element)
+        pair: Any = np.asarray(pairs.element)
         # A pair beyond those there are is of an element beyond those there are, and of no other.
         first, second = _padded(pair[0], room, elements - 1), _padded(pair[1], room, -1)
+        both: Any = np.stack([first, second])
         pairs = Pairs(
-            element=np.stack([first, second]),  # pyright: ignore
-            pair=_padded(pairs.pair, elements, room - 1),  # pyright: ignore
-            triangles=_like_first(pairs.triangles, elements),  # pyright: ignore
-            inverse_metric=_like_first(pairs.inverse_metric, elements),  # pyright: ignore
-            turn=_padded(pairs.turn, elements, 1.0),  # pyright: ignore
+            element=both,
+            pair=_padded(pairs.pair, elements, room - 1),
+            triangles=_like_first(pairs.triangles, elements),
+            inverse_metric=_like_first(pairs.inverse_metric, elements),
+            turn=_padded(pairs.turn, elements, 1.0),
         )
     return Assembly(
-        table=deep,  # pyright: ignore
-        spill_node=_padded(assembly.spill_node, spill, nodes - 1),  # pyright: ignore
-        spill=_padded(assembly.spill, spill, -1),  # pyright: ignore
+        table=deep,
+        spill_node=_padded(assembly.spill_node, spill, nodes - 1),
+        spill=_padded(assembly.spill, spill, -1),
         pairs=pairs,
     )
 
@@ -297,8 +298,8 @@ def _mold(mold: Mold) -> Mold:
     triangles = sizes.mold_triangles(len(mold.triangles))
     vertices = sizes.nodes(len(mold.vertices), triangles)
     return Mold(
-        vertices=_like_first(np.asarray(mold.vertices).T, vertices).T,  # pyright: ignore
-        triangles=_like_first(np.asarray(mold.triangles).T, triangles).T,  # pyright: ignore
+        vertices=_like_first(np.asarray(mold.vertices).T, vertices).T,
+        triangles=_like_first(np.asarray(mold.triangles).T, triangles).T,
     )
 
 
@@ -314,13 +315,13 @@ def _grid(grid: SearchGrid) -> SearchGrid:
         width=grid.width,
         reach=grid.reach,
         size=grid.size,
-        bound=_padded(grid.bound, room, 0.0),  # pyright: ignore
-        start=_padded(grid.start, room + 1, 0),  # pyright: ignore
-        ends=_padded(grid.ends, CLASSES * room, 0),  # pyright: ignore
-        listed=_padded(grid.listed, sizes.listed(grid.listed.size), 0),  # pyright: ignore
-        number=_padded(grid.number, rows, 0),  # pyright: ignore
-        outlines=_like_first(np.asarray(grid.outlines).T, rows).T,  # pyright: ignore
-        frames=_like_first(np.asarray(grid.frames).T, rows).T,  # pyright: ignore
+        bound=_padded(grid.bound, room, 0.0),
+        start=_padded(grid.start, room + 1, 0),
+        ends=_padded(grid.ends, CLASSES * room, 0),
+        listed=_padded(grid.listed, sizes.listed(grid.listed.size), 0),
+        number=_padded(grid.number, rows, 0),
+        outlines=_like_first(np.asarray(grid.outlines).T, rows).T,
+        frames=_like_first(np.asarray(grid.frames).T, rows).T,
         far=far,
         shape=grid.shape,
     )
@@ -364,7 +365,7 @@ def _forest(forest: Forest, refinement: Refinement, order: _Order) -> Forest:
     if fine is not None:
         fine = _padded(place[np.asarray(fine)].astype(np.int32), sizes.rung(fine.size, 256), NEVER)
     if bend is not None:
-        bend = Bend(_padded(bend.distance, sizes.bend(bend.distance.size), 0.0), bend.parts)  # pyright: ignore
+        bend = Bend(_padded(bend.distance, sizes.bend(bend.distance.size), 0.0), bend.parts)
     return Forest(
         sheet=Sheet(
             triangles=like_first(node[np.asarray(forest.sheet.triangles)].astype(np.int32)),
@@ -377,12 +378,12 @@ def _forest(forest: Forest, refinement: Refinement, order: _Order) -> Forest:
         partner=as_index(partner),
         middle=of_triangles(np.where(middle >= 0, node[middle], -1).astype(np.int32), -1),
         half_edges=of_triangles(forest.half_edges, edges - 2),
-        root_row=_padded(forest.root_row, roots, 0),  # pyright: ignore
+        root_row=_padded(forest.root_row, roots, 0),
         ends=as_index(ends),
-        owner=_nodal(place[np.asarray(forest.owner)].astype(np.int32), order, 0),  # pyright: ignore
-        mobility=_nodal(forest.mobility, order, 0.0),  # pyright: ignore
+        owner=_nodal(place[np.asarray(forest.owner)].astype(np.int32), order, 0),
+        mobility=_nodal(forest.mobility, order, 0.0),
         bend=bend,
-        fine_at_once=fine,  # pyright: ignore
+        fine_at_once=fine,
         root_count=roots,
         depth=forest.depth,
         first_nodes=first,

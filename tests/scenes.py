@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from jaxform import molds, refinement, remeshing, shapes
+from jaxform import molds, refinement, remeshing, shapes, working
 from jaxform.body import NEVER, Body
 from jaxform.materials import Law
 from jaxform.scene import Scene
@@ -112,4 +112,12 @@ def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tupl
     assert mesh is not None and forest is not None
     numbers = jnp.where(wanted, mesh.element, NEVER)
     found = remeshing.closed(mesh.split_at, numbers, mesh.element_count, forest, state.windows)
-    return refinement._grown(state, scene, sheet, *found, differentiable=True)
+    return refinement._grown(state, scene, sheet, *found, None)
+
+
+@jax.jit
+def looked_at(state: State, scene: Scene, sheet: Body) -> tuple[State, Body]:
+    """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
+    packed = working.worked_through(state, scene, sheet)
+    state, sheet = refinement.refined(packed.taken(state), scene, sheet, working=packed)
+    return packed.put_back(state), sheet

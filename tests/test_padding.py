@@ -55,7 +55,7 @@ def compilations() -> Iterator[Callable[[], int]]:
     """How many programs were compiled, or loaded compiled, so far."""
     count = [0]
 
-    def listen(event: str, _: float, **__: Any) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         count[0] += event == _COMPILED
 
     jax.monitoring.register_event_duration_secs_listener(listen)

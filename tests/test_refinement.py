@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,6 @@ from jaxform.result import Result
 from jaxform.scene import Forest, Scene
 from jaxform.state import Schedule, State, initial_state
 from tests import scenes
-
-LOOK = jax.jit(functools.partial(refinement.refined, differentiable=False))
 
 
 def cup(elements: int = 192, **options: float) -> Scene:
@@ -144,7 +141,7 @@ def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarr
     """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
     state, now = initial_state(scene), body.body(scene)
     for _ in range(6):
-        state, now = LOOK(state, scene, now)
+        state, now = scenes.looked_at(state, scene, now)
     forest, mold, mesh = scene.tables.forest, scene.mold, state.mesh
     assert forest is not None and mold is not None and mesh is not None
     lists_of(mesh, forest)
@@ -190,7 +187,7 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
     before = initial_state(scene)
     upwards = jnp.where(before.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
     before, now = dataclasses.replace(before, velocities=upwards), body.body(scene)
-    state, _ = LOOK(before, scene, now)
+    state, _ = scenes.looked_at(before, scene, now)
     forest, grid, old, mesh = scene.tables.forest, scene.tables.grid, before.mesh, state.mesh
     assert forest is not None and grid is not None and old is not None and mesh is not None
     new = np.arange(int(old.node_count), int(mesh.node_count))
