@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed docs quick
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed docs quick waiting
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -105,6 +105,10 @@ bench: environment
 # What a command does beside the steps, for sheets of 100 000 and 400 000 elements; a few minutes.
 beside: environment
 	.venv/bin/python -m benchmarks.beside
+
+# How long one waits before the first step: first and second scenes of a kind, the command, a sweep; some minutes.
+waiting: environment
+	.venv/bin/python -m benchmarks.waiting
 
 # Removes what the other targets made, results of other runs under out/ excepted.
 clean:
