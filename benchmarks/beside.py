@@ -44,11 +44,12 @@ c = 0.2e6
 alpha = 0.1
 density = 1000.0
 [pressure]
-time = [0.0, 1.0e-4]
+time = [0.0, {rise}]
 value = [0.0, 2.0e4]
 [mold]
 shape = "file"
 path = "{mold}"
+scale = {scale}
 [solver]
 end_time = {end}
 damping = 100.0
@@ -70,7 +71,9 @@ def show(elements: int, triangles: int, folder: Path) -> None:
     mold = folder / "mold.vtu"
     meshes.write_vtu(mold, shape.vertices, shape.triangles)
     scene_file = folder / "scene.toml"
-    scene_file.write_text(SCENE.format(elements=elements, mold=mold, end=3e-2 / np.sqrt(elements)))
+    scene_file.write_text(
+        SCENE.format(elements=elements, mold=mold, scale=1.0, rise=1e-4, end=3e-2 / np.sqrt(elements))
+    )
     document = files.read_scene(scene_file)
     scene, load = timed("load", lambda: files.build(document))
     assert scene.mold is not None

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from benchmarks.beside import cup
+from benchmarks.beside import SCENE, cup
 from jaxform import meshes, molds, padding, shapes, simulation
 from jaxform.molds import MoldShape
 from jaxform.scene import Scene
@@ -39,14 +39,16 @@ def profiled(depth: float, angle: float, segments: int = 96) -> MoldShape:
     return molds.revolved(profile=[[0.0, depth], [base, depth], [0.1, 0.0]], segments=segments)
 
 
-def dish(depth: float, angle: float, elements: int, knots: int = 2, stiffness: float = 2e5) -> Scene:
+def dish(
+    depth: float, angle: float, elements: int, knots: int = 2, stiffness: float = 2e5, end_time: float = 0.24
+) -> Scene:
     """A quarter of a disc blown into it."""
     sheet, wall = shapes.disc(radius=0.1, elements=elements, symmetry="quarter"), profiled(depth, angle)
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
         material=jaxform.MooneyRivlin(jnp.asarray(stiffness), jnp.asarray(0.1), jnp.asarray(1e3)),
         pressure=jaxform.make_pressure(np.linspace(0.0, 0.2, knots), np.linspace(0.0, 2e4, knots)),
-        solver=jaxform.make_solver(end_time=0.24, damping=100.0),
+        solver=jaxform.make_solver(end_time=end_time, damping=100.0),
         mold=jaxform.make_mold(wall.vertices, wall.triangles),
         name=f"{depth} {angle}",
     )
@@ -126,36 +128,12 @@ def show_sweep() -> None:
     )
 
 
-_SCENE = """
-[parison]
-shape = "disc"
-radius = 0.1
-elements = {elements}
-thickness = 1.0e-3
-[material]
-model = "mooney-rivlin"
-c = 0.2e6
-alpha = 0.1
-density = 1000.0
-[pressure]
-time = [0.0, 0.2]
-value = [0.0, 2.0e4]
-[mold]
-shape = "file"
-path = "{mold}"
-scale = 0.001
-[solver]
-end_time = 0.24
-damping = 100.0
-"""
-
-
 def _own(folder: Path, elements: int, triangles: int) -> str:
     """A scene file with a mold of its own, in millimetres."""
     shape, mold = cup(triangles), folder / f"mold-{triangles}.stl"
     meshes.write_stl(mold, 1e3 * shape.vertices, shape.triangles)
     path = folder / f"scene-{elements}-{triangles}.toml"
-    path.write_text(_SCENE.format(elements=elements, mold=mold))
+    path.write_text(SCENE.format(elements=elements, mold=mold, scale=0.001, rise=0.2, end=0.24))
     return str(path)
 
 
