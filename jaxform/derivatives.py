@@ -59,6 +59,7 @@ class Rule(NamedTuple):
             carry no derivative.
         like: From the arguments' shapes the result's.
         smooth: Of the result's tree, whether each leaf carries a derivative.
+        lasting: Whether it is one of the few that last as long as the process: what is traced of them is kept.
     """
 
     value: Callable[..., tuple[Any, Any]]
@@ -66,6 +67,7 @@ class Rule(NamedTuple):
     pull: Callable[[Any, Cotangents, Any], None]
     like: Callable[..., Any]
     smooth: Callable[[Any], Any]
+    lasting: bool = False
 
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
@@ -161,7 +163,8 @@ def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[An
     moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
     given = _only(tangents, moving)
     if any(isinstance(t, pe.JaxprTracer) for t in given):
-        result, kept = sealed(partial(rule.value, moving), *jax.tree.unflatten(structure, primals))
+        name = (rule, moving) if rule.lasting else None
+        result, kept = sealed(partial(rule.value, moving), *jax.tree.unflatten(structure, primals), name=name)
         carried, smooth = _smooth_leaves(result, rule.smooth)
         leaves, kept_structure = jax.tree.flatten(kept)
         changes = _change_p.bind(
@@ -225,7 +228,8 @@ def _transpose(
         rule.pull(kept, own, end)
         return own.found
 
-    found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end)
+    name = (rule, structure, wanted) if rule.lasting else None
+    found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
     return [None] * count + _only(found, moving)
 
 

@@ -531,4 +531,4 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
     return jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
 
 
-differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries)
+differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries, lasting=True)

@@ -7,7 +7,8 @@ made to differ along all axes at once, and so do the results.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import Any
 
@@ -23,26 +24,54 @@ _TWICE = (
 )
 
 
-def sealed(function: Callable[..., Any], *arguments: Any) -> Any:
+def sealed(function: Callable[..., Any], *arguments: Any, name: Hashable = None) -> Any:
     """The function's result; forward derivatives pass through, reverse ones are refused.
 
     Args:
         function: Of trees of arrays; it may close over no traced value.
         arguments: What it is called with.
+        name: What tells the function from all others; with one it is traced once for arguments alike. JAX asks for the
+            derivatives of a loop's body several times.
 
     Raises:
         NotImplementedError: Where a reverse derivative is asked for.
     """
     leaves, structure = jax.tree.flatten(arguments)
-    made: list[Any] = []
+    if name is None:
+        flat = _Flat(function, structure)
+    else:
+        flat = _named(name, structure)
+        flat.function = function
+    jaxpr = (
+        jax.make_jaxpr(flat)(*_plain_shapes(leaves))
+        if name is None
+        else flat.jitted.trace(*_plain_shapes(leaves)).jaxpr
+    )
+    return jax.tree.unflatten(flat.made, _sealed_p.bind(*varying(leaves), jaxpr=jaxpr))
 
-    def flat(*leaves: jax.Array) -> list[jax.Array]:
-        results, result_structure = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        made.append(result_structure)
+
+class _Flat:
+    """A function of leaves, which gives leaves.
+
+    Attributes:
+        function: Of trees.
+        structure: Of its arguments.
+        made: The structure of its result, once it has been traced.
+        jitted: The same, of which JAX keeps what it traced.
+    """
+
+    def __init__(self, function: Callable[..., Any], structure: Any) -> None:
+        self.function, self.structure, self.made = function, structure, None
+        self.jitted = jax.jit(self)
+
+    def __call__(self, *leaves: jax.Array) -> list[jax.Array]:
+        results, self.made = jax.tree.flatten(self.function(*jax.tree.unflatten(self.structure, leaves)))
         return results
 
-    jaxpr = jax.make_jaxpr(flat)(*_plain_shapes(leaves))
-    return jax.tree.unflatten(made[-1], _sealed_p.bind(*varying(leaves), jaxpr=jaxpr))
+
+@functools.lru_cache(maxsize=32)
+def _named(_: Hashable, structure: Any) -> _Flat:
+    return _Flat(lambda: None, structure)
 
 
 def manual_axes(leaves: Sequence[Any]) -> frozenset[str]:
