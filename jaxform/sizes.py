@@ -37,8 +37,8 @@ def apart(room: int, block: int = BLOCK) -> int:
 
 
 def elements(count: int) -> int:
-    """Room for the elements of a mesh that stays as it is."""
-    return _in_blocks(count, _ELEMENTS)
+    """Room for the elements of a mesh that stays as it is, and for one more, which the pairs that are none are of."""
+    return _in_blocks(count + 1, _ELEMENTS)
 
 
 def roots(count: int) -> int:

@@ -95,8 +95,8 @@ def kinds() -> Iterator[Kind]:
     }
     for rung in _rungs(sizes.elements, _LARGEST):
         for (name, law), ramp in itertools.product(laws.items(), ("linear", "cubic-ramp")):
-            words = f"{name}, {ramp}, up to {rung} elements"
-            yield Kind(words, lambda law=law, ramp=ramp: _scene(law, ramp), rung)
+            words = f"{name}, {ramp}, up to {rung - 1} elements"
+            yield Kind(words, lambda law=law, ramp=ramp: _scene(law, ramp), rung - 1)
     for rung in _rungs(sizes.roots, _LARGEST_ROOTS):
         words = f"mooney-rivlin, linear, refined from up to {rung} elements"
         yield Kind(words, lambda rung=rung: _scene(laws["mooney-rivlin"], "linear", roots=rung), rung)

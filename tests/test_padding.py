@@ -184,6 +184,18 @@ def test_a_schedule_is_one_of_the_scene_itself() -> None:
     np.testing.assert_allclose(plain.thickness, first.thickness, rtol=1e-9, atol=1e-15)
 
 
+def test_a_mesh_as_large_as_a_rung_has_an_element_to_spare(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs that are none are of an element without area."""
+    scene = dish(0.05, 60)
+    monkeypatch.setattr(sizes, "_in_blocks", lambda count, _: count)
+    room = padding.on_rungs(scene).scene
+    pairs = room.tables.assembly.pairs
+    assert pairs is not None and room.tables.counts is not None and room.tables.counts.pairs is not None
+    none = np.asarray(pairs.element)[0, int(room.tables.counts.pairs) :]
+    assert len(none) and np.all(np.asarray(room.tables.sheet.area)[none] == 0.0)
+    assert np.all(np.asarray(pairs.element)[1, int(room.tables.counts.pairs) :] == -1)
+
+
 def test_frames_and_stops_see_the_scene_itself() -> None:
     scene, seen = dish(0.05, 60), []
 
