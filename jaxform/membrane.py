@@ -128,7 +128,7 @@ def plus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
 
 def dot(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
     """Scalar products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
-    if not isinstance(a, tuple) and not isinstance(b, tuple):
+    if not isinstance(a, tuple | list) and not isinstance(b, tuple | list):
         # Two operations instead of seventeen, where no loop over steps waits for them.
         return jnp.sum(a * b, axis=0)
     (x, y, z), (u, v, w) = a, b
