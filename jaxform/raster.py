@@ -48,19 +48,20 @@ def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
 def _hits_of(part: Index, corners: Array, turned: Array, low: Array, columns: Array, count: Index, width: int) -> Hits:
     row = np.repeat(np.arange(len(part)), count)
     k = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    wide = columns[row].astype(np.int64)
-    x, y = low[row, 0] + k % wide, low[row, 1] + k // wide
-    weight = np.empty((len(row), 3))
+    wide = columns.astype(np.int64)[row]
+    down = k // wide
+    x, y = low[:, 0][row] + (k - down * wide), low[:, 1][row] + down
+    weights = []
     for corner in (1, 2):
         # The cross product with the opposite side, linear in the place.
         begin, side = corners[:, (corner + 1) % 3], corners[:, (corner + 2) % 3] - corners[:, (corner + 1) % 3]
         a, b = -side[:, 1] / turned, side[:, 0] / turned
         c = -(a * begin[:, 0] + b * begin[:, 1])
-        weight[:, corner] = a[row] * (x + 0.5) + b[row] * (y + 0.5) + c[row]
-    weight[:, 0] = 1.0 - weight[:, 1] - weight[:, 2]
-    inside = weight.min(1) >= -_EDGE
-    pixel = (x + y * width)[inside].astype(np.int64)
-    return Hits(part[row[inside]], pixel, weight[inside])
+        weights.append(a[row] * (x + 0.5) + b[row] * (y + 0.5) + c[row])
+    weights.insert(0, 1.0 - weights[0] - weights[1])
+    inside = np.flatnonzero((weights[0] >= -_EDGE) & (weights[1] >= -_EDGE) & (weights[2] >= -_EDGE))
+    pixel = (x[inside] + y[inside] * width).astype(np.int64)
+    return Hits(part[row[inside]], pixel, np.stack([weight[inside] for weight in weights], axis=1))
 
 
 def _turned(one: Array, other: Array) -> Array:
