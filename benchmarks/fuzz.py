@@ -248,6 +248,9 @@ def main(arguments: list[str]) -> int:
         print(json.dumps(run_case(kind, int(number)), indent=2).replace("\\n", "\n"))
         return 0
     wanted = {kind: count for kind, (count, _) in KINDS.items()}
+    if unknown := {part.partition("=")[0] for part in arguments} - set(KINDS):
+        print(f"there are {', '.join(KINDS)}, but not {', '.join(sorted(unknown))}")
+        return 2
     if arguments:
         wanted = {kind: int(count or wanted[kind]) for kind, _, count in (part.partition("=") for part in arguments)}
     begin = time.time()
