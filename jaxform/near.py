@@ -41,7 +41,7 @@ class Lists:
         balls: Of nodes, as `_Balls` has them: three components, radius and bound (5, n_node), the cells (1, n_node),
             and whether the mold may be in them (1, n_node).
         clear: The distance (n_node,) [m] that a node can go without touching.
-        squares: As the last four of `Near` (4, n_node).
+        squares: The four squares of `Near`, in its order (4, n_node).
     """
 
     node: jax.Array
@@ -61,11 +61,11 @@ class Near:
         lists: The pairs of node and triangle that can meet.
         count: How many they are.
         start: Positions (3, n_node) [m] at the border.
+        center: Of the balls (3, n_node) [m].
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
         near_square: The same less what any node goes between two looks.
         limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
         alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
-        center: Of the balls (3, n_node) [m].
         overflow: Whether pairs were lost, so that the window must not be trusted.
     """
 
