@@ -32,7 +32,7 @@ from jaxform.body import Body
 from jaxform.compiling import compiled, compiler_options
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.scene import SHORT_WINDOW
-from jaxform.state import State, can_move
+from jaxform.state import PackedState, State, can_move
 from jaxform.watch import LOOK_EVERY
 from jaxform.working import Working, packed_moving, worked_through
 
@@ -117,15 +117,17 @@ def free_sheet(elements: int, steps: int, damping: float | None = None) -> jaxfo
     return build(end * steps / taken)
 
 
-def _loss(scene: jaxform.Scene, every: int) -> Callable[..., jax.Array]:
+def _loss(scene: jaxform.Scene, adjoint: jaxform.Adjoint | None) -> Callable[..., jax.Array]:
     def loss(thickness: jax.Array, pressure: jax.Array) -> jax.Array:
         changed = jaxform.replace(scene, {"parison.thickness": thickness, "pressure.value": pressure})
-        return jnp.mean(jnp.square(jaxform.simulate(changed, windows_per_checkpoint=every).thickness))
+        return jnp.mean(jnp.square(jaxform.simulate(changed, adjoint=adjoint).thickness))
 
     return loss
 
 
-def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = False) -> dict[str, Any]:
+def gradient_cost(
+    scene: jaxform.Scene, adjoint: jaxform.Adjoint | None = None, *, forward_mode: bool = False
+) -> dict[str, Any]:
     """Cost of value and gradient with respect to all thicknesses and pressures, and of one forward-mode column.
 
     Beside them as many bare steps of a sheet of about as many elements in a plain C++ loop.
@@ -137,12 +139,12 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
     unit = 1e-9 * steps * elements
     values = scene.parison.thickness, scene.pressure.value
     begin = time.perf_counter()
-    gradient = compiled(jax.jit(jax.value_and_grad(_loss(scene, every), argnums=(0, 1))), *values)
+    gradient = compiled(jax.jit(jax.value_and_grad(_loss(scene, adjoint), argnums=(0, 1))), *values)
     compiling = time.perf_counter() - begin
     memory = gradient.memory_analysis()
     runs = {"run": whole_loop(scene), "value and gradient": lambda: gradient(*values)}
     if forward_mode:
-        column = compiled(jax.jit(lambda h, p: jax.jvp(_loss(scene, every), (h, p), (h, p))), *values)
+        column = compiled(jax.jit(lambda h, p: jax.jvp(_loss(scene, adjoint), (h, p), (h, p))), *values)
         runs["forward mode"] = lambda: column(*values)
     sheet = sheets.sheet(elements)
     if (compiled_loop := peers.cpp(sheet)) is not None:
@@ -151,7 +153,7 @@ def gradient_cost(scene: jaxform.Scene, every: int = 1, *, forward_mode: bool = 
     row = {
         "elements": elements,
         "steps": steps,
-        "windows per checkpoint": every,
+        "adjoint": str(adjoint or jaxform.Reversed()),
         "compile s": compiling,
         "memory MB": None if memory is None else memory.temp_size_in_bytes / 1e6,
     }
@@ -177,8 +179,9 @@ def show_memory(steps: tuple[int, ...] = (640, 2560, 10000), everything: int = 6
     table = []
     for count in steps:
         scene = free_sheet(2048, count)
-        for every in (0, 1, 4, 16) if count <= everything else (1, 4, 16):
-            table.append(gradient_cost(scene, every))
+        stored = [jaxform.Stored()] if count <= everything else []
+        for adjoint in (*stored, *(jaxform.Reversed(windows) for windows in (1, 4, 16))):
+            table.append(gradient_cost(scene, adjoint))
             say(table[-1])
     return table
 
@@ -282,22 +285,22 @@ def show_parts(window: int = 20) -> Table:
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
-    def border(state: State, scene: jaxform.Scene, working: Working) -> Any:
+    def border(state: PackedState, scene: jaxform.Scene, working: Working) -> Any:
         return stepping.window_in_place(state, with_windows_of(1, scene), working)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
         return stepping.list_near(
-            state.positions,
-            state.velocities,
-            ~state.stuck,
-            SHORT_WINDOW * state.step_length,
-            LOOK_EVERY * state.step_length,
+            state.nodes.positions,
+            state.nodes.velocities,
+            ~state.nodes.stuck,
+            SHORT_WINDOW * state.control.step_length,
+            LOOK_EVERY * state.control.step_length,
             scene.tables.grid,
         )
 
     def balance(state: State, scene: jaxform.Scene, working: Working) -> Any:
-        return stepping.account(state.positions, working.packed.elements, working.thickness, scene.material)
+        return stepping.account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
 
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
         "nothing": (lambda state, *_: state.positions[0, 0], scene),
@@ -332,19 +335,19 @@ _TIMES = 200  # in one program: called by itself a part takes longer to start th
 def _packed(state: State, scene: jaxform.Scene, body: Body) -> Any:
     # Read from the positions, so that it is not taken out of the loop; in packed order, where nothing sticks, it is a
     # list of as many nodes.
-    stuck = state.positions[0, : body.mass.size] > 1e9
+    stuck = state.nodes.positions[0, : body.mass.size] > 1e9
     return packed_moving(stuck, state.mesh, scene, body)
 
 
 def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> Callable[[], jax.Array]:
     """A part, several times in one program, each time at positions that follow from what the last one gave."""
     if not scene.solver.sharp_step:
-        state = dataclasses.replace(state, mode=None)
+        state = state.with_nodes(mode=None)
 
     @functools.partial(jax.jit, compiler_options=compiler_options())
     def several(state: State, scene: jaxform.Scene, working: Working) -> jax.Array:
         def once(_: jax.Array, last: jax.Array) -> jax.Array:
-            moved = dataclasses.replace(state, positions=state.positions + 1e-30 * last)
+            moved = state.with_nodes(positions=state.nodes.positions + 1e-30 * last)
             results = jax.tree.leaves(part(moved, scene, working))
             return sum((jnp.sum(result.ravel()[:3]) * 1.0 for result in results), jnp.zeros(()))
 

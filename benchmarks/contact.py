@@ -6,6 +6,7 @@ figure. Nothing here decides a test; the tests import what they check from here.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import sys
 import time
@@ -22,6 +23,7 @@ from benchmarks.sheets import best_in_turns, whole_loop
 from jaxform import contact, membrane, molds, near, shapes, watch
 from jaxform.blocks import BLOCK
 from jaxform.mold import Mold
+from jaxform.nodes import Nodes
 from jaxform.result import penetrated
 from jaxform.scene import Scene
 from jaxform.search import SearchGrid, build_grid
@@ -96,11 +98,13 @@ def walk(
     due = watch.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     there = end if differentiable else membrane.rows_of(end)
-    flying = contact.Landing(there, way, stuck, -mass, none, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
+    nodes = Nodes(there, way, stuck, -mass, none, None, {})
+    flying = contact.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
     now = contact.Step(once, once, jnp.int32(0))
     room = None if differentiable else contact.nothing_met(stuck.size, end.dtype)
     landed, _ = contact.land(flying, now, due, mass, window, wall, grid, room)
-    landed = landed._replace(positions=jnp.asarray(landed.positions))
+    nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
+    landed = landed._replace(nodes=nodes)
     well = ~(window.overflow | jnp.any(watch.missed(end, stuck, watch.balls(window), watch.unseen())))
     return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
 
@@ -136,7 +140,7 @@ def compare(wall: Mold, count: int, seed: int = 0) -> Paths:
         part = slice(first, first + BATCH)
         landing, well = walk(jnp.asarray(begin[part].T), jnp.asarray(end[part].T), wall, grid)
         assert well, "the pairs did not find room"
-        landed[part], stuck[part] = np.asarray(landing.positions).T, landing.stuck
+        landed[part], stuck[part] = np.asarray(landing.nodes.positions).T, landing.nodes.stuck
     corners = wall.vertices[wall.triangles]
     least = np.concatenate(
         [

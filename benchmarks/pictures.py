@@ -42,10 +42,9 @@ def _gradients(axes: Any, table: list[dict[str, Any]]) -> None:
 
 
 def _memory(axes: Any, table: list[dict[str, Any]]) -> None:
-    for every in sorted({row["windows per checkpoint"] for row in table}):
-        rows = [row for row in table if row["windows per checkpoint"] == every]
-        label = "every step" if every == 0 else f"a state every {every} windows" if every > 1 else "a state a window"
-        axes.plot([row["steps"] for row in rows], [row["memory MB"] for row in rows], marker="o", label=label)
+    for adjoint in dict.fromkeys(row["adjoint"] for row in table):
+        rows = [row for row in table if row["adjoint"] == adjoint]
+        axes.plot([row["steps"] for row in rows], [row["memory MB"] for row in rows], marker="o", label=adjoint)
     axes.set(xscale="log", yscale="log", xlabel="steps", ylabel="memory of the gradient [MB]")
     axes.set_title("Value and gradient of 2048 elements")
     axes.grid(alpha=0.3, which="both")

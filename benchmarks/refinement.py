@@ -233,8 +233,8 @@ def show_overhead() -> list[Row]:
 
 def _look(scene: jaxform.Scene, state: State, now: body.Body) -> tuple[State, body.Body]:
     packed = working.worked_through(state, scene, now)
-    state, now = refinement.refined(packed.taken(state), scene, now, working=packed)
-    return packed.put_back(state), now
+    refined, now = refinement.refined_in_place(packed.taken(state), scene, now, packed)
+    return packed.put_back(refined), now
 
 
 def _count(state: State) -> int:

@@ -73,7 +73,7 @@ def _loaded(state: State, scene: Scene) -> tuple[Load, packing.Packed, jax.Array
     """The whole sheet as it is: what makes its forces, its packed elements, and mobility over mass (3, place)."""
     sheet_body = body(scene)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-    load = Load(whole.taken(state.positions), sheet_body.thickness[whole.element], scene.pressure.at(state.time),
+    load = Load(whole.taken(state.nodes.positions), sheet_body.thickness[whole.element], scene.pressure.at(state.time),
                 scene.material)  # fmt: skip
     return load, whole, whole.taken(sheet_body.compliance)
 
@@ -82,7 +82,7 @@ def _loaded(state: State, scene: Scene) -> tuple[Load, packing.Packed, jax.Array
 def true_limit(state: State, scene: Scene) -> jax.Array:
     """The longest stable step [s] of the assembled tangent, from all its eigenvalues."""
     load, whole, compliance = _loaded(state, scene)
-    count = state.positions.shape[1]
+    count = state.nodes.positions.shape[1]
     tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
     stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
     root = jnp.sqrt(compliance[:, :count]).ravel()
@@ -109,11 +109,11 @@ def measure_edge(scene: Scene, most: int = 60) -> Found:
     limit = float("nan")
     for before, after in windows(scene, most):
         limit = float(true_limit(before, scene))
-        length = float(after.last_length)
+        length = float(after.control.last_length)
         rest = float(scene.solver.end_time - before.time)
-        if int(after.last_count) == 0:
+        if int(after.control.last_count) == 0:
             vain += 1
-        elif length < 0.999 * rest / int(after.last_count) and int(before.retries) == 0:
+        elif length < 0.999 * rest / int(after.control.last_count) and int(before.control.retries) == 0:
             begin.append(length / (scene.solver.safety * limit))
             end.append(length / float(true_limit(after, scene)))
         stretch = max(stretch, float(np.asarray(_stretches(after, scene)).max()))
@@ -186,7 +186,7 @@ def ringing(steps: int) -> Scene:
     sheet = shapes.sphere(radius=1.0, elements=16, symmetry="quarter")
     scene = _ringing(sheet, 10.0)
     _, after = next(windows(scene))
-    return _ringing(sheet, steps * float(after.last_length))
+    return _ringing(sheet, steps * float(after.control.last_length))
 
 
 def _ringing(sheet: Sheet, end: float) -> Scene:

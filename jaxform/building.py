@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
+from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +13,14 @@ import numpy as np
 
 from jaxform import bisection, membrane, reference, start, topology
 from jaxform.body import node_room
+from jaxform.carried import Field
 from jaxform.errors import InputError
-from jaxform.materials import Law, ranges_of
+from jaxform.loads import Loading
+from jaxform.materials import Law
 from jaxform.mold import Mold
 from jaxform.near import PAIRS_PER_NODE
 from jaxform.packing import make_assembly, make_paired_assembly
+from jaxform.parameters import check_part, is_declared, nodal_numbers, ranges_of
 from jaxform.pytree import as_index, as_real
 from jaxform.ranges import MOST_STEPS, check_one
 from jaxform.scene import (
@@ -25,7 +30,6 @@ from jaxform.scene import (
     Bend,
     Forest,
     Parison,
-    Pressure,
     Refinement,
     Scene,
     Sheet,
@@ -41,6 +45,7 @@ _PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a r
 _FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
 _MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
 _BEND = 10.0  # degrees, from which two triangles of the mold make a bend
+_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
 _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 
 
@@ -48,11 +53,12 @@ def build_scene(
     *,
     parison: Parison,
     material: Law,
-    pressure: Pressure,
+    pressure: Loading,
     solver: Solver,
     mold: Mold | None = None,
     refinement: Refinement | None = None,
     forest: bisection.Forest | None = None,
+    fields: Mapping[str, Field] | None = None,
     name: str = "scene",
     frames: int = 0,
     store: Store | None = None,
@@ -62,12 +68,13 @@ def build_scene(
     Args:
         parison: The sheet.
         material: Its law.
-        pressure: The pressure history.
+        pressure: The pressure history, or any other loading.
         solver: Options of the time integration.
         mold: The mold; None for free inflation.
         refinement: Where the mesh becomes finer; None where it stays as it is.
         forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
             have the mean thickness of their edges' ends.
+        fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
         name: What the scene is called.
         frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
         store: Where the mold's search structure is kept between runs; nowhere by default.
@@ -78,15 +85,19 @@ def build_scene(
     """
     _warn_of_float32()
     _check_material(material)
+    _check_loading(pressure)
+    count = len(parison.positions)
     if refinement is not None and forest is None:
         forest, parison = _planted(parison, refinement)
+    carried = {str(key): _carried(str(key), own, count, forest) for key, own in (fields or {}).items()}
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
     grid = lying = None
     if mold is not None:
         grid = _search_grid(mold, positions, triangles, store)
         start.check_start(parison, triangles, mold, grid)
-        parison, lying = _laid(parison, triangles if forest is None else forest.triangles, pressure, mold, grid)
+        pushes = pressure.pushes(float(solver.end_time), reference.enclosed_volume(positions, triangles))
+        parison, lying = _laid(parison, triangles if forest is None else forest.triangles, pushes, mold, grid)
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     sheet = _reference_sheet(parison)
@@ -124,6 +135,7 @@ def build_scene(
         refinement=refinement,
         tables=tables,
         name=name,
+        fields=carried,
     )
 
 
@@ -135,11 +147,38 @@ def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refineme
 
 
 def _check_material(material: Law) -> None:
-    # A class that derives from a declared law is none before it is declared itself.
-    if not (isinstance(material, Law) and "__dataclass_fields__" in vars(type(material))):
+    if not is_declared(material, Law):
         raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
     for name, allowed in ranges_of(material).items():
         check_one(f"material.{name}", getattr(material, name), allowed)
+
+
+def _check_loading(pressure: Loading) -> None:
+    if not is_declared(pressure, Loading):
+        remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
+        raise InputError("is no loading", remedy, "pressure")
+    check_part(pressure, "pressure")
+
+
+def _carried(name: str, field: Field, count: int, forest: bisection.Forest | None) -> Field:
+    """A field of a parison with so many nodes, with values at all nodes of its forest."""
+    key = f"fields.{name}"
+    if not is_declared(field, Field):
+        raise InputError("is no field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
+    if name in _RESERVED or not name.isidentifier():
+        raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
+    check_part(field, key)
+    new = {}
+    for part in nodal_numbers(field):
+        values = np.asarray(getattr(field, part), float)
+        if values.ndim and values.shape != (count,):
+            problem = f"needs one number, or one at each node: {count}, not {values.shape}"
+            raise InputError(problem, "match the mesh", f"{key}.{part}")
+        if forest is not None and values.ndim and len(values) < len(forest.positions):
+            values = bisection.extended(values, forest.ends, forest.depth)
+        new[part] = as_real(np.broadcast_to(values, (len(forest.positions) if forest is not None else count,)))
+    made: Any = dataclasses.replace(field, **new)  # pyright: ignore
+    return made
 
 
 def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
@@ -166,10 +205,10 @@ def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def _laid(
-    parison: Parison, triangles: np.ndarray, pressure: Pressure, mold: Mold, grid: SearchGrid
+    parison: Parison, triangles: np.ndarray, pushes: np.ndarray, mold: Mold, grid: SearchGrid
 ) -> tuple[Parison, jax.Array | None]:
     """The parison with what lies on the mold exactly there; and which nodes (n_node,) those are, None where none."""
-    found = start.lying(parison, triangles, pressure, mold, grid)
+    found = start.lying(parison, triangles, pushes, mold, grid)
     if not np.any(found.wall):
         return parison, None
     if len(bad := _degenerate(found.positions, triangles)):

@@ -7,6 +7,7 @@ triangle, its gradient is that of the time of impact.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -16,6 +17,7 @@ from jaxform.blocks import cut, entry, only_if, put, rows_read
 from jaxform.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
 from jaxform.mold import Mold
 from jaxform.near import TEST_BLOCK, Near, touch_distance
+from jaxform.nodes import Nodes
 from jaxform.search import SearchGrid
 from jaxform.watch import Due
 
@@ -47,17 +49,11 @@ def _meet(before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Arr
 class Landing(NamedTuple):
     """Where the nodes are after contact.
 
-    Positions and velocities (3, n_node), the positions row by row where no derivative is taken; stuck, contact_time,
-    wall and the number of the step in which each landed (n_node,); the kinetic energy lost so far [J]. Where it is
-    kept, the impact (6, n_node): where each node that landed was before that step [m], and the velocity that it came
-    with [m/s].
+    The number of the step in which each landed (n_node,); the kinetic energy lost so far [J]. Where it is kept, the
+    impact (6, n_node): where each node that landed was before that step [m], and the velocity that it came with [m/s].
     """
 
-    positions: Any
-    velocities: jax.Array
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
+    nodes: Nodes
     step: jax.Array
     loss: jax.Array
     impact: jax.Array | None = None
@@ -102,12 +98,11 @@ def land(
         )
 
     def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
-        paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
-        none = nothing_met(landing.stuck.size, landing.velocities.dtype)
-        return landed(landing, now, mass, mold, _first_met(paths, landing.stuck, near, due, touch, none).triangle)
+        paths, stuck = _paths(landing, now), landing.nodes.stuck
+        none = nothing_met(stuck.size, landing.nodes.velocities.dtype)
+        return landed(landing, now, mass, mold, _first_met(paths, stuck, near, due, touch, none).triangle)
 
-    paths = jax.lax.stop_gradient(_Paths(landing.positions, landing.velocities, now.length))
-    met = _any_meets(paths, landing.stuck, near, due, touch)
+    met = _any_meets(_paths(landing, now), landing.nodes.stuck, near, due, touch)
     return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold), None
 
 
@@ -125,6 +120,10 @@ class _Paths(NamedTuple):
         after, velocities = jax.lax.optimization_barrier(looked_up)
         x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
         return jax.lax.optimization_barrier((x, y, z)), after
+
+
+def _paths(landing: Landing, now: Step) -> _Paths:
+    return jax.lax.stop_gradient(_Paths(landing.nodes.positions, landing.nodes.velocities, now.length))
 
 
 def _block(
@@ -223,8 +222,8 @@ def _landed_in_place(
     landing: Landing, room: Met, now: Step, mass: jax.Array, near: Near, due: Due, mold: Mold, touch: jax.Array
 ) -> tuple[Landing, Met]:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    paths = _Paths(landing.positions, landing.velocities, now.length)
-    met = _first_met(paths, landing.stuck, near, due, touch, room)
+    paths = _Paths(landing.nodes.positions, landing.nodes.velocities, now.length)
+    met = _first_met(paths, landing.nodes.stuck, near, due, touch, room)
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
@@ -239,7 +238,8 @@ def _landed_in_place(
         # All is read before anything is written, or XLA would copy the arrays.
         old, triangle = jax.lax.optimization_barrier((jax.tree.map(own, landing), own(chosen)))
         new = landed(old, now, own(mass), mold, triangle)
-        landing = jax.tree.map(put_back, landing, new._replace(positions=rows_of(new.positions)))
+        nodes = dataclasses.replace(new.nodes, positions=rows_of(new.nodes.positions))
+        landing = jax.tree.map(put_back, landing, new._replace(nodes=nodes))
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
 
@@ -249,21 +249,26 @@ def _landed_in_place(
 
 def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
     """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
-    lands, after = chosen >= 0, jnp.asarray(landing.positions)
-    before = after - now.length * landing.velocities
+    lands, nodes = chosen >= 0, landing.nodes
+    after, velocities = jnp.asarray(nodes.positions), nodes.velocities
+    before = after - now.length * velocities
     point, fall, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
     wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
-    kinetic = 0.5 * mass * dot(landing.velocities, landing.velocities)
+    kinetic = 0.5 * mass * dot(velocities, velocities)
     impact = landing.impact
     if impact is not None:
-        impact = jnp.where(lands, jnp.concatenate([before, landing.velocities]), impact)
+        impact = jnp.where(lands, jnp.concatenate([before, velocities]), impact)
+    time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
     return Landing(
-        positions=jnp.where(lands, point, after),
-        velocities=jnp.where(lands, 0.0, landing.velocities),
-        stuck=landing.stuck | lands,
-        contact_time=jnp.where(lands, now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length, landing.contact_time),
-        wall=jnp.where(lands, wall, landing.wall),
+        nodes=dataclasses.replace(
+            nodes,
+            positions=jnp.where(lands, point, after),
+            velocities=jnp.where(lands, 0.0, velocities),
+            stuck=nodes.stuck | lands,
+            contact_time=jnp.where(lands, time, nodes.contact_time),
+            wall=jnp.where(lands, wall, nodes.wall),
+        ),
         step=jnp.where(lands, now.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
         impact=impact,

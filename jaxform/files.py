@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from jaxform import bisection, catalog, disk, fields, materials, meshes, molds, schema, shapes
 from jaxform.building import build_scene, grown_parison
 from jaxform.errors import InputError
+from jaxform.loads import make_pressure
 from jaxform.mold import Mold, make_mold
 from jaxform.profiles import Profile
 from jaxform.pytree import as_real
-from jaxform.scene import Parison, Refinement, Scene, make_parison, make_pressure, make_refinement, make_solver
+from jaxform.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
 from jaxform.store import Store
 from jaxform.survey import warn_of_scene
 from jaxform.validation import validate

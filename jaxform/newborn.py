@@ -23,6 +23,7 @@ from jaxform.blocks import BLOCK, cut, listed, only_if, put
 from jaxform.body import Mesh
 from jaxform.membrane import cross, dot
 from jaxform.mold import Mold
+from jaxform.nodes import Nodes
 from jaxform.scene import Forest, Scene
 from jaxform.search import SearchGrid
 from jaxform.sight import Sight, seen
@@ -40,16 +41,6 @@ class _Nearest(NamedTuple):
     triangle: jax.Array
     distance: jax.Array
     height: jax.Array
-
-
-class _Nodes(NamedTuple):
-    """What new nodes have, of all nodes; as in `State`. The loop over blocks carries no more than this."""
-
-    positions: jax.Array
-    velocities: jax.Array
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
 
 
 class _Births(NamedTuple):
@@ -134,26 +125,27 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differen
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
         return _Births(begin, new, node, (first, second), differentiable)
 
-    def worked(nodes: _Nodes, work: Callable[[_Nodes, _Births], _Nodes]) -> _Nodes:
+    def worked(nodes: Nodes, work: Callable[[Nodes, _Births], Nodes]) -> Nodes:
         if not differentiable:
             blocks = -(-(mesh.node_count - old.node_count) // size)
             return jax.lax.fori_loop(0, blocks, lambda block, nodes: work(nodes, births(block)), nodes)
 
-        def one(nodes: _Nodes, block: jax.Array) -> tuple[_Nodes, None]:
+        def one(nodes: Nodes, block: jax.Array) -> tuple[Nodes, None]:
             any_left = old.node_count + block * size < mesh.node_count
             return only_if(any_left, lambda nodes: work(nodes, births(block)), nodes, differentiable=True), None
 
         return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
 
-    nodes = _Nodes(state.positions, state.velocities, state.stuck, state.contact_time, state.wall)
+    # The loop over blocks carries no more than it changes.
+    nodes = dataclasses.replace(state.nodes, mode=None)
     nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, volumes))
     if scene.mold is not None and scene.tables.grid is not None:
         older, time = _Older(mesh, old.node_count), state.time
         nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, scene, older, time))
-    return dataclasses.replace(state, **nodes._asdict())
+    return dataclasses.replace(state, nodes=nodes).with_nodes(mode=state.nodes.mode)
 
 
-def _between(nodes: _Nodes, births: _Births, scene: Scene, volumes: jax.Array) -> _Nodes:
+def _between(nodes: Nodes, births: _Births, scene: Scene, volumes: jax.Array) -> Nodes:
     """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
@@ -173,12 +165,20 @@ def _between(nodes: _Nodes, births: _Births, scene: Scene, volumes: jax.Array) -
         forest.depth,
     )
     start = at_start(scene, births.node)
-    return nodes._replace(
+    fields = {
+        name: births.put(
+            values, births.chained([values[end] for end in births.ends], scene.fields[name].between, forest.depth)
+        )
+        for name, values in nodes.fields.items()
+    }
+    return dataclasses.replace(
+        nodes,
         positions=births.put(nodes.positions, reference[births.node].T + jnp.where(start.stuck, 0.0, middle)),
         velocities=births.put(nodes.velocities, jnp.where(start.stuck, 0.0, velocities)),
         stuck=births.put(nodes.stuck, start.stuck),
         contact_time=births.put(nodes.contact_time, start.contact_time),
         wall=births.put(nodes.wall, start.wall),
+        fields=fields,
     )
 
 
@@ -201,7 +201,7 @@ class _Outlook(NamedTuple):
     seen: Sight
 
 
-def _settled(nodes: _Nodes, births: _Births, scene: Scene, older: _Older, time: jax.Array) -> _Nodes:
+def _settled(nodes: Nodes, births: _Births, scene: Scene, older: _Older, time: jax.Array) -> Nodes:
     """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
     mold, grid, forest, refinement = scene.mold, scene.tables.grid, scene.tables.forest, scene.refinement
     assert mold is not None and grid is not None and forest is not None and refinement is not None
@@ -231,7 +231,8 @@ def _settled(nodes: _Nodes, births: _Births, scene: Scene, older: _Older, time: 
     # It is on the side of the place that it looks from; what is beyond may look from another wall.
     above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
     side = jnp.where(above < 0.0, -1, 1)
-    return _Nodes(
+    return dataclasses.replace(
+        nodes,
         positions=births.put(nodes.positions, jnp.where(lands, point, points)),
         velocities=births.put(nodes.velocities, velocities),
         stuck=births.put(nodes.stuck, stuck | lands),
@@ -241,7 +242,7 @@ def _settled(nodes: _Nodes, births: _Births, scene: Scene, older: _Older, time: 
 
 
 def _outlook(
-    points: jax.Array, free: jax.Array, nodes: _Nodes, births: _Births, older: _Older, scene: Scene
+    points: jax.Array, free: jax.Array, nodes: Nodes, births: _Births, older: _Older, scene: Scene
 ) -> _Outlook:
     """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
 

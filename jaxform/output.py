@@ -71,6 +71,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "thickness": np.asarray(result.thickness, float),
         "initial_thickness": np.asarray(scene.parison.thickness, float),
         "contact_time": np.asarray(result.contact_time, float),
+        **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
     cell_data = {
         "thickness": np.asarray(result.element_thickness, float),
@@ -99,6 +100,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "thickness": thickness,
             "initial_thickness": thickness,
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
+            **{name: np.asarray(own.start(parison.positions), float)[:first] for name, own in scene.fields.items()},
         },
         cell_data={
             "thickness": thickness[triangles].mean(1),

@@ -16,8 +16,11 @@ from jax.core import Tracer
 
 from jaxform import sizes
 from jaxform.body import NEVER, node_room
+from jaxform.carried import Field
 from jaxform.errors import InputError
+from jaxform.loads import Loading, Pressure
 from jaxform.mold import Mold
+from jaxform.parameters import nodal_numbers
 from jaxform.pytree import as_index
 from jaxform.ranges import MOST_STEPS
 from jaxform.result import Result
@@ -28,7 +31,6 @@ from jaxform.scene import (
     Forest,
     Pairs,
     Parison,
-    Pressure,
     Refinement,
     Scene,
     Sheet,
@@ -81,6 +83,7 @@ class Padded(NamedTuple):
             count = min(max(refinement.elements, int(used.sum())), used.size)
         new: dict[str, Any] = {name: np.asarray(getattr(result, name))[nodes] for name in _NODAL}
         new |= {name: np.asarray(getattr(result, name))[:count] for name in _OF_ELEMENTS}
+        new["fields"] = {name: np.asarray(values)[nodes] for name, values in result.fields.items()}
         triangles = np.asarray(result.triangles)[:count]
         if forest is not None:
             back = np.zeros(self.order.node_room, np.int32)
@@ -187,6 +190,7 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
         refinement=refinement,
         tables=made,
         name="",
+        fields={name: _field(own, order) for name, own in scene.fields.items()},
     )
     return Padded(jax.device_put(whole), scene, order)
 
@@ -282,8 +286,21 @@ def _assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
     )
 
 
-def _pressure(pressure: Pressure) -> Pressure:
+def _field(field: Field, order: _Order) -> Field:
+    """What it has at each node, at the first one's value beyond."""
+    there = _nodal(np.ones(len(order.node), bool), order, False)
+    new = {}
+    for name in nodal_numbers(field):
+        values = np.asarray(getattr(field, name))
+        new[name] = np.where(there, _nodal(values, order, 0.0), values[0]) if values.ndim else values
+    made: Any = dataclasses.replace(field, **new)  # pyright: ignore
+    return made
+
+
+def _pressure(pressure: Loading) -> Loading:
     """The pressure is held after the last knot: there are further ones, of the same value, long after."""
+    if not isinstance(pressure, Pressure):
+        return pressure
     time, value = np.asarray(pressure.time), np.asarray(pressure.value)
     more = sizes.knots(len(time)) - len(time)
     later = time[-1] + _FAR_LATER * max(1.0, abs(float(time[-1]))) * np.arange(1, more + 1)

@@ -27,6 +27,12 @@ def shape_bound(positions: Array, triangles: NDArray[np.integer]) -> Array:
     return 0.5 * (total + np.sqrt(np.maximum(gap, 0.0)))
 
 
+def enclosed_volume(positions: Array, triangles: NDArray[np.integer]) -> float:
+    """Volume [m^3] between triangles and the origin."""
+    first, second, third = (positions[triangles[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", first, np.cross(second - first, third - first))) / 6.0
+
+
 def _metric(positions: Array, triangles: NDArray[np.integer]) -> tuple[Array, Array, Array, Array]:
     """The metric's components (n_element,) [m^2] and its determinant [m^4]."""
     first = positions[triangles[:, 0]]

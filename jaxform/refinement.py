@@ -22,50 +22,55 @@ from jaxform.newborn import born
 from jaxform.remeshing import Queue, bisected, closed, queued
 from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.scheme import caught_up
-from jaxform.state import Schedule, State, Status, account, kinetic_energy
+from jaxform.state import PackedState, Schedule, State, Status, account, kinetic_energy
 from jaxform.working import Working
 
 _SPARE_BLOCKS = 2
 
 
-def refined(
-    state: State,
-    scene: Scene,
-    sheet_body: Body,
-    schedule: Schedule | None = None,
-    *,
-    working: Working | None = None,
-) -> tuple[State, Body]:
+def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
     """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
 
     With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
 
     Args:
-        state: In the mesh's order; or in that of what is worked through, as is the new one.
+        state: The state.
         scene: The scene.
         sheet_body: The sheet with the state's mesh.
         schedule: The decisions that are taken; None where the mesh decides.
-        working: What the last window worked through, where no derivative is taken.
     """
-    refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
-    if refinement is None or forest is None or mesh is None:
+    mesh = state.mesh
+    if mesh is None:
         return state, sheet_body
     if schedule is not None and schedule.split_at is not None:
-        planned = schedule.split_at <= schedule.upcoming(state.row)
+        planned = schedule.split_at <= schedule.upcoming(state.replay.row)
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned, planned=planned)
     else:
-        # A window that is taken anew begins with the mesh that it had.
-        due = looks(state.windows, scene) & ((state.last_count > 0) | (state.windows == 0))
-        wanted = _wanted
+        due, wanted = _is_due(state, scene), _wanted
 
     def look(now: tuple[State, Body]) -> tuple[State, Body]:
-        state, body = now
-        state = state if working is None else working.put_back(state)
-        state, body = _grown(state, scene, body, *wanted(state, scene, body), working)
-        return state if working is None else working.taken(state), body
+        return _grown(now[0], scene, now[1], *wanted(now[0], scene, now[1]), None)
 
-    return only_if(due, look, (state, sheet_body), differentiable=working is None)
+    return only_if(due, look, (state, sheet_body), differentiable=True)
+
+
+def refined_in_place(state: PackedState, scene: Scene, sheet_body: Body, working: Working) -> tuple[PackedState, Body]:
+    """The same of a state in the order of what the last window worked through; no derivative is taken."""
+    if state.mesh is None:
+        return state, sheet_body
+
+    def look(now: tuple[PackedState, Body]) -> tuple[PackedState, Body]:
+        state, body = working.put_back(now[0]), now[1]
+        state, body = _grown(state, scene, body, *_wanted(state, scene, body), working)
+        return working.taken(state), body
+
+    return only_if(_is_due(state, scene), look, (state, sheet_body))
+
+
+def _is_due(state: State | PackedState, scene: Scene) -> jax.Array:
+    # A window that is retried begins with the mesh that it had.
+    return looks(state.windows, scene) & ((state.control.last_count > 0) | (state.windows == 0))
 
 
 def looks(window: jax.Array, scene: Scene) -> jax.Array:
@@ -134,11 +139,8 @@ def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
     scene = _with_room(scene, sizes.grown(2 * refinement.elements) // BLOCK)
     assert scene.refinement is not None and scene.tables.forest is not None
     elements, nodes = scene.refinement.elements, scene.tables.forest.node_room
-    nodal = ("positions", "velocities", "stuck", "contact_time", "wall", *(("mode",) if state.mode is not None else ()))
-    grown: dict[str, Any] = {name: _padded(getattr(state, name), nodes) for name in nodal}
-    grown["stuck"] = grown["stuck"].at[state.stuck.size :].set(True)
     beyond = _padded(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
-    grown["mesh"] = dataclasses.replace(
+    grown = dataclasses.replace(
         mesh,
         element=_padded(mesh.element, elements),
         node=_padded(mesh.node, nodes),
@@ -147,7 +149,7 @@ def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
         row=_padded(mesh.row, elements),
     )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    return scene, dataclasses.replace(state, **grown, status=status)
+    return scene, dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, status=status)
 
 
 def _padded(values: jax.Array, count: int) -> jax.Array:
@@ -185,7 +187,7 @@ def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
     elements, grid, forest = sheet_body.whole.elements, scene.tables.grid, scene.tables.forest
     assert forest is not None
-    rows = membrane.rows_of(state.positions)
+    rows = membrane.rows_of(state.nodes.positions)
     thickness = sheet_body.thickness[sheet_body.whole.element]
 
     def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
@@ -262,7 +264,9 @@ def _with_parts(
     new = born(state, mesh, scene, sheet_body.volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
-        account(*jax.lax.stop_gradient((s.positions, b.whole.elements, b.thickness[b.whole.element], scene.material)))
+        account(
+            *jax.lax.stop_gradient((s.nodes.positions, b.whole.elements, b.thickness[b.whole.element], scene.material))
+        )
         for s, b in ((state, sheet_body), (new, body))
     )
     kinetic, new_kinetic = (
@@ -272,9 +276,12 @@ def _with_parts(
     made = dataclasses.replace(
         new,
         mesh=mesh,
-        sharpness=jnp.zeros_like(state.sharpness),
-        refinement_loss=state.refinement_loss + loss,
-        volume=state.volume + new_volume - volume,
+        control=dataclasses.replace(state.control, sharpness=jnp.zeros_like(state.control.sharpness)),
+        account=dataclasses.replace(
+            state.account,
+            refinement_loss=state.account.refinement_loss + loss,
+            volume=state.account.volume + new_volume - volume,
+        ),
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = jnp.isfinite(loss)

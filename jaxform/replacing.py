@@ -12,8 +12,11 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from numpy.typing import ArrayLike
 
+from jaxform.carried import Field
 from jaxform.errors import InputError
-from jaxform.materials import ranges_of
+from jaxform.loads import Loading
+from jaxform.materials import Law
+from jaxform.parameters import ranges_of
 from jaxform.pytree import as_real
 from jaxform.ranges import DESIGNABLE, RANGES, Range, as_numbers, check, declared
 from jaxform.scene import Scene
@@ -33,11 +36,25 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     if not isinstance(changes, Mapping):
         raise InputError("is no mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
     for path, value in changes.items():
-        part, _, name = str(path).partition(".")
         old = _designable(scene, str(path))
-        owner = dataclasses.replace(getattr(scene, part), **{name: _fitted(str(path), value, old, scene)})
-        scene = dataclasses.replace(scene, **{part: owner})
+        scene = _put(scene, str(path), _fitted(str(path), value, old, scene))
     return scene
+
+
+def _put(scene: Scene, path: str, values: Any) -> Scene:
+    """A scene with other values at a path."""
+    part, _, name = path.rpartition(".")
+    owner: Any = dataclasses.replace(_owner(scene, part), **{name: values})
+    if part.startswith("fields."):
+        return dataclasses.replace(scene, fields={**scene.fields, part.removeprefix("fields."): owner})
+    return dataclasses.replace(scene, **{part: owner})
+
+
+def _owner(scene: Scene, part: str) -> Any:
+    """The part of a scene that paths such as "material" and "fields.temperature" name; None where there is none."""
+    if part.startswith("fields."):
+        return scene.fields.get(part.removeprefix("fields."))
+    return getattr(scene, part, None)
 
 
 def check_numbers(scene: Scene) -> None:
@@ -58,12 +75,12 @@ def with_stand_ins(scene: Scene) -> tuple[Scene, jax.Array]:
         good = allowed.holds(jax.lax.stop_gradient(values))
         if allowed.increasing:
             good = jnp.broadcast_to(jnp.all(good) & jnp.all(jnp.diff(values) > 0), values.shape)
-        bits |= jnp.where(jnp.all(good), 0, 1 << DESIGNABLE.index(path)).astype(jnp.int32)
+        bits |= jnp.where(jnp.all(good), 0, 1 << DESIGNABLE.index(_key(path))).astype(jnp.int32)
         found[path] = jnp.where(good, values, _stand_in(path, values, good, scene))
-    found["pressure.value"] = jnp.where(bits == 0, found["pressure.value"], 0.0)
+    if "pressure.value" in found:
+        found["pressure.value"] = jnp.where(bits == 0, found["pressure.value"], 0.0)
     for path, values in found.items():
-        part, _, name = path.partition(".")
-        scene = dataclasses.replace(scene, **{part: dataclasses.replace(getattr(scene, part), **{name: values})})
+        scene = _put(scene, path, values)
     return scene, bits
 
 
@@ -93,24 +110,31 @@ def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> ja
 
 
 def _range(path: str, scene: Scene) -> Range:
-    part, _, name = path.partition(".")
-    return ranges_of(scene.material)[name] if part == "material" else RANGES[path]
+    part, _, name = path.rpartition(".")
+    owner = _owner(scene, part)
+    return ranges_of(owner)[name] if isinstance(owner, Law | Loading | Field) else RANGES[path]
+
+
+def _key(path: str) -> str:
+    """A path as `DESIGNABLE` has it: fields' numbers without the field's name."""
+    return f"fields.{path.rpartition('.')[2]}" if path.startswith("fields.") else path
 
 
 def _numbers(scene: Scene) -> dict[str, jax.Array]:
     """Those of `DESIGNABLE` that the scene has."""
-    found = {path: _at(scene, path) for path in DESIGNABLE}
+    own = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in ranges_of(field)]
+    found = {path: _at(scene, path) for path in (*DESIGNABLE, *own)}
     return {path: values for path, values in found.items() if values is not None}
 
 
 def _at(scene: Scene, path: str) -> Any:
-    part, _, name = path.partition(".")
-    return getattr(getattr(scene, part, None), name, None)
+    part, _, name = path.rpartition(".")
+    return getattr(_owner(scene, part), name, None)
 
 
 def _designable(scene: Scene, path: str) -> jax.Array:
     old = _at(scene, path)
-    if path in DESIGNABLE and old is not None:
+    if _key(path) in DESIGNABLE and old is not None:
         return old
     if old is not None:
         raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)

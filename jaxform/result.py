@@ -15,13 +15,24 @@ from jaxform import membrane
 from jaxform.body import Body, Mesh, levels, present_body
 from jaxform.energy import Energy, unmoved
 from jaxform.errors import InputError
+from jaxform.loads import Pressure
+from jaxform.nodes import Rule
 from jaxform.penetration import Penetration, penetration, resting_directions
 from jaxform.pytree import pytree
 from jaxform.recovery import nodal_ratio
 from jaxform.replacing import in_words
 from jaxform.review import thinnest, warnings_of_part
 from jaxform.scene import Scene
-from jaxform.state import Schedule, State, Status, Taken, kinetic_energy, last_work, strain_energy
+from jaxform.state import (
+    Schedule,
+    State,
+    Status,
+    Taken,
+    enclosed_volume,
+    kinetic_energy,
+    last_work,
+    strain_energy,
+)
 from jaxform.stepping import energy_rounding
 
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
@@ -51,6 +62,7 @@ class Result:
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
         wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
             came from the far side of its normal; 0 where it does not touch the mold.
+        fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
         triangles: Node numbers of the elements (n_element, 3).
         level: How often each was bisected from the scene's mesh (n_element,).
         used: Elements that exist at the end (n_element,); the others have room only.
@@ -76,6 +88,7 @@ class Result:
     stuck: jax.Array
     contact_time: jax.Array
     wall: jax.Array
+    fields: dict[str, jax.Array]
     triangles: jax.Array
     level: jax.Array
     used: jax.Array
@@ -107,7 +120,7 @@ def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = N
     """
     now, forest, mesh = present_body(scene, state.mesh, first), scene.tables.forest, state.mesh
     sheet = now.sheet
-    _, edge1, edge2 = membrane.edges(state.positions, sheet.triangles)
+    _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     ratio = 1.0 / jnp.sqrt(strain.determinant)
     count = now.mass.size
@@ -129,31 +142,36 @@ def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = N
         """In the order of the scene's nodes; what does not exist has another value."""
         return values if mesh is None else jnp.where(active, values[..., node], otherwise)
 
+    def ordered(values: jax.Array, rule: Rule) -> jax.Array:
+        return nodal(values, scene.parison.positions.T if rule.absent is None else rule.absent)
+
+    nodes = dataclasses.replace(state.nodes, mode=None).mapped(ordered)
+
     return Result(
-        positions=nodal(state.positions, scene.parison.positions.T).T,
+        positions=nodes.positions.T,
         thickness=nodal(ratios, 0.0) * scene.parison.thickness,
         active=active,
-        stuck=nodal(state.stuck, False),
-        contact_time=nodal(state.contact_time, -1.0),
-        wall=nodal(state.wall, 0),
+        stuck=nodes.stuck,
+        contact_time=nodes.contact_time,
+        wall=nodes.wall,
+        fields=nodes.fields,
         triangles=triangles.T,
         level=level,
         used=used,
         element_volume=sheet.area * now.thickness,
         element_thickness=jnp.where(used, now.thickness * ratio, 0.0),
         stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
-        velocities=nodal(state.velocities, 0.0).T,
+        velocities=nodes.velocities.T,
         mass=jnp.sum(scene.material.density * sheet.area * now.thickness),
         added_mass=_added_mass(scene, now, mesh),
         energy=Energy(
             strain=strain_energy(state, scene, now),
-            kinetic=kinetic_energy(state, now.mass) - state.kinetic_excess,
-            external_work=state.external_work + last_work(state, scene, sheet),
-            damping_loss=state.damping_loss,
-            contact_loss=state.contact_loss,
-            refinement_loss=state.refinement_loss,
-            kinetic_peak=state.kinetic_peak,
-            peak_work=jax.lax.stop_gradient(state.peak_work),
+            kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
+            external_work=state.account.external_work
+            + last_work(state, scene, enclosed_volume(state.nodes.positions, sheet)),
+            **state.account.losses(),
+            kinetic_peak=state.account.kinetic_peak,
+            peak_work=jax.lax.stop_gradient(state.account.peak_work),
             rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
         ),
         time=state.time,
@@ -242,8 +260,9 @@ def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
     triangles = number[np.asarray(result.triangles)[used]].astype(np.int32)
     nodal = {"positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities"}
     of_elements = {"level", "used", "element_volume", "element_thickness", "stretches"}
-    kept = {name: np.asarray(getattr(result, name))[active] for name in nodal}
+    kept: dict[str, Any] = {name: np.asarray(getattr(result, name))[active] for name in nodal}
     kept |= {name: np.asarray(getattr(result, name))[used] for name in of_elements}
+    kept["fields"] = {name: np.asarray(values)[active] for name, values in result.fields.items()}
     sheet = {name: np.asarray(getattr(scene.parison, name))[active] for name in ("positions", "thickness")}
     sheet |= {name: np.asarray(getattr(scene.parison, name))[active] for name in ("clamped", "fixed")}
     parison: Any = dataclasses.replace(scene.parison, triangles=triangles, **sheet)  # pyright: ignore
@@ -303,7 +322,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:
     """What to mind about a part that was formed as asked for: a sentence each, with the mend."""
-    still = int(result.status) == 0 and bool(np.any(np.asarray(scene.pressure.value)))
+    still = int(result.status) == 0 and bool(np.any(scene.pushes()))
     return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
 
 
@@ -319,7 +338,8 @@ def _hasty(result: Result, scene: Scene) -> list[str]:
         else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.external_work)):.2g} % of "
         "the work"
     )
-    mend = 'interpolation = "cubic-ramp" or ' if scene.pressure.interpolation == "linear" else ""
+    linear = isinstance(scene.pressure, Pressure) and scene.pressure.interpolation == "linear"
+    mend = 'interpolation = "cubic-ramp" or ' if linear else ""
     mend = f"raise the pressure more slowly ({mend}later pressure.time and solver.end_time)"
     mend += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
@@ -350,7 +370,7 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     if scene.mold is None or not np.isfinite(positions).all():
         return Penetration(0.0, 0.0, np.zeros(3))
     triangles = np.asarray(result.triangles)[np.asarray(result.used)]
-    pressures = np.asarray(scene.pressure.value)
+    pressures = scene.pushes()
     start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
     resting = resting_directions(start, positions, triangles, float(highest))
     return penetration(

@@ -25,17 +25,17 @@ from jaxform.derivatives import Cotangents, Rule
 from jaxform.force import Corners, Load, assembled, corner_cotangents, corner_forces, no_corners, shares
 from jaxform.membrane import Vector, dot, rows_of, vector
 from jaxform.mold import Mold
+from jaxform.nodes import Nodes
 from jaxform.packing import Packed
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.scheme import Timing, kicked, kicks, pressures
-from jaxform.state import Schedule, State
+from jaxform.state import LOSSES, Schedule, State
 from jaxform.stepping import window, window_and_impacts
 from jaxform.timestep import LEAST_LEFT
 from jaxform.working import idle_volume, packed_moving
 
-_SMOOTH = ("positions", "velocities", "contact_time", "volume", "external_work")
-_SMOOTH += ("damping_loss", "contact_loss", "refinement_loss")
+_SMOOTH = ("volume", "external_work", *LOSSES)  # of the account
 
 
 @pytree
@@ -71,29 +71,30 @@ def _value(
     _: tuple[bool, ...], state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None
 ) -> tuple[State, _Kept]:
     end, landed, impact = window_and_impacts(state, scene, sheet_body, schedule)
-    positions, velocities = end.positions, end.velocities
+    positions, velocities, control = end.nodes.positions, end.nodes.velocities, end.control
     if impact is not None:
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
     damping = scene.solver.damping
     if damping is not None:
-        back = _can_be_taken_back(damping, Timing(state.time, state.step_length, end.last_length), end.last_count)
+        timing = Timing(state.time, state.control.step_length, control.last_length)
+        back = _can_be_taken_back(damping, timing, control.last_count)
         positions, velocities = (
             jnp.where(back, late, early)
-            for late, early in ((positions, state.positions), (velocities, state.velocities))
+            for late, early in ((positions, state.nodes.positions), (velocities, state.nodes.velocities))
         )
     kept = _Kept(
         scene=scene,
         first=first,
-        stuck=state.stuck,
+        stuck=state.nodes.stuck,
         time=state.time,
-        before=state.step_length,
-        volume=state.volume,
+        before=state.control.step_length,
+        volume=state.account.volume,
         mesh=state.mesh,
-        end=end.positions,
-        wall=end.wall,
+        end=end.nodes.positions,
+        wall=end.nodes.wall,
         landed=landed,
-        length=end.last_length,
-        count=end.last_count,
+        length=control.last_length,
+        count=control.last_count,
         positions=positions,
         velocities=velocities,
     )
@@ -114,7 +115,10 @@ def _plain(state: State, scene: Scene, sheet_body: Body, _: Body, schedule: Sche
 def carries(state: State) -> State:
     """Which leaves of a state carry a derivative."""
     none: Any = jax.tree.map(lambda _: False, state)
-    return dataclasses.replace(none, **dict.fromkeys(_SMOOTH, True))
+    smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
+    pressure = None if state.account.pressure is None else True
+    account = dataclasses.replace(none.account, **dict.fromkeys(_SMOOTH, True), pressure=pressure)
+    return dataclasses.replace(none, nodes=smooth, account=account)
 
 
 class _Window(NamedTuple):
@@ -366,10 +370,12 @@ def _landings(nodes: _Nodes, before: jax.Array, kept: _Kept, turn: _Turn, now: _
 
         def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
             free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
-            flying = contact.Landing(after, velocity, free, jnp.zeros_like(mass), none, none, jnp.zeros_like(time))
+            flying = contact.Landing(
+                Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
+            )
             triangle = Mold(corners, jnp.arange(3, dtype=jnp.int32)[None])
             there = contact.landed(flying, contact.Step(turn.length, time, number), mass, triangle, none)
-            return there.positions, there.contact_time, there.loss
+            return there.nodes.positions, there.nodes.contact_time, there.loss
 
         # All is read before anything is written, or XLA would copy the arrays.
         old = jax.lax.optimization_barrier(jax.tree.map(own, nodes._replace(damping=None, vertices=None)))
@@ -420,8 +426,8 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     )
 
     # What the pressure does: mean times (volume - volume before), summed.
-    work = end.external_work
-    after = jnp.where(number == kept.count - 1, end.volume, -work * jnp.append(mean[1:], 0.0))
+    work = end.account.external_work
+    after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
     idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, sheet_body, packed), kept.end)
     back = _steps_back(kept, now, cotangents, end, volume)
@@ -429,12 +435,12 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     gains = jnp.where(taken, work * gains, 0.0)
 
     put, of = cotangents.put, cotangents.of
-    put(begun.positions, packed.put_back(nodes.positions) + pull_idle(jnp.sum(volume))[0])
-    put(begun.velocities, packed.put_back(nodes.velocities))
-    put(begun.contact_time, packed.put_back(nodes.contact_time))
-    put(begun.volume, jnp.where(kept.count > 0, -work * mean[0], end.volume))
-    for name in ("external_work", "damping_loss", "contact_loss", "refinement_loss"):
-        put(getattr(begun, name), getattr(end, name))
+    put(begun.nodes.positions, packed.put_back(nodes.positions) + pull_idle(jnp.sum(volume))[0])
+    put(begun.nodes.velocities, packed.put_back(nodes.velocities))
+    put(begun.nodes.contact_time, packed.put_back(nodes.contact_time))
+    put(begun.account.volume, jnp.where(kept.count > 0, -work * mean[0], end.account.volume))
+    for name in ("external_work", *LOSSES):
+        put(getattr(begun.account, name), getattr(end.account, name))
     put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
     put(of[1].material, jax.tree.unflatten(jax.tree.structure(scene.material), back.law))
     put(of[1].solver.damping, None if scene.solver.damping is None else nodes.damping)
@@ -470,6 +476,7 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
     """To the window's begin, with the cotangents of the volume at every step."""
     scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
     start, positions, real = _end_of(kept, now), packed.taken(kept.end), now.thickness.dtype
+    loss = end.account
     thickens = cotangents.want(of[2].thickness)
     presses, varies = cotangents.want(of[1].pressure), cotangents.want(of[1].material)
     parameters = jax.tree.leaves(scene.material)
@@ -483,12 +490,12 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
         nodes=_Nodes(
             at=positions,
             speeds=start.velocities,
-            positions=jnp.where(packed.exists, packed.taken(end.positions), 0.0),
-            velocities=jnp.where(packed.exists, packed.taken(end.velocities), 0.0),
+            positions=jnp.where(packed.exists, packed.taken(end.nodes.positions), 0.0),
+            velocities=jnp.where(packed.exists, packed.taken(end.nodes.velocities), 0.0),
             force=jnp.zeros_like(positions),
             mass=jnp.zeros_like(now.mass),
             compliance=jnp.zeros_like(now.mass),
-            contact_time=jnp.where(packed.exists, packed.taken(end.contact_time), 0.0),
+            contact_time=jnp.where(packed.exists, packed.taken(end.nodes.contact_time), 0.0),
             damping=jnp.zeros((), real),
             vertices=None if vertices is None else jnp.zeros_like(vertices),
         ),
@@ -508,8 +515,8 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
         load = Load(nodes.at, now.thickness, now.pressure[n], scene.material)
         if scene.solver.damping is not None:
             nodes, corners = only_if(
-                end.damping_loss != 0.0,
-                lambda both: _with_loss(*both, load, turn, now, start, end.damping_loss),
+                loss.damping_loss != 0.0,
+                lambda both: _with_loss(*both, load, turn, now, start, loss.damping_loss),
                 (nodes, corners),
             )
         corners, summed, sums = corner_cotangents(
@@ -518,11 +525,11 @@ def _steps_back(kept: _Kept, now: _Window, cotangents: Cotangents, end: State, v
         enclosed = sums.pop()
         pressing = carry.pressing.at[n].set(sums.pop(0)) if presses else carry.pressing
         law = [total + more for total, more in zip(carry.law, sums, strict=True)] if varies else carry.law
-        nodes = _over_nodes(nodes, corners, turn, now, start, end.damping_loss)
+        nodes = _over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
         if scene.mold is not None:
             nodes = only_if(
                 lands[n - 1],
-                lambda nodes: _landings(nodes, start.before, kept, turn, now, end.contact_loss),
+                lambda nodes: _landings(nodes, start.before, kept, turn, now, loss.contact_loss),
                 nodes,
             )
         volumes = carry.volumes.at[n].set(enclosed)

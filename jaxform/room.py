@@ -37,8 +37,9 @@ def roomier(scene: Scene, state: State, taken: Taken, done: bool, most_steps: in
     if status == Status.CONTACT_OVERFLOW and tables.pairs_per_node < _MOST_PAIRS:
         wider = dataclasses.replace(tables, pairs_per_node=_MORE_PAIRS * tables.pairs_per_node)
         # The window that found no room counts as none that failed.
-        retries = jnp.maximum(state.retries - 1, 0)
-        state = dataclasses.replace(state, status=jnp.zeros_like(state.status), retries=retries)
+        retries = jnp.maximum(state.control.retries - 1, 0)
+        control = dataclasses.replace(state.control, retries=retries)
+        state = dataclasses.replace(state, status=jnp.zeros_like(state.status), control=control)
         return dataclasses.replace(scene, tables=wider), state, taken
     if not done and int(state.windows) >= tables.window_count and int(state.steps) < most_steps:
         longer = dataclasses.replace(tables, window_count=2 * tables.window_count)

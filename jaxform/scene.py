@@ -7,6 +7,7 @@ static. What the host must build from it (reference geometry, search structure, 
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -14,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxform import reference
+from jaxform.carried import Field
 from jaxform.errors import InputError
 from jaxform.materials import Law
 from jaxform.mold import Mold
@@ -22,8 +25,6 @@ from jaxform.ranges import MOST_STEPS, as_numbers, check, check_one
 from jaxform.search import SearchGrid
 
 SHORT_WINDOW, LONG_WINDOW = 64, 256  # steps
-_INTERPOLATIONS = ("linear", "cubic-ramp")
-_FEW_KNOTS = 256
 
 
 @pytree
@@ -43,35 +44,6 @@ class Parison:
     thickness: jax.Array
     clamped: jax.Array
     fixed: jax.Array
-
-
-@pytree
-class Pressure:
-    """Pressure difference over time, held before the first and after the last knot.
-
-    Attributes:
-        time: Knots (n_knot,) [s], increasing.
-        value: Pressure at the knots (n_knot,) [Pa].
-        interpolation: "linear", or "cubic-ramp": between two knots it rises as the cube of the elapsed fraction.
-    """
-
-    time: jax.Array
-    value: jax.Array
-    interpolation: str = static(default="linear")
-
-    def at(self, time: jax.Array) -> jax.Array:
-        """Pressure [Pa] at any times [s], of their shape."""
-        if self.time.size == 1:
-            return jnp.broadcast_to(self.value[0], jnp.shape(time))
-        # Few knots are compared one by one: a search takes longer to compile than all of this.
-        way = "compare_all" if self.time.size <= _FEW_KNOTS else "scan"
-        knot = jnp.searchsorted(self.time, time, side="right", method=way)
-        knot = jnp.clip(knot - 1, 0, self.time.size - 2)
-        begin, end = self.time[knot], self.time[knot + 1]
-        fraction = jnp.clip((time - begin) / (end - begin), 0.0, 1.0)
-        if self.interpolation == "cubic-ramp":
-            fraction = fraction**3
-        return self.value[knot] + fraction * (self.value[knot + 1] - self.value[knot])
 
 
 @pytree
@@ -304,16 +276,29 @@ class Tables:
 
 @pytree
 class Scene:
-    """All that a simulation needs; made by `build_scene` or `load`."""
+    """All that a simulation needs; made by `build_scene` or `load`.
+
+    Attributes:
+        parison: The sheet.
+        material: Its law.
+        pressure: What loads it.
+        solver: Options of the time integration.
+        mold: The mold; None for free inflation.
+        refinement: Where the mesh becomes finer; None where it stays as it is.
+        tables: What the host built.
+        name: What the scene is called.
+        fields: Nodal fields of its own, by name.
+    """
 
     parison: Parison
     material: Law
-    pressure: Pressure
+    pressure: Any  # a `Loading`; its numbers are those of its class
     solver: Solver
     mold: Mold | None
     refinement: Refinement | None
     tables: Tables
     name: str = static(default="scene")
+    fields: dict[str, Field] = dataclasses.field(default_factory=dict)
 
     @property
     def first_nodes(self) -> int:
@@ -324,7 +309,22 @@ class Scene:
     @property
     def packs_moving(self) -> bool:
         """Whether windows work through what can still move alone."""
-        return self.mold is not None and self.solver.skip_stuck
+        return self.mold is not None and self.solver.skip_stuck and self.rests
+
+    @property
+    def rests(self) -> bool:
+        """Whether what sticks stays as it is, so that nothing is left to do where all does."""
+        return all(field.rests for field in self.fields.values())
+
+    def pushes(self) -> np.ndarray:
+        """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
+        positions, triangles = np.asarray(self.parison.positions, float), np.asarray(self.parison.triangles)
+        return self.pressure.pushes(float(self.solver.end_time), reference.enclosed_volume(positions, triangles))
+
+    @property
+    def reversible(self) -> bool:
+        """Whether every part of it can be stepped backwards, as the reversed scheme does."""
+        return not self.fields and not self.pressure.follows_volume
 
 
 def make_parison(
@@ -358,29 +358,6 @@ def make_parison(
         clamped=jnp.asarray(clamped, bool),
         fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
     )
-
-
-def make_pressure(time: ArrayLike, value: ArrayLike, interpolation: str = "linear") -> Pressure:
-    """A pressure history through knots (n_knot,): times [s], increasing, and values [Pa].
-
-    Raises:
-        InputError: If the knots do not increase, are not finite, or do not match.
-    """
-    times = np.atleast_1d(as_numbers("pressure.time", time))
-    values = np.atleast_1d(as_numbers("pressure.value", value))
-    if times.shape != values.shape or times.ndim != 1 or not times.size:
-        raise InputError(
-            f"{times.size} times and {values.size} values do not match",
-            "give one value per time",
-            "pressure.value",
-        )
-    check("pressure.time", times)
-    check("pressure.value", values)
-    if interpolation not in _INTERPOLATIONS:
-        raise InputError(
-            "unknown", f"choose one of {', '.join(_INTERPOLATIONS)}", "pressure.interpolation", interpolation
-        )
-    return Pressure(as_real(times), as_real(values), interpolation)
 
 
 def make_solver(

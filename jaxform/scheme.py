@@ -15,9 +15,10 @@ from jaxform import membrane
 from jaxform.blocks import once
 from jaxform.body import Body
 from jaxform.force import Load, force
+from jaxform.loads import Loading
 from jaxform.membrane import vector
-from jaxform.scene import Pressure, Scene
-from jaxform.state import State, enclosed_volume, last_pressure
+from jaxform.scene import Scene
+from jaxform.state import State, enclosed_volume, last_work
 from jaxform.working import Working, worked_through
 
 
@@ -29,11 +30,17 @@ class Timing(NamedTuple):
     length: jax.Array
 
 
-def pressures(pressure: Pressure, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
-    """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa]."""
+def pressures(pressure: Loading, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
+    """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa].
+
+    Zeros where the pressure follows the volume, so that each step has to find it.
+    """
+    if pressure.follows_volume:
+        none = jnp.zeros(count, timing.begin.dtype)
+        return none, none
     # The step before the window's first has a length of its own.
     times = timing.begin + jnp.arange(count) * timing.length
-    found = pressure.at(jnp.append(timing.begin - timing.before, times))
+    found = pressure.at(jnp.append(timing.begin - timing.before, times), None)
     return found[1:], 0.5 * (found[:-1] + found[1:])
 
 
@@ -78,16 +85,21 @@ def caught_up(state: State, scene: Scene, sheet_body: Body, working: Working | N
     """
     working = working or worked_through(state, scene, sheet_body, differentiable=True)
     packed = working.taken(state)
-    load = Load(packed.positions, working.thickness, scene.pressure.at(state.time), scene.material)
-    nodes, damping = (packed.stuck, working.mass, working.compliance), scene.solver.damping
+    volume = enclosed_volume(state.nodes.positions, sheet_body.sheet)
+    load = Load(packed.nodes.positions, working.thickness, scene.pressure.at(state.time, volume), scene.material)
+    nodes, damping = (packed.nodes.stuck, working.mass, working.compliance), scene.solver.damping
     nodal, _ = force(load, working.packed.elements)
-    velocities, losses = kicked(nodal, packed.velocities, nodes, 0.5 * state.step_length, damping)
-    volume = enclosed_volume(state.positions, sheet_body.sheet)
+    velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
+    account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
     return dataclasses.replace(
         state,
-        velocities=working.packed.put_back(jnp.stack(velocities)),
-        step_length=jnp.zeros_like(state.step_length),
-        volume=volume,
-        external_work=state.external_work + last_pressure(state, scene) * (volume - state.volume),
-        damping_loss=state.damping_loss if losses is None else state.damping_loss + jnp.sum(losses),
+        nodes=dataclasses.replace(state.nodes, velocities=working.packed.put_back(jnp.stack(velocities))),
+        control=dataclasses.replace(state.control, step_length=jnp.zeros_like(state.control.step_length)),
+        account=dataclasses.replace(
+            account,
+            volume=volume,
+            pressure=None if account.pressure is None else load.pressure,
+            external_work=account.external_work + last_work(state, scene, volume),
+            damping_loss=account.damping_loss + lost,
+        ),
     )

@@ -17,6 +17,7 @@ import numpy as np
 from jax.core import ShapedArray, Tracer
 from numpy.typing import ArrayLike
 
+from jaxform.adjoint import Adjoint, adjoint_of
 from jaxform.blocks import only_if
 from jaxform.body import Body, body, present_body
 from jaxform.derivatives import Rule, apart, recomputed
@@ -24,23 +25,23 @@ from jaxform.energy import UNBALANCED
 from jaxform.errors import InputError, InputWarning
 from jaxform.padding import on_rungs
 from jaxform.ranges import RANGES, as_numbers
-from jaxform.refinement import refined
+from jaxform.refinement import refined, refined_in_place
 from jaxform.replacing import check_numbers, replace, with_stand_ins
 from jaxform.result import Result, Seconds, make_result, warnings_of
-from jaxform.reverse import carries, differentiable_window
+from jaxform.reverse import carries
 from jaxform.review import warnings_of_part
 from jaxform.room import roomier, windows_left
 from jaxform.scene import Scene
 from jaxform.sealed import manual_axes
-from jaxform.state import Schedule, State, Status, Taken, finished, initial_state
-from jaxform.stepping import energy_rounding, window, window_in_place, with_room
+from jaxform.state import PackedState, Schedule, State, Status, Taken, finished, initial_state
+from jaxform.stepping import energy_rounding, window_in_place, with_room
 from jaxform.store import Soon, Store
 from jaxform.working import Working, still_worked_through, wholly_worked_through
 
 _IN_MEMORY = Store()
 
 
-def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_checkpoint: int = 1) -> Result:
+def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint | None = None) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
     Differentiate through `replace`: first derivatives in either mode, second ones forward over either
@@ -51,57 +52,57 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, windows_per_chec
         scene: The scene.
         schedule: The decisions of an earlier run, from its result: taken as they are, the result is a smooth function
             of the design as far as contact is. Without it every run decides for itself.
-        windows_per_checkpoint: What the reverse derivative stores. 1: the state at every window's border, from
-            which its steps are taken back. More: the state at every so many borders; windows are worked out once more
-            in between, for less memory. 0: every step, by JAX's own derivative.
+        adjoint: How the reverse derivative is found (`Reversed`, `Checkpointed`, `Stored`); by default the fastest
+            that the scene allows.
+
+    Raises:
+        InputError: The scene has a part that the chosen adjoint cannot go back over.
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
-        return _simulate(scene, schedule, windows_per_checkpoint)
+        return _simulate(scene, schedule, adjoint_of(scene, adjoint))
     room = on_rungs(scene)
     given = None if schedule is None else room.schedule(schedule)
-    return room.result(_simulate(room.scene, given, windows_per_checkpoint))
+    return room.result(_simulate(room.scene, given, adjoint_of(scene, adjoint)))
 
 
 @functools.partial(jax.jit, static_argnums=2)
-def _simulate(scene: Scene, schedule: Schedule | None, windows_per_checkpoint: int) -> Result:
-    whole = functools.partial(_simulated, windows_per_checkpoint)
+def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Result:
+    whole = functools.partial(_simulated, adjoint)
     if manual_axes(jax.tree.leaves((scene, schedule))):
         return apart(whole, scene, schedule)
     return whole(scene, schedule)
 
 
-def _simulated(windows_per_checkpoint: int, scene: Scene, schedule: Schedule | None) -> Result:
+def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
     given, (scene, out_of_range) = scene, with_stand_ins(scene)
     first, state = body(scene), initial_state(scene)
     state = dataclasses.replace(state, status=jnp.where(out_of_range == 0, state.status, Status.INPUT))
     count = scene.tables.window_count
-    if windows_per_checkpoint > 1:
-        several = _recomputed_windows(windows_per_checkpoint)
-        groups = -(-count // windows_per_checkpoint)
+    if adjoint.windows > 1:
+        several = _recomputed_windows(adjoint)
+        groups = -(-count // adjoint.windows)
         state, taken = jax.lax.scan(lambda state, _: several(state, scene, first, schedule), state, length=groups)
         taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
-        state, taken = _windows(state, scene, first, schedule, count=count, kept=windows_per_checkpoint == 0)
+        state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
     result = make_result(_closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
     thick = RANGES["parison.thickness"].holds(given.parison.thickness)
     return dataclasses.replace(result, thickness=jnp.where(thick, result.thickness, 0.0), out_of_range=out_of_range)
 
 
 def _windows(
-    state: State, scene: Scene, first: Body, schedule: Schedule | None, *, count: int, kept: bool = False
+    state: State, scene: Scene, first: Body, schedule: Schedule | None, *, count: int, adjoint: Adjoint
 ) -> tuple[State, Taken]:
-    """So many windows, as far as there is anything to do; every step may be kept for the reverse derivative."""
+    """So many windows, as far as there is anything to do."""
 
     def look(state: State) -> tuple[State, Body]:
         return refined(state, scene, present_body(scene, state.mesh, first), schedule)
 
     def take(state: State) -> State:
-        state, now = look(state) if kept else jax.checkpoint(look)(state)
+        state, now = adjoint.border(look)(state)
 
         def whole(state: State) -> State:
-            if kept:
-                return window(state, scene, now, schedule)
-            return differentiable_window(state, scene, now, first, schedule)
+            return adjoint.window(state, scene, now, first, schedule)
 
         return _unless_full(state.status, scene, whole, state)
 
@@ -114,16 +115,16 @@ def _windows(
 
 
 @functools.cache
-def _recomputed_windows(count: int) -> Rule:
+def _recomputed_windows(adjoint: Adjoint) -> Rule:
     """So many windows of which the reverse derivative keeps the state before the first."""
 
     def like(state: State, *_: object) -> Any:
-        return state, tuple(ShapedArray((count,), leaf.dtype) for leaf in _latest(state))
+        return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in _latest(state))
 
     def smooth(result: tuple[State, Taken]) -> Any:
         return carries(result[0]), jax.tree.map(lambda _: False, result[1])
 
-    return recomputed(functools.partial(_windows, count=count), like, smooth)
+    return recomputed(functools.partial(_windows, count=adjoint.windows, adjoint=adjoint), like, smooth)
 
 
 def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:
@@ -186,7 +187,7 @@ def _closed(state: State, scene: Scene, first: Body) -> State:
     """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
     short = jnp.where(finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
     least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
-    missing = jnp.abs(state.imbalance) > UNBALANCED * state.peak_work + least
+    missing = jnp.abs(state.account.imbalance) > UNBALANCED * state.account.peak_work + least
     status = jnp.where((state.status | short) == 0, jnp.where(missing, Status.UNBALANCED, 0), state.status | short)
     return dataclasses.replace(state, status=status.astype(jnp.int32))
 
@@ -292,7 +293,7 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         state, now, stale = carry.state, carry.now, carry.count == 0
         if state.mesh is not None:
             before = state.mesh.element_count
-            state, now = refined(state, scene, now, working=carry.working)
+            state, now = refined_in_place(state, scene, now, carry.working)
             assert state.mesh is not None
             stale |= state.mesh.element_count != before
         state, working = still_worked_through(state, scene, now, carry.working, stale)
@@ -303,7 +304,7 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
         return _Going(after, now, working, taken, carry.count + 1)
 
     now = present_body(scene, state.mesh, first, stepped=True)
-    working = with_room(wholly_worked_through(state, scene, now), scene)
+    working = with_room(wholly_worked_through(now), scene)
     begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
     return gone.working.put_back(gone.state), gone.taken, finished(gone.state, scene)
@@ -312,7 +313,7 @@ def _advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Ar
 class _Going(NamedTuple):
     """What goes from window to window: with the state, in packed order, the body and what of it is worked through."""
 
-    state: State
+    state: PackedState
     now: Body
     working: Working
     taken: Taken
@@ -321,7 +322,7 @@ class _Going(NamedTuple):
 
 def _latest(state: State) -> Taken:
     """Of the last window."""
-    return state.last_length, state.last_count, state.bound, state.last_duration
+    return state.control.last_length, state.control.last_count, state.control.bound, state.control.last_duration
 
 
 def _unless_full[T](

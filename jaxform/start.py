@@ -18,7 +18,7 @@ from jaxform.crossings import proper_crossings
 from jaxform.distances import nearest_places, point_triangle_distance
 from jaxform.errors import InputError
 from jaxform.mold import Mold
-from jaxform.scene import Bend, Parison, Pressure, Refinement
+from jaxform.scene import Bend, Parison, Refinement
 from jaxform.search import SearchGrid
 
 Array = NDArray[np.float64]
@@ -39,13 +39,13 @@ class Lying(NamedTuple):
     positions: Array
 
 
-def lying(parison: Parison, triangles: NDArray[np.integer], pressure: Pressure, mold: Mold, grid: SearchGrid) -> Lying:
+def lying(parison: Parison, triangles: NDArray[np.integer], pushes: np.ndarray, mold: Mold, grid: SearchGrid) -> Lying:
     """Which nodes lie on the mold, to a hundredth of the sheet's thickness.
 
     Args:
         parison: The sheet; of a refined one, all its nodes.
         triangles: Those that the nodes belong to (n_triangle, 3); of a refined sheet, of all levels.
-        pressure: The pressure history, whose first value that is not 0 tells which way the sheet is pushed.
+        pushes: Pressures, of which the first that is not 0 tells which way the sheet is pushed.
         mold: The mold.
         grid: Its search structure.
     """
@@ -54,8 +54,7 @@ def lying(parison: Parison, triangles: NDArray[np.integer], pressure: Pressure, 
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    values = np.asarray(pressure.value, float)
-    pushed = np.sign(values[np.flatnonzero(values)[:1]]).sum() or 1.0
+    pushed = np.sign(pushes[np.flatnonzero(pushes)[:1]]).sum() or 1.0
     facing = np.einsum("ij,ij->i", pushed * _normals(positions, triangles)[node], normal[triangle])
     inward = np.einsum("ij,ij->i", _inward(positions, triangles)[node], normal[triangle])
     # What pressure pushes against comes first; where the mold stands across the sheet, the sheet is where its own

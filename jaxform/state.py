@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NewType, Self
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from jaxform.blocks import over_blocks
 from jaxform.body import Body, Mesh
 from jaxform.force import Elements
 from jaxform.materials import Law
+from jaxform.nodes import Nodes
 from jaxform.pytree import as_real, pytree
 from jaxform.remeshing import started_mesh
 from jaxform.scene import SHORT_WINDOW, Scene, Sheet
@@ -60,73 +62,109 @@ class Schedule:
         return jnp.min(jnp.where((index >= row) & (self.counts > 0), index, index.size))
 
 
-@pytree
-class State:
-    """Where a simulation is.
+_LOSS = {"loss": True}
+"""Marks energy that leaves the sheet: a term of the balance, of the same name in `Energy` and in the summary."""
 
-    Nodes are in the mesh's order, or as a run's windows have them, in the packed order of `working.Working`.
+
+@pytree
+class Account:
+    """Energy account of a run so far [J].
 
     Attributes:
-        positions: (3, n_node) [m].
-        velocities: (3, n_node) [m/s], half a step behind the positions.
-        stuck: Nodes (n_node,) that do not move any more: on the mold, or clamped.
-        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
-        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
-            came from the far side of its normal; 0 where it does not touch the mold.
-        time: [s].
-        step_length: Of the last step [s]; 0 before the first.
         volume: Enclosed before the last step [m^3].
-        external_work, damping_loss, contact_loss: So far [J].
-        peak_work: Largest magnitude of the external work so far [J].
-        kinetic_peak: Largest kinetic energy at the end of a window so far [J].
-        kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end
-            [J].
-        imbalance: Energy held and lost beyond the external work, at the last window's end [J].
-        span: Steps that the next window takes, unless it is cut short or the end is near.
-        retries: Times that the present window was taken anew with half the step: it blew up, or may have missed the
-            mold.
-        mode: Of the highest frequency (3, n_node); None where it is not measured.
-        bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
-        mesh: Which triangles of the forest there are; None without refinement.
-        refinement_loss: Strain and kinetic energy that new nodes took away so far [J].
-        last_length, last_count: Step length [s] and steps of the last window; no steps where it was tried in vain.
-        last_duration: What it was to last [s].
-        row, row_time: Of a schedule that is followed: whose steps come next, and how much of their time is over [s].
-        steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
-        status: Bits of `Status`.
+        pressure: Before the last step [Pa]; None where it follows from the time alone.
+        external_work: Sum of P dV.
+        damping_loss, contact_loss: Taken by damping, and by the mold.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
+        peak_work: Largest magnitude of the external work.
+        kinetic_peak: Largest kinetic energy at the end of a window.
+        kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end.
+        imbalance: Energy held and lost beyond the external work, at the last window's end.
     """
 
-    positions: jax.Array
-    velocities: jax.Array
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
-    time: jax.Array
-    step_length: jax.Array
     volume: jax.Array
+    pressure: jax.Array | None
     external_work: jax.Array
-    damping_loss: jax.Array
-    contact_loss: jax.Array
+    damping_loss: jax.Array = dataclasses.field(metadata=_LOSS)
+    contact_loss: jax.Array = dataclasses.field(metadata=_LOSS)
+    refinement_loss: jax.Array = dataclasses.field(metadata=_LOSS)
     peak_work: jax.Array
     kinetic_peak: jax.Array
     kinetic_excess: jax.Array
     imbalance: jax.Array
+
+    def losses(self) -> dict[str, jax.Array]:
+        """The terms by which energy left, by name."""
+        return {name: getattr(self, name) for name in LOSSES}
+
+
+LOSSES = [part.name for part in dataclasses.fields(Account) if part.metadata.get("loss")]
+
+
+@pytree
+class Control:
+    """What the choice of the step and of a window's length is made from.
+
+    Attributes:
+        step_length: Of the last step [s]; 0 before the first.
+        span: Steps that the next window takes, unless it is cut short or the end is near.
+        retries: Times that the present window was retried with half the step: it blew up, or may have missed the mold.
+        bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
+        last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
+        last_duration: What it was to last [s].
+    """
+
+    step_length: jax.Array
     span: jax.Array
     retries: jax.Array
-    mode: jax.Array | None
     bound: jax.Array
     sharpness: jax.Array
-    mesh: Mesh | None
-    refinement_loss: jax.Array
     last_length: jax.Array
     last_count: jax.Array
     last_duration: jax.Array
+
+
+@pytree
+class Replay:
+    """Where a run is in the schedule that it follows: whose steps come next, and how much of their time is over [s]."""
+
     row: jax.Array
     row_time: jax.Array
+
+
+@pytree
+class State:
+    """Where a simulation is.
+
+    Attributes:
+        nodes: Its nodal fields, in the mesh's order; see `PackedState`.
+        account: Its energies.
+        control: How long its steps and windows are.
+        replay: Where it is in a schedule.
+        mesh: Which triangles of the forest there are; None without refinement.
+        time: [s].
+        steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
+        status: Bits of `Status`.
+    """
+
+    nodes: Nodes
+    account: Account
+    control: Control
+    replay: Replay
+    mesh: Mesh | None
+    time: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
     status: jax.Array
+
+    def with_nodes(self, **fields: Any) -> Self:
+        """The same with other values of some nodal fields."""
+        return dataclasses.replace(self, nodes=dataclasses.replace(self.nodes, **fields))
+
+
+PackedState = NewType("PackedState", State)
+"""A state whose nodes are in the packed order of `working.Working`, as windows have them."""
 
 
 def initial_state(scene: Scene) -> State:
@@ -135,6 +173,7 @@ def initial_state(scene: Scene) -> State:
     mesh = None if forest is None else started_mesh(scene)
     positions, sheet = scene.parison.positions.T, scene.tables.sheet
     start = at_start(scene)
+    fields = {name: own.start(scene.parison.positions) for name, own in scene.fields.items()}
     if mesh is not None and forest is not None:
         # Nodes that do not exist yet are held where the first node is.
         there = jnp.arange(mesh.node.size) < mesh.node_count
@@ -142,36 +181,34 @@ def initial_state(scene: Scene) -> State:
         start = AtStart(
             start.stuck | ~there, jnp.where(there, start.contact_time, 0.0), jnp.where(there, start.wall, 0)
         )
-        positions = positions[:, mesh.node]
+        positions, fields = positions[:, mesh.node], {name: values[mesh.node] for name, values in fields.items()}
     zero, none = as_real(0.0), jnp.int32(0)
+    volume = enclosed_volume(positions, sheet)
+    pressure = scene.pressure.at(zero, volume) if scene.pressure.follows_volume else None
     return State(
-        positions=positions,
-        velocities=jnp.zeros_like(positions),
-        stuck=start.stuck,
-        contact_time=start.contact_time,
-        wall=start.wall,
-        time=zero,
-        step_length=zero,
-        volume=enclosed_volume(positions, sheet),
-        external_work=zero,
-        damping_loss=zero,
-        contact_loss=zero,
-        peak_work=zero,
-        kinetic_peak=zero,
-        kinetic_excess=zero,
-        imbalance=zero,
-        span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
-        retries=none,
-        mode=any_mode(positions) if scene.solver.sharp_step else None,
-        bound=zero,
-        sharpness=zero,
+        nodes=Nodes(
+            positions=positions,
+            velocities=jnp.zeros_like(positions),
+            stuck=start.stuck,
+            contact_time=start.contact_time,
+            wall=start.wall,
+            mode=any_mode(positions) if scene.solver.sharp_step else None,
+            fields=fields,
+        ),
+        account=Account(volume, pressure, *[zero] * 8),
+        control=Control(
+            step_length=zero,
+            span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
+            retries=none,
+            bound=zero,
+            sharpness=zero,
+            last_length=zero,
+            last_count=none,
+            last_duration=zero,
+        ),
+        replay=Replay(none, zero),
         mesh=mesh,
-        refinement_loss=zero,
-        last_length=zero,
-        last_count=none,
-        last_duration=zero,
-        row=none,
-        row_time=zero,
+        time=zero,
         steps=none,
         windows=none,
         shortened=none,
@@ -214,7 +251,7 @@ def finished(state: State, scene: Scene) -> jax.Array:
     """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
     slack = 16 * jnp.finfo(state.time.dtype).eps
     done = (state.time >= scene.solver.end_time * (1.0 - slack)) | (state.status != 0)
-    return done | jnp.all(state.stuck) if scene.solver.end_early else done
+    return done | jnp.all(state.nodes.stuck) if scene.solver.end_early and scene.rests else done
 
 
 def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Array:
@@ -225,14 +262,14 @@ def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Arr
 
 def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
     """Kinetic energy [J]."""
-    return 0.5 * jnp.sum(mass * membrane.dot(state.velocities, state.velocities))
+    return 0.5 * jnp.sum(mass * membrane.dot(state.nodes.velocities, state.nodes.velocities))
 
 
 def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     """Strain energy [J]."""
     sheet = sheet_body.sheet
     volume = sheet.area * sheet_body.thickness
-    return membrane.strain_energy(state.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
+    return membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
 
 def account(
@@ -270,14 +307,17 @@ def account(
     return energy, volume / 6.0
 
 
-def last_pressure(state: State, scene: Scene) -> jax.Array:
-    """Mean pressure over the last step [Pa]."""
-    return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.step_length, state.time])))
+def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
+    """Mean pressure over the last step [Pa], with the volume that is enclosed now [m^3]."""
+    before = state.account.pressure
+    if before is None:
+        return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.control.step_length, state.time])))
+    return 0.5 * (before + scene.pressure.at(state.time, volume))
 
 
-def last_work(state: State, scene: Scene, sheet: Sheet) -> jax.Array:
-    """External work of the last step [J]; the account inside the loop lags, as the volume comes with the next force."""
-    return last_pressure(state, scene) * (enclosed_volume(state.positions, sheet) - state.volume)
+def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
+    """External work of the last step [J], with the volume enclosed now [m^3]: the next force brings it."""
+    return last_pressure(state, scene, volume) * (volume - state.account.volume)
 
 
 def enclosed_volume(positions: jax.Array, sheet: Sheet, counted: jax.Array | float = 1.0) -> jax.Array:

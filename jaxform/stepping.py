@@ -18,13 +18,15 @@ import jax.numpy as jnp
 from jaxform import contact, membrane
 from jaxform.blocks import as_one, entry, once, only_if, over_blocks, total
 from jaxform.body import NEVER, Body
+from jaxform.carried import Surroundings, stepped
 from jaxform.force import Corners, Load, assembled, corner_forces, force, no_corners, shares
 from jaxform.membrane import vector
 from jaxform.near import Lists, Near, list_near, no_lists
+from jaxform.nodes import Nodes
 from jaxform.pytree import pytree
 from jaxform.scene import SHORT_WINDOW, Scene
 from jaxform.scheme import Timing, kicked, kicks, pressures
-from jaxform.state import Schedule, State, Status, account, last_pressure
+from jaxform.state import Account, PackedState, Replay, Schedule, State, Status, account, last_work
 from jaxform.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
 from jaxform.watch import LOOK_EVERY, Seen, Watched, balls, every_block, look, missed, unseen, unwatched, watch
 from jaxform.working import Room, Working, worked_through
@@ -50,17 +52,11 @@ class _Moving:
     where derivatives are taken, and that for meetings in either case.
     """
 
-    positions: Any
-    velocities: jax.Array
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
+    nodes: Nodes
+    fields: dict[str, jax.Array]
+    account: Account
     landed: jax.Array
     impact: jax.Array | None
-    volume: jax.Array
-    external_work: jax.Array
-    damping_loss: jax.Array
-    contact_loss: jax.Array
     count: jax.Array
     halted: jax.Array
     seen: Seen | None
@@ -112,29 +108,61 @@ def step(moving: _Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: _
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    load = Load(moving.positions, now.working.thickness, pressure, scene.material)
+    if moving.account.pressure is not None:
+        pressure = _pressure_inside(moving, scene, now)
+        mean_pressure = 0.5 * (moving.account.pressure + pressure)
+    load = Load(moving.nodes.positions, now.working.thickness, pressure, scene.material)
     taken = (_taken if moving.room is None else _taken_in_blocks)(load, moving, kick, length, scene, now)
-    volume = taken.volume + now.working.idle_volume
-    count = moving.count + jnp.where(moving.halted, 0, 1)
+    volume, account = taken.volume + now.working.idle_volume, moving.account
+    if moving.room is None:
+        # So that the account is that of a loop which ends with the last step.
+        volume = jnp.where(moving.halted, account.volume, volume)
     moved = dataclasses.replace(
         moving,
-        positions=taken.positions,
-        velocities=taken.velocities,
-        volume=volume,
-        external_work=moving.external_work + mean_pressure * (volume - moving.volume),
-        damping_loss=moving.damping_loss + taken.loss,
-        count=count,
+        nodes=dataclasses.replace(moving.nodes, positions=taken.positions, velocities=taken.velocities),
+        account=dataclasses.replace(
+            account,
+            volume=volume,
+            pressure=None if account.pressure is None else jnp.where(moving.halted, account.pressure, pressure),
+            external_work=account.external_work + mean_pressure * (volume - account.volume),
+            damping_loss=account.damping_loss + taken.loss,
+        ),
+        count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
     )
-    if now.near is None:
-        return moved if moving.room is not None else dataclasses.replace(moved, halted=_flown(moved, scene, now))
-    return _touch(moved, length, scene, now)
+    if now.near is not None:
+        moved = _touch(moved, length, scene, now)
+    elif moving.room is None:
+        moved = dataclasses.replace(moved, halted=_flown(moved, scene, now))
+    return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+
+
+def _pressure_inside(moving: _Moving, scene: Scene, now: _Window) -> jax.Array:
+    """The pressure [Pa] that goes with the volume enclosed as the step begins."""
+    volume = now.working.volume(jnp.asarray(moving.nodes.positions)) + now.working.idle_volume
+    return scene.pressure.at(now.begin + moving.count * now.length, volume)
+
+
+def _with_fields(moved: _Moving, halted: jax.Array, length: jax.Array, scene: Scene, now: _Window) -> _Moving:
+    """With what the step made of the scene's own fields, unless the window was halted before it."""
+    nodes = moved.nodes
+    step = Surroundings(
+        time=now.begin + moved.count * now.length,
+        length=length,
+        positions=jnp.asarray(nodes.positions),
+        velocities=nodes.velocities,
+        stuck=nodes.stuck,
+        contact_time=nodes.contact_time,
+    )
+    new = stepped(scene.fields, moved.fields, step)
+    kept = jax.tree.map(lambda own, old: jnp.where(halted, old, own), new, moved.fields)
+    return dataclasses.replace(moved, fields=kept)
 
 
 def _watched(moved: _Moving, scene: Scene, now: _Window) -> Watched:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
     assert now.near is not None and moved.seen is not None
-    state = jax.lax.stop_gradient((moved.positions, moved.stuck, now.near))
+    state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, now.near))
     blocks = now.working.packed.elements.node_block_count
     found = only_if(
         moved.seen.close,
@@ -147,7 +175,7 @@ def _watched(moved: _Moving, scene: Scene, now: _Window) -> Watched:
 
 def _flown(moved: _Moving, scene: Scene, now: _Window) -> jax.Array:
     """Whether a window without contact halts: a sheet that flies off must not overflow where derivatives are taken."""
-    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.positions))) > _FAR * scene.tables.size
+    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.nodes.positions))) > _FAR * scene.tables.size
     return moved.halted | far | (moved.count >= now.most)
 
 
@@ -163,9 +191,9 @@ class _Taken(NamedTuple):
 
 def _taken(load: Load, moving: _Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: _Window) -> _Taken:
     nodal, volume = force(load, now.working.packed.elements)
-    nodes = moving.stuck, now.working.mass, now.working.compliance
-    velocities, losses = kicked(nodal, moving.velocities, nodes, kick, scene.solver.damping)
-    positions = moving.positions + length * jnp.stack(velocities)
+    nodes = moving.nodes.stuck, now.working.mass, now.working.compliance
+    velocities, losses = kicked(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
+    positions = moving.nodes.positions + length * jnp.stack(velocities)
     loss = total(losses) if losses is not None else 0.0
     return _Taken(positions, jnp.stack(velocities), volume, loss, None)
 
@@ -177,7 +205,7 @@ def _taken_in_blocks(
     elements, room = now.working.packed.elements, moving.room
     assert room is not None
     corners, volume = corner_forces(load, elements, room)
-    nodes = moving.stuck, now.working.mass, now.working.compliance
+    nodes = moving.nodes.stuck, now.working.mass, now.working.compliance
 
     def work(old: Any, own: Any, nodes: Any) -> Any:
         (x,), (y,), (z,), velocities = old
@@ -187,7 +215,7 @@ def _taken_in_blocks(
         return [*([x] for x in new), velocities], [] if losses is None else [losses]
 
     inputs = shares(elements), nodes
-    into = [*(x[None] for x in moving.positions), moving.velocities]
+    into = [*(x[None] for x in moving.nodes.positions), moving.nodes.velocities]
     damped = scene.solver.damping is not None
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
     new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4, kept=False)
@@ -201,11 +229,12 @@ def _looked(moving: _Moving, now: _Window) -> _Moving:
     What it says of the mold holds until then, unless a node has become so much faster that it may have touched unseen:
     that shows in the next look, or at the window's end.
     """
+    nodes = moving.nodes
 
     def again(last: Seen) -> Seen:
         assert now.near is not None
         till_next = jnp.minimum(LOOK_EVERY, now.most - moving.count) * now.length
-        state = jax.lax.stop_gradient((moving.positions, moving.velocities, moving.stuck, till_next, now.near))
+        state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, now.near))
         new = look(*state, last, now.working.packed.elements.node_block_count)
         return new._replace(close=new.close | now.wary)
 
@@ -213,23 +242,16 @@ def _looked(moving: _Moving, now: _Window) -> _Moving:
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
     seen = only_if(due, again, moving.seen, differentiable=moving.room is None)
     # In this order, or XLA would keep a copy of the positions for the look, at every step.
-    seen, positions, velocities = jax.lax.optimization_barrier((seen, moving.positions, moving.velocities))
-    return dataclasses.replace(moving, seen=seen, positions=positions, velocities=velocities)
+    seen, positions, velocities = jax.lax.optimization_barrier((seen, nodes.positions, nodes.velocities))
+    return dataclasses.replace(
+        moving, seen=seen, nodes=dataclasses.replace(nodes, positions=positions, velocities=velocities)
+    )
 
 
 def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
     assert scene.mold is not None and scene.tables.grid is not None and now.near is not None and moved.seen is not None
-    landing = contact.Landing(
-        moved.positions,
-        moved.velocities,
-        moved.stuck,
-        moved.contact_time,
-        moved.wall,
-        moved.landed,
-        moved.contact_loss,
-        moved.impact,
-    )
+    landing = contact.Landing(moved.nodes, moved.landed, moved.account.contact_loss, moved.impact)
     due, leaving = _watched(moved, scene, now)
     this = contact.Step(length, now.begin + moved.count * now.length, moved.count - 1)
     landing, met = contact.land(
@@ -237,14 +259,10 @@ def _touch(moved: _Moving, length: jax.Array, scene: Scene, now: _Window) -> _Mo
     )
     return dataclasses.replace(
         moved,
-        positions=landing.positions,
-        velocities=landing.velocities,
-        stuck=landing.stuck,
-        contact_time=landing.contact_time,
-        wall=landing.wall,
+        nodes=landing.nodes,
         landed=landing.step,
         impact=landing.impact,
-        contact_loss=landing.loss,
+        account=dataclasses.replace(moved.account, contact_loss=landing.loss),
         met=met,
         halted=moved.halted | leaving | moved.seen.missed | (moved.count >= now.most),
     )
@@ -260,16 +278,16 @@ def window(
     is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
     working = worked_through(state, scene, sheet_body, differentiable=differentiable)
-    state = working.taken(state)
-    decisions = _decided(state, scene, working, schedule)
-    return working.put_back(_stepped(state, scene, working, decisions, differentiable=differentiable)[0])
+    packed = working.taken(state)
+    decisions = _decided(packed, scene, working, schedule)
+    return working.put_back(_stepped(packed, scene, working, decisions, differentiable=differentiable)[0])
 
 
-def window_in_place(state: State, scene: Scene, working: Working) -> tuple[State, Working]:
+def window_in_place(state: PackedState, scene: Scene, working: Working) -> tuple[PackedState, Working]:
     """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
     decisions = _decided_freely(state, scene, working)
 
-    def whole(now: tuple[State, Room | None]) -> tuple[State, Room | None]:
+    def whole(now: tuple[PackedState, Room | None]) -> tuple[PackedState, Room | None]:
         own = decisions._replace(chosen=decisions.chosen._replace(room=now[1]))
         state, _, room = _stepped(now[0], scene, working, own, differentiable=False)
         return state, room
@@ -295,23 +313,23 @@ def window_and_impacts(
     """
     working = worked_through(state, scene, sheet_body)
     impacts, packed = scene.mold is not None, working.packed
-    state = working.taken(state)
-    decisions = _decided(state, scene, working, schedule)
-    end, moving, _ = _stepped(state, scene, working, decisions, differentiable=False, impacts=impacts)
+    begin = working.taken(state)
+    decisions = _decided(begin, scene, working, schedule)
+    end, moving, _ = _stepped(begin, scene, working, decisions, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.
-    landed = jnp.where(end.last_count > 0, packed.put_back(moving.landed), NEVER)
+    landed = jnp.where(end.control.last_count > 0, packed.put_back(moving.landed), NEVER)
     return working.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
 
 
 def _stepped(
-    state: State,
+    state: PackedState,
     scene: Scene,
     working: Working,
     decisions: _Decisions,
     *,
     differentiable: bool,
     impacts: bool = False,
-) -> tuple[State, _Moving, Room | None]:
+) -> tuple[PackedState, _Moving, Room | None]:
     (length, most, limit, room), duration, row = decisions
     now = _Window(
         working=working,
@@ -322,30 +340,39 @@ def _stepped(
         row=row,
         duration=duration,
         near=_list_near(state, scene, working, duration, length, room),
-        wary=state.last_count == 0,
+        wary=state.control.last_count == 0,
     )
-    corners = None if differentiable else no_corners(state.positions, working.packed.elements)
+    nodes = state.nodes
+    corners = None if differentiable else no_corners(nodes.positions, working.packed.elements)
     moving = _begun(state, now, corners if room is None else room.corners, impacts)
 
     def advance(moving: _Moving, pressures: tuple[jax.Array, ...]) -> tuple[_Moving, None]:
         return step(moving, pressures, scene, now), None
 
-    timing = Timing(state.time, state.step_length, length)
+    timing = Timing(state.time, state.control.step_length, length)
     longest = scene.tables.window_room
     steps = *pressures(scene.pressure, timing, longest), kicks(timing, longest)
     if differentiable:
         moving = _in_short_ones(advance, moving, steps)
     else:
-        moving = dataclasses.replace(moving, positions=membrane.rows_of(state.positions))
+        moving = _with_positions(moving, membrane.rows_of(nodes.positions))
         moving = _until_halted(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: entry(x, taken), steps))[0], moving, now.most
         )
-        moving = dataclasses.replace(moving, positions=jnp.stack(moving.positions))
-    found = dataclasses.replace(state, mode=limit.mode, sharpness=limit.sharpness)
+        moving = _with_positions(moving, jnp.stack(moving.nodes.positions))
+    found = dataclasses.replace(
+        state,
+        nodes=dataclasses.replace(nodes, mode=limit.mode),
+        control=dataclasses.replace(state.control, sharpness=limit.sharpness),
+    )
     end, corners = _looked_over(moving, scene, now)
     if room is not None:
         room = Room(corners, room.basis, None if now.near is None else now.near.lists)
     return _close(found, moving, end, scene, now), moving, room
+
+
+def _with_positions(moving: _Moving, positions: Any) -> _Moving:
+    return dataclasses.replace(moving, nodes=dataclasses.replace(moving.nodes, positions=positions))
 
 
 class _Row(NamedTuple):
@@ -367,25 +394,25 @@ class _Decisions(NamedTuple):
     row: _Row | None = None
 
 
-def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
+def _decided(state: PackedState, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
         return _decided_freely(state, scene, working)
-    row = schedule.upcoming(state.row)
+    row = schedule.upcoming(state.replay.row)
 
-    def as_planned(state: State, scene: Scene, working: Working) -> _Decisions:
+    def as_planned(state: PackedState, scene: Scene, working: Working) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
-        left = jnp.minimum(length * count - state.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
+        left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
         # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
         bound = elements_bound(state, scene, working)
         rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
-        finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.retries)
+        finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.control.retries)
         # As many as planned, if none of them is taken yet; else what is left is divided evenly.
         steps = jnp.ceil(left / length * finer - _SLACK).astype(count.dtype)
-        fresh = (steps == count) & (state.row_time == 0.0)
+        fresh = (steps == count) & (state.replay.row_time == 0.0)
         even = left / jnp.maximum(steps, 1)
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, most_steps(own, scene))
-        limit = Limit(state.mode, bound, state.sharpness)
+        limit = Limit(state.nodes.mode, bound, state.control.sharpness)
         return _Decisions(Chosen(own, most, limit), schedule.durations[row], _Row(row, left))
 
     def beyond(*now: Any) -> _Decisions:
@@ -395,26 +422,20 @@ def _decided(state: State, scene: Scene, working: Working, schedule: Schedule | 
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
 
 
-def _decided_freely(state: State, scene: Scene, working: Working) -> _Decisions:
+def _decided_freely(state: PackedState, scene: Scene, working: Working) -> _Decisions:
     chosen = choose_step(state, scene, working)
     return _Decisions(chosen, chosen.most * chosen.length)
 
 
-def _begun(state: State, now: _Window, room: Corners | None, impacts: bool) -> _Moving:
+def _begun(state: PackedState, now: _Window, room: Corners | None, impacts: bool) -> _Moving:
     working = now.working
-    places, positions = working.mass.size, state.positions
+    places, positions = working.mass.size, state.nodes.positions
     return _Moving(
-        positions=positions,
-        velocities=state.velocities,
-        stuck=state.stuck,
-        contact_time=state.contact_time,
-        wall=state.wall,
+        nodes=state.nodes.stepped(),
+        fields=state.nodes.fields,
+        account=state.account,
         landed=jnp.full(places, NEVER, jnp.int32),
         impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
-        volume=state.volume,
-        external_work=state.external_work,
-        damping_loss=state.damping_loss,
-        contact_loss=state.contact_loss,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
         seen=None if now.near is None else unseen(),
@@ -446,17 +467,17 @@ def _until_halted(advance: Callable[[_Moving, jax.Array], _Moving], moving: _Mov
 
 
 def _list_near(
-    state: State, scene: Scene, working: Working, duration: jax.Array, length: jax.Array, room: Room | None
+    state: PackedState, scene: Scene, working: Working, duration: jax.Array, length: jax.Array, room: Room | None
 ) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None
     positions, velocities, grid, duration = jax.lax.stop_gradient(
-        (state.positions, state.velocities, scene.tables.grid, duration)
+        (state.nodes.positions, state.nodes.velocities, scene.tables.grid, duration)
     )
     into = _no_lists(scene, positions) if room is None or room.lists is None else room.lists
     till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
     blocks = working.packed.elements.node_block_count
-    return list_near(positions, velocities, ~state.stuck, duration, till_look, grid, skip_far, into, blocks)
+    return list_near(positions, velocities, ~state.nodes.stuck, duration, till_look, grid, skip_far, into, blocks)
 
 
 def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:
@@ -465,65 +486,62 @@ def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:
     return no_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)
 
 
-def _close(state: State, moving: _Moving, end: _End, scene: Scene, now: _Window) -> State:
+def _close(state: PackedState, moving: _Moving, end: _End, scene: Scene, now: _Window) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    near = now.near
+    near, work = now.near, jax.lax.stop_gradient(moving.account.external_work)
     new = dataclasses.replace(
         state,
-        positions=moving.positions,
-        velocities=moving.velocities,
-        stuck=moving.stuck,
-        contact_time=moving.contact_time,
-        wall=moving.wall,
+        nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
+        account=dataclasses.replace(
+            moving.account,
+            peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
+            kinetic_peak=jnp.maximum(state.account.kinetic_peak, end.kinetic),
+            kinetic_excess=end.behind - end.kinetic,
+        ),
+        control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
         time=state.time + moving.count * now.length,
-        step_length=now.length,
-        bound=now.bound,
-        volume=moving.volume,
-        external_work=moving.external_work,
-        damping_loss=moving.damping_loss,
-        contact_loss=moving.contact_loss,
-        peak_work=jnp.maximum(state.peak_work, jnp.abs(jax.lax.stop_gradient(moving.external_work))),
-        kinetic_peak=jnp.maximum(state.kinetic_peak, end.kinetic),
-        kinetic_excess=end.behind - end.kinetic,
         steps=state.steps + moving.count,
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < now.most),
     )
     rounding = energy_rounding(scene, now.working.substance)
     status, imbalance = _health(new, end, rounding, scene, now.working)
-    new = dataclasses.replace(new, imbalance=imbalance)
+    new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
-    jump = jnp.abs(imbalance - state.imbalance) - rounding
-    unsure = (jump > _JUMP_TOLERANCE * new.peak_work) & (state.retries < _RETRIES_FOR_ENERGY)
+    jump = jnp.abs(imbalance - state.account.imbalance) - rounding
+    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
     # What blew up, and what may have missed the mold since a node flew out of its ball or faster than it looked, is
     # taken anew with half the step: the sheet may have stiffened within the window.
     status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
-    status = state.status | jnp.where(state.retries >= _MOST_RETRIES, status, 0)
+    status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
     if near is not None:
         # Pairs were lost: the state is left as it was, for a run with more room.
         bad |= near.overflow
         status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
     status |= jnp.where((end.largest > _FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
-    retries = jnp.where(bad, state.retries + 1, jnp.maximum(state.retries - 1, 0))
+    retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
         whole = now.row.left - spent <= _SLACK * now.length
-        row_time = jnp.where(whole, 0.0, state.row_time + spent)
-        new = dataclasses.replace(new, row=now.row.number + whole, row_time=row_time)
+        row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
+        new = dataclasses.replace(new, replay=Replay(now.row.number + whole, row_time))
     # Chosen as a whole: leaf by leaf it would be a kernel for each.
     kept = only_if(bad, lambda _: state, new, differentiable=moving.room is None)
     shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
         kept,
         status=status.astype(jnp.int32),
-        span=_next_span(state, bad | (moving.count < now.most), jump <= _QUIET * new.peak_work, scene, now),
-        retries=retries,
+        control=dataclasses.replace(
+            kept.control,
+            span=_next_span(state, bad | (moving.count < now.most), jump <= _QUIET * new.account.peak_work, scene, now),
+            retries=retries,
+            last_length=now.length,
+            last_count=jnp.where(bad, 0, moving.count),
+            last_duration=now.duration,
+        ),
         windows=new.windows,
         shortened=shortened,
-        last_length=now.length,
-        last_count=jnp.where(bad, 0, moving.count),
-        last_duration=now.duration,
     )
 
 
@@ -534,14 +552,17 @@ def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scen
     stiffness.
     """
     if scene.tables.window_room <= SHORT_WINDOW:
-        return state.span
-    longer = quiet & (jnp.abs(now.bound - state.bound) <= _STEADY * state.bound)
+        return state.control.span
+    longer = quiet & (jnp.abs(now.bound - state.control.bound) <= _STEADY * state.control.bound)
     if now.near is not None:
         counts = scene.tables.counts
         nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
         longer &= now.near.count <= _FEW_PAIRS * nodes
     longest = jnp.int32(scene.tables.longest_window)
-    twice, half = jnp.minimum(2 * state.span, longest), jnp.maximum(state.span // 2, jnp.minimum(SHORT_WINDOW, longest))
+    twice, half = (
+        jnp.minimum(2 * state.control.span, longest),
+        jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
+    )
     return jnp.where(cut_short, jnp.minimum(SHORT_WINDOW, longest), jnp.where(longer, twice, half))
 
 
@@ -566,9 +587,11 @@ def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> tuple[_End, Cor
     """
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
     working, elements = now.working, now.working.packed.elements
-    pressure = scene.pressure.at(now.begin + moving.count * now.length)
-    load = Load(moving.positions, working.thickness, pressure, scene.material)
-    room = no_corners(moving.positions, elements) if moving.room is None else moving.room
+    positions = moving.nodes.positions
+    volume = None if moving.account.pressure is None else working.volume(positions) + working.idle_volume
+    pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
+    load = Load(positions, working.thickness, pressure, scene.material)
+    room = no_corners(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
     def work(own: Any, nodes: Any, positions: Any, velocities: Any, ball: Any) -> Any:
@@ -580,25 +603,25 @@ def _looked_over(moving: _Moving, scene: Scene, now: _Window) -> tuple[_End, Cor
             return [], [*energies, size]
         return [], [*energies, size, missed(positions, nodes[0], ball, moving.seen)]
 
-    nodes = moving.stuck, working.mass, working.compliance
+    nodes = moving.nodes.stuck, working.mass, working.compliance
     ball = None if now.near is None else balls(now.near)
-    inputs = shares(elements), nodes, moving.positions, moving.velocities, ball
+    inputs = shares(elements), nodes, positions, moving.nodes.velocities, ball
     _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
     missing = False if moving.seen is None else moving.seen.missed | (found[3] > 0.0)
     return _End(*found[:3], missed=missing), corners
 
 
 def _health(
-    state: State, end: _End, rounding: jax.Array, scene: Scene, working: Working
+    state: PackedState, end: _End, rounding: jax.Array, scene: Scene, working: Working
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     state, scene, working = jax.lax.stop_gradient((state, scene, working))
-    strain, volume = account(state.positions, working.packed.elements, working.thickness, scene.material)
+    strain, volume = account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
     strain, volume = strain + working.idle_energy, volume + working.idle_volume
-    held = strain + end.kinetic + state.damping_loss + state.contact_loss + state.refinement_loss
-    excess = held - state.external_work - last_pressure(state, scene) * (volume - state.volume)
+    held = strain + end.kinetic + sum(state.account.losses().values())
+    excess = held - state.account.external_work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
-    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.peak_work + rounding
+    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
     finite = jnp.isfinite(end.largest + end.kinetic)
     status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
     return status, excess

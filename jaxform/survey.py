@@ -105,7 +105,7 @@ def survey(scene: Scene) -> Survey:
     middle = corners.mean(1)
     center = 0.5 * (box.low + box.high)
     outwards = float(np.einsum("ij,ij->", sign * normal, middle - center)) > 0
-    knots = np.asarray(scene.pressure.value, float)
+    knots = scene.pushes()
     both = bool(knots.min() < -0.05 * np.abs(knots).max() and knots.max() > 0.05 * np.abs(knots).max())
     thinness = float(np.asarray(scene.parison.thickness, float).mean()) / (box.size or 1.0)
     ahead = behind = exposed = 0.0
@@ -128,7 +128,7 @@ def _box(points: Array) -> Box:
 
 def _sign(scene: Scene) -> float:
     """1 where the largest pressure pushes along the elements' normals, else -1."""
-    knots = np.asarray(scene.pressure.value, float)
+    knots = scene.pushes()
     return -1.0 if knots[np.argmax(np.abs(knots))] < 0 else 1.0
 
 
@@ -223,7 +223,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     law = scene.material
     stiffness = float(np.mean(np.asarray(getattr(law, "c", getattr(law, "a01", 1.0)))))
     stiffness *= 1.0 + float(np.mean(np.asarray(getattr(law, "alpha", 0.0))))
-    largest = float(np.abs(np.asarray(scene.pressure.value, float)).max())
+    largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
@@ -233,7 +233,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
         mend = "give pressure and stiffness in Pa"
     else:
         return
-    warn_of(what, mend, key="pressure.value", value=np.asarray(scene.pressure.value, float).tolist(), file=file)
+    warn_of(what, mend, key="pressure.value", value=scene.pushes().tolist(), file=file)
 
 
 def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any) -> None:

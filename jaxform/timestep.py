@@ -20,7 +20,7 @@ from jaxform import membrane
 from jaxform.blocks import Part, only_if, over_blocks
 from jaxform.force import Corners, Load, assembled, corner_changes, no_corners, shares
 from jaxform.scene import SHORT_WINDOW, Scene
-from jaxform.state import State, any_mode, can_move
+from jaxform.state import PackedState, any_mode, can_move
 from jaxform.working import Room, Working
 
 RUNGS_PER_OCTAVE = 16
@@ -58,7 +58,7 @@ class Chosen(NamedTuple):
     room: Room | None = None
 
 
-def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
+def choose_step(state: PackedState, scene: Scene, working: Working) -> Chosen:
     """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
 
     The state is in packed order.
@@ -75,11 +75,11 @@ def choose_step(state: State, scene: Scene, working: Working) -> Chosen:
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:
         # Every change of the step changes the energy of the fast modes, which nothing takes away.
-        held = (state.step_length <= rung) & (rung < _REGAIN * state.step_length)
-        rung = jnp.where(held, state.step_length, rung)
-    rung = rung * jnp.exp2(-state.retries)
+        held = (state.control.step_length <= rung) & (rung < _REGAIN * state.control.step_length)
+        rung = jnp.where(held, state.control.step_length, rung)
+    rung = rung * jnp.exp2(-state.control.retries)
     rest = scene.solver.end_time - state.time
-    most = jnp.minimum(state.span, most_steps(rung, scene))
+    most = jnp.minimum(state.control.span, most_steps(rung, scene))
     most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
     return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit, room))
 
@@ -95,17 +95,17 @@ def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
     return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
 
 
-def _fastest(state: State, working: Working) -> jax.Array:
+def _fastest(state: PackedState, working: Working) -> jax.Array:
     """The highest speed [m/s]."""
 
     def work(velocities: jax.Array) -> Any:
         return [], [membrane.dot(velocities, velocities)]
 
-    _, (square,) = over_blocks(work, working.packed.elements.node_block_count, (state.velocities,), [], most=1)
+    _, (square,) = over_blocks(work, working.packed.elements.node_block_count, (state.nodes.velocities,), [], most=1)
     return jnp.sqrt(square)
 
 
-def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Limit, Room | None]:
+def _limit(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Array, Limit, Room | None]:
     """The longest stable step [s], how it was found, and the room that was written in.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
@@ -114,8 +114,8 @@ def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Lim
     rise is not believed.
     """
     bound = elements_bound(state, scene, working)
-    if state.mode is None:
-        return bound, Limit(None, bound, state.sharpness), working.room
+    if state.nodes.mode is None:
+        return bound, Limit(None, bound, state.control.sharpness), working.room
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
@@ -124,37 +124,54 @@ def _limit(state: State, scene: Scene, working: Working) -> tuple[jax.Array, Lim
         # The elements' bound counts as well, unless there is a mode that proves it wrong.
         wrong = bound * jnp.sqrt(jnp.maximum(least, 0.0)) > 2.0 * (1.0 + _ROUNDING)
         sharpness = jnp.where(wrong, sharpness, jnp.clip(sharpness, 1.0, _MOST_SHARPENING))
-        lost = ~thorough & (sharpness > _RISE * state.sharpness)
-        sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.sharpness))
+        lost = ~thorough & (sharpness > _RISE * state.control.sharpness)
+        sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.control.sharpness))
         return mode, sharpness, lost, lost, own
 
-    known = state.sharpness > 0.0
+    known = state.control.sharpness > 0.0
     room, elements = working.room, working.packed.elements
     if room is None or room.basis is None:
-        own = no_corners(state.positions, elements), no_basis(state.mode.shape[1], state.mode.dtype)
+        own = no_corners(state.nodes.positions, elements), no_basis(state.nodes.mode.shape[1], state.nodes.mode.dtype)
     else:
         own = room.corners, room.basis
-    begun = state.mode, state.sharpness, ~known, jnp.asarray(True), own
+    begun = state.nodes.mode, state.control.sharpness, ~known, jnp.asarray(True), own
     mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, begun)
     # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
-    before, windows = state.sharpness * state.bound, state.span / jnp.maximum(state.last_count, 1)
-    growth = (sharpness * bound / before) ** jnp.where(state.last_count > 0, windows, 1.0)
+    before, windows = (
+        state.control.sharpness * state.control.bound,
+        state.control.span / jnp.maximum(state.control.last_count, 1),
+    )
+    growth = (sharpness * bound / before) ** jnp.where(state.control.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
     room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
     return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, Limit(mode, bound, sharpness), room
 
 
-def elements_bound(state: State, scene: Scene, working: Working) -> jax.Array:
+def elements_bound(state: PackedState, scene: Scene, working: Working) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
-    rows, elements = membrane.rows_of(state.positions), working.packed.elements
+    rows, elements = membrane.rows_of(state.nodes.positions), working.packed.elements
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
-        moving = can_move(state.stuck, triangles, area)
+        # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
+        moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
         return [], [membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material)]
 
     inputs = elements.triangles, elements.inverse_metric, elements.area, working.bound
     _, (stiffness,) = over_blocks(work, elements.block_count, inputs, [], most=1)
-    return membrane.stable_step(stiffness, scene.material)
+    step = membrane.stable_step(stiffness, scene.material)
+    if not scene.pressure.follows_volume:
+        return step
+    # The largest eigenvalue of a sum is at most the sum of the largest ones.
+    slope, rise, compliance = _falling(state, scene, working)
+    more = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise))
+    return 2.0 / jnp.sqrt(jnp.square(2.0 / step) + more)
+
+
+def _falling(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
+    volume, rise = jax.value_and_grad(working.volume)(state.nodes.positions)
+    slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume + working.idle_volume)
+    return slope, rise, jnp.where(state.nodes.stuck, 0.0, working.compliance)
 
 
 class _Lanczos(NamedTuple):
@@ -184,17 +201,21 @@ def no_basis(places: int, real: jnp.dtype) -> jax.Array:
 
 
 def _highest(
-    state: State, scene: Scene, working: Working, thorough: jax.Array, room: tuple[Corners, jax.Array]
+    state: PackedState, scene: Scene, working: Working, thorough: jax.Array, room: tuple[Corners, jax.Array]
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
     """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
 
     The residual makes up for what is missing: the frequency is approached from below. The room is for corners and
     vectors, and is given back.
     """
-    assert state.mode is not None
+    assert state.nodes.mode is not None
     elements, places = working.packed.elements, working.mass.size
-    compliance = jnp.where(state.stuck, 0.0, working.compliance)
-    load = Load(state.positions, working.thickness, scene.pressure.at(state.time), scene.material)
+    compliance = jnp.where(state.nodes.stuck, 0.0, working.compliance)
+    volume, falling = None, None
+    if scene.pressure.follows_volume:
+        volume, falling = working.volume(state.nodes.positions) + working.idle_volume, _falling(state, scene, working)
+    pressure = scene.pressure.at(state.time, volume)
+    load = Load(state.nodes.positions, working.thickness, pressure, scene.material)
 
     def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
         return over_blocks(work, elements.node_block_count, inputs, into, **kinds)
@@ -211,11 +232,18 @@ def _highest(
     def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
         corners, scale = corner_changes(load, elements, now.vector, now.corners), 1.0 / now.size
 
-        def multiplied(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array) -> Any:
-            new = membrane.vector(-scale * c * f for c, f in zip(compliance, assembled(corners, own), strict=True))
+        inputs = shares(elements), working.mass, compliance, now.vector
+        if falling is not None:
+            # The pressure that falls as all nodes move is one product more.
+            inputs = *inputs, falling[0] * jnp.sum(falling[1] * now.vector) * falling[1]
+
+        def multiplied(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
+            forces = membrane.vector(assembled(corners, own))
+            for other in more:
+                forces = membrane.plus(forces, other)
+            new = membrane.vector(-scale * c * f for c, f in zip(compliance, forces, strict=True))
             return [new], [scale * mass * membrane.dot(vector, new)]
 
-        inputs = shares(elements), working.mass, compliance, now.vector
         (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
         before = jnp.where(k > 0, now.beside[k - 1], 0.0)
 
@@ -240,7 +268,7 @@ def _highest(
             corners=corners,
         )
 
-    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, state.mode, 0.0))
+    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, state.nodes.mode, 0.0))
     none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
     corners, basis = room

@@ -17,10 +17,11 @@ import numpy as np
 from jaxform import cli, files, molds, shapes, sizes
 from jaxform.building import build_scene
 from jaxform.errors import InputError
+from jaxform.loads import make_pressure
 from jaxform.materials import Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
 from jaxform.mold import make_mold
 from jaxform.pytree import as_real
-from jaxform.scene import Scene, make_parison, make_pressure, make_refinement, make_solver
+from jaxform.scene import Scene, make_parison, make_refinement, make_solver
 from jaxform.simulation import compile_for, is_compiled
 from jaxform.store import Store
 

@@ -12,14 +12,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxform import membrane
 from jaxform.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
 from jaxform.body import Body, Mesh
 from jaxform.force import Corners
 from jaxform.near import Lists
+from jaxform.nodes import Rule
 from jaxform.packing import Packed, pack
 from jaxform.pytree import pytree
 from jaxform.scene import Counts, Scene, Sheet
-from jaxform.state import State, account, can_move, enclosed_volume
+from jaxform.state import PackedState, State, account, can_move, enclosed_volume
 
 
 @pytree
@@ -63,31 +65,28 @@ class Working:
     idle_energy: jax.Array
     room: Room | None = None
 
-    def taken(self, state: State) -> State:
-        """A state in packed order; at places beyond the nodes they stick."""
-        packed = self.packed
-        return dataclasses.replace(
-            state,
-            positions=packed.taken(state.positions),
-            velocities=jnp.where(packed.exists, packed.taken(state.velocities), 0.0),
-            stuck=packed.taken(state.stuck) | ~packed.exists,
-            contact_time=packed.taken(state.contact_time),
-            wall=packed.taken(state.wall),
-            mode=None if state.mode is None else packed.taken(state.mode),
-        )
+    def volume(self, positions: jax.Array) -> jax.Array:
+        """Volume [m^3] enclosed by what is worked through, at positions (3, place) [m]; differentiable."""
+        elements = self.packed.elements
+        first, edge1, edge2 = membrane.edges(positions, elements.triangles)
+        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        share = share if elements.turn is None else elements.turn * share
+        return jnp.sum(jnp.where(elements.area > 0.0, share, 0.0)) / 6.0
 
-    def put_back(self, state: State) -> State:
+    def taken(self, state: State) -> PackedState:
+        """A state in packed order; at places beyond the nodes they stick."""
+
+        def taken(values: jax.Array, rule: Rule) -> jax.Array:
+            own = self.packed.taken(values)
+            if rule.beyond is None:
+                return own
+            return own | ~self.packed.exists if rule.beyond is True else jnp.where(self.packed.exists, own, rule.beyond)
+
+        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken)))
+
+    def put_back(self, state: PackedState) -> State:
         """A state in the mesh's order."""
-        back = self.packed.put_back
-        return dataclasses.replace(
-            state,
-            positions=back(state.positions),
-            velocities=back(state.velocities),
-            stuck=back(state.stuck),
-            contact_time=back(state.contact_time),
-            wall=back(state.wall),
-            mode=None if state.mode is None else back(state.mode),
-        )
+        return dataclasses.replace(state, nodes=state.nodes.mapped(lambda values, _: self.packed.put_back(values)))
 
 
 def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body: Body) -> Packed:
@@ -101,33 +100,33 @@ def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body:
 
 def worked_through(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool = False) -> Working:
     """What a window works through that begins with a state in the mesh's order."""
-    packed = packed_moving(state.stuck, state.mesh, scene, sheet_body)
-    return _working(packed, state.positions, scene, sheet_body, differentiable=differentiable)
+    packed = packed_moving(state.nodes.stuck, state.mesh, scene, sheet_body)
+    return _working(packed, state.nodes.positions, scene, sheet_body, differentiable=differentiable)
 
 
-def wholly_worked_through(state: State, scene: Scene, sheet_body: Body) -> Working:
+def wholly_worked_through(sheet_body: Body) -> Working:
     """All there is, in the mesh's own order."""
-    none = jnp.zeros((), state.positions.dtype)
+    none = jnp.zeros((), sheet_body.mass.dtype)
     return _with_masses(sheet_body.whole, sheet_body, none, none)
 
 
 def still_worked_through(
-    state: State, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array
-) -> tuple[State, Working]:
+    state: PackedState, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array
+) -> tuple[PackedState, Working]:
     """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
     if not scene.packs_moving and state.mesh is None:
         return state, working
     elements = working.packed.elements
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
-        moving = can_move(state.stuck, triangles, area)
+        moving = can_move(state.nodes.stuck, triangles, area)
         if elements.turn is not None:
             # Both elements of a pair stay where either can move.
             either = jnp.logical_or(*halves(moving))
             moving = Halves(either, either).whole()
         return [], [moving.astype(area.dtype)]
 
-    def anew(now: tuple[State, Working]) -> tuple[State, Working]:
+    def anew(now: tuple[PackedState, Working]) -> tuple[PackedState, Working]:
         state = now[1].put_back(now[0])
         new = dataclasses.replace(worked_through(state, scene, sheet_body), room=working.room)
         return new.taken(state), new

@@ -90,6 +90,13 @@ def cup(elements: int = 60, end_time: float = 20.0) -> jaxform.Scene:
     )
 
 
+def loaded(pressure: jaxform.Loading) -> jaxform.Scene:
+    """The cup under another loading."""
+    plain = cup()
+    parts = {"parison": plain.parison, "material": plain.material, "solver": plain.solver, "mold": plain.mold}
+    return jaxform.build_scene(pressure=pressure, **parts)  # pyright: ignore[reportArgumentType]
+
+
 def pole(scene: jaxform.Scene) -> int:
     return int(np.argmin(np.linalg.norm(np.asarray(scene.parison.positions)[:, :2], axis=1)))
 
@@ -119,5 +126,5 @@ def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tupl
 def looked_at(state: State, scene: Scene, sheet: Body) -> tuple[State, Body]:
     """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
     packed = working.worked_through(state, scene, sheet)
-    state, sheet = refinement.refined(packed.taken(state), scene, sheet, working=packed)
-    return packed.put_back(state), sheet
+    refined, sheet = refinement.refined_in_place(packed.taken(state), scene, sheet, packed)
+    return packed.put_back(refined), sheet

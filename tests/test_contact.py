@@ -80,7 +80,7 @@ def test_random_paths_land_where_brute_force_says(name: str) -> None:
 def _walk(begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
     landing, well = figures.walk(begin, end, wall, grid)
     assert well
-    return landing.positions, landing.stuck
+    return landing.nodes.positions, landing.nodes.stuck
 
 
 @pytest.mark.parametrize("name", ["box-insert", "mixed", "tangled"])
@@ -90,12 +90,12 @@ def test_nodes_that_land_one_by_one_land_as_all_at_once(name: str) -> None:
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     begin, end = (jnp.asarray(place.T) for place in figures.random_paths(wall, grid, figures.BATCH, seed=8))
     (one, well), (all_at_once, _) = (figures.walk(begin, end, wall, grid, differentiable=way) for way in (False, True))
-    assert well and 20 < int(one.stuck.sum()) < 110
-    for value, expected in zip(one, all_at_once, strict=True):
+    assert well and 20 < int(one.nodes.stuck.sum()) < 110
+    for value, expected in zip(jax.tree.leaves(one), jax.tree.leaves(all_at_once), strict=True):
         np.testing.assert_allclose(value, expected, rtol=1e-12, atol=1e-14)
     assert one.impact is not None
     before = np.concatenate([begin, end - begin])
-    np.testing.assert_allclose(one.impact, np.where(one.stuck, before, 0.0), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(one.impact, np.where(one.nodes.stuck, before, 0.0), rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ["cup", "ribs", "box"])
@@ -258,9 +258,9 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     monkeypatch.setattr(stepping, "watch", lambda *args: watch.watch(*args)._replace(due=watch.every_block(args[2])))
     monkeypatch.setattr(stepping, "look", lambda *args: watch.look(*args)._replace(close=jnp.asarray(True)))
     always = windows()
-    assert 0 < int((skipping.wall != 0).sum())
-    np.testing.assert_array_equal(skipping.positions, always.positions)
-    np.testing.assert_array_equal(skipping.wall, always.wall)
+    assert 0 < int((skipping.nodes.wall != 0).sum())
+    np.testing.assert_array_equal(skipping.nodes.positions, always.nodes.positions)
+    np.testing.assert_array_equal(skipping.nodes.wall, always.nodes.wall)
 
 
 def _taken_anew(result: jaxform.Result) -> int:

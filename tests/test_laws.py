@@ -14,7 +14,8 @@ import pytest
 import jaxform
 from jaxform import membrane
 from jaxform.errors import InputError
-from jaxform.materials import Slope, ranges_of
+from jaxform.materials import Slope
+from jaxform.parameters import ranges_of
 from jaxform.result import Result
 from jaxform.state import Status
 from jaxform.store import Store

@@ -53,11 +53,11 @@ def grown(scene: Scene, seed: int) -> tuple[State, State, body.Body, body.Body]:
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
     scene = jaxform.replace(scene, {"parison.thickness": thickness})
     state, first = initial_state(scene), body.body(scene)
-    free = ~state.stuck & (jnp.arange(state.stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
-    shape = state.positions.shape
-    state = dataclasses.replace(
-        state,
-        positions=state.positions + jnp.where(free, jnp.asarray(random.normal(0, 0.01, shape)), 0.0),
+    stuck = state.nodes.stuck
+    free = ~stuck & (jnp.arange(stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
+    shape = state.nodes.positions.shape
+    state = state.with_nodes(
+        positions=state.nodes.positions + jnp.where(free, jnp.asarray(random.normal(0, 0.01, shape)), 0.0),
         velocities=jnp.where(free, jnp.asarray(random.normal(0, 1, shape)), 0.0) * (first.compliance > 0),
     )
     forest = scene.tables.forest
@@ -108,17 +108,17 @@ def test_new_nodes_keep_mass_and_in_flight_momentum_whatever_the_thickness(seed:
 
     def there(state: State) -> jax.Array:
         assert state.mesh is not None
-        return jnp.arange(state.stuck.size) < state.mesh.node_count
+        return jnp.arange(state.nodes.stuck.size) < state.mesh.node_count
 
     mass, new_mass = (jnp.where(there(s), b.mass, 0.0) for s, b in ((before, first), (after, now)))
     np.testing.assert_allclose(jnp.sum(new_mass), jnp.sum(mass), rtol=1e-13)
     assert first.volumes is not None
     np.testing.assert_allclose(jnp.sum(new_mass), jnp.sum(first.volumes[-32 * 4 :]), rtol=1e-13)
-    momentum, new_momentum = (jnp.sum(m * s.velocities, axis=1) for m, s in ((mass, before), (new_mass, after)))
+    momentum, new_momentum = (jnp.sum(m * s.nodes.velocities, axis=1) for m, s in ((mass, before), (new_mass, after)))
     np.testing.assert_allclose(new_momentum, momentum, atol=1e-14 * float(jnp.sum(mass)))
     # A flat cut changes no element's strain; what is lost is kinetic energy alone.
-    kinetic = [0.5 * jnp.sum(m * jnp.sum(s.velocities**2, 0)) for m, s in ((mass, before), (new_mass, after))]
-    assert 0 < float(after.refinement_loss) == pytest.approx(float(kinetic[0] - kinetic[1]), rel=1e-9)
+    kinetic = [0.5 * jnp.sum(m * jnp.sum(s.nodes.velocities**2, 0)) for m, s in ((mass, before), (new_mass, after))]
+    assert 0 < float(after.account.refinement_loss) == pytest.approx(float(kinetic[0] - kinetic[1]), rel=1e-9)
 
 
 def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
@@ -146,7 +146,7 @@ def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarr
     assert forest is not None and mold is not None and mesh is not None
     lists_of(mesh, forest)
     count = int(mesh.element_count)
-    corners = np.asarray(state.positions).T[np.asarray(now.sheet.triangles)[:, :count]]
+    corners = np.asarray(state.nodes.positions).T[np.asarray(now.sheet.triangles)[:, :count]]
     side = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=2).max(0)
     begin, end = topology.feature_edges(
         np.asarray(mold.vertices), np.asarray(mold.triangles), 10.0, rims=False
@@ -185,14 +185,14 @@ def flying_at_first(scene: Scene) -> Scene:
 def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_their_edges_did(at_rest: bool) -> None:
     scene = flying_at_first(over_a_block(2.0, at_rest=at_rest))
     before = initial_state(scene)
-    upwards = jnp.where(before.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
-    before, now = dataclasses.replace(before, velocities=upwards), body.body(scene)
+    upwards = jnp.where(before.nodes.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
+    before, now = before.with_nodes(velocities=upwards), body.body(scene)
     state, _ = scenes.looked_at(before, scene, now)
     forest, grid, old, mesh = scene.tables.forest, scene.tables.grid, before.mesh, state.mesh
     assert forest is not None and grid is not None and old is not None and mesh is not None
     new = np.arange(int(old.node_count), int(mesh.node_count))
     ends = np.asarray(mesh.place)[np.asarray(forest.ends)[:, np.asarray(mesh.node)[new]]]
-    begin, end = (np.asarray(before.positions)[:, at] for at in ends)
+    begin, end = (np.asarray(before.nodes.positions)[:, at] for at in ends)
     middle = 0.5 * (begin + end)
     # The block ends half a millimetre above the sheet; what is not over it is nearest to its sides.
     beside = np.maximum(np.abs(middle[:2] - 0.3) - 0.03, 0.0)
@@ -214,10 +214,10 @@ def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> No
     @jax.jit
     @jax.value_and_grad
     def swiftness(positions: jax.Array) -> jax.Array:
-        moving = dataclasses.replace(before, positions=positions, velocities=jnp.ones_like(positions))
-        return jnp.sum(jnp.square(refinement.refined(moving, scene, now)[0].velocities))
+        moving = before.with_nodes(positions=positions, velocities=jnp.ones_like(positions))
+        return jnp.sum(jnp.square(refinement.refined(moving, scene, now)[0].nodes.velocities))
 
-    value, slope = swiftness(before.positions)
+    value, slope = swiftness(before.nodes.positions)
     assert float(value) > 0.0 and np.all(np.isfinite(slope)) and np.any(np.asarray(slope) != 0.0)
 
 

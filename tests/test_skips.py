@@ -53,10 +53,10 @@ def test_what_sticks_is_packed_away() -> None:
     np.testing.assert_array_equal(np.sort(packed.element[elements.area > 0]), np.flatnonzero(moving))
     kept = np.unique(np.asarray(scene.parison.triangles)[moving])
     np.testing.assert_array_equal(np.sort(packed.node[: len(kept)]), kept)
-    np.testing.assert_array_equal(packed.put_back(packed.taken(state.positions)), state.positions)
+    np.testing.assert_array_equal(packed.put_back(packed.taken(state.nodes.positions)), state.nodes.positions)
     # The force on the nodes of these elements is that of these elements alone.
-    random = np.random.default_rng(0).normal(0, 0.05, state.positions.shape)
-    positions = state.positions + random
+    random = np.random.default_rng(0).normal(0, 0.05, state.nodes.positions.shape)
+    positions = state.nodes.positions + random
     load = force.Load(packed.taken(positions), sheet_body.thickness[packed.element], scenes.real(0.1), scene.material)
     got, volume = force.force(load, elements)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
@@ -178,12 +178,14 @@ def test_the_first_step_is_not_cold() -> None:
     assert 0.85 < float(bound) / building.first_step(plain) <= 1.0
 
 
-def _weighted(scene: jaxform.Scene, values: dict[str, jax.Array], vertices: jax.Array, every: int) -> jax.Array:
+def _weighted(
+    scene: jaxform.Scene, values: dict[str, jax.Array], vertices: jax.Array, adjoint: jaxform.Adjoint
+) -> jax.Array:
     """All of a result that carries a derivative, weighted without a pattern."""
     assert scene.mold is not None
     changed = jaxform.replace(scene, values)
     changed = dataclasses.replace(changed, mold=dataclasses.replace(scene.mold, vertices=vertices))
-    result = jaxform.simulate(changed, windows_per_checkpoint=every)
+    result = jaxform.simulate(changed, adjoint=adjoint)
     ways = any_mode(result.positions.T).T
     energies = sum(jax.tree.leaves(result.energy))
     landed = jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
@@ -206,8 +208,8 @@ def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> N
         "material.density": scene.material.density,
     }
     slopes = [
-        jax.jit(jax.value_and_grad(functools.partial(_weighted, scene, every=every), argnums=(0, 1)))
-        for every in (0, 1)
+        jax.jit(jax.value_and_grad(functools.partial(_weighted, scene, adjoint=adjoint), argnums=(0, 1)))
+        for adjoint in (jaxform.Stored(), jaxform.Reversed())
     ]
     # Steps with so much damping that they cannot be taken back are worked out once more.
     for damping in (scene.solver.damping, 10.0 * scene.solver.damping):
@@ -220,16 +222,16 @@ def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> N
 def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> None:
     scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
-    def wall(thickness: jax.Array, pressure: jax.Array, every: int = 1) -> jax.Array:
+    def wall(thickness: jax.Array, pressure: jax.Array, adjoint: jaxform.Adjoint | None = None) -> jax.Array:
         changed = jaxform.replace(scene, {"parison.thickness": thickness, "pressure.value": pressure})
-        return jnp.mean(jnp.square(jaxform.simulate(changed, windows_per_checkpoint=every).thickness)) * 1e4
+        return jnp.mean(jnp.square(jaxform.simulate(changed, adjoint=adjoint).thickness)) * 1e4
 
     def together(rows: jax.Array, pressure: jax.Array) -> jax.Array:
         return jnp.sum(jax.vmap(wall, (0, None))(rows, pressure))
 
     rows = jnp.stack([factor * scene.parison.thickness for factor in (0.9, 1.0, 1.2)])
     slope, pressing = jax.jit(jax.grad(together, argnums=(0, 1)))(rows, scene.pressure.value)
-    alone = jax.jit(jax.grad(functools.partial(wall, every=3), argnums=(0, 1)))
+    alone = jax.jit(jax.grad(functools.partial(wall, adjoint=jaxform.Reversed(windows=3)), argnums=(0, 1)))
     single = [alone(row, scene.pressure.value) for row in rows]
     np.testing.assert_allclose(slope, [row for row, _ in single], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(pressing, sum(p for _, p in single), rtol=1e-9, atol=1e-12)
@@ -239,14 +241,13 @@ def test_what_is_stored_does_not_change_the_gradient() -> None:
     # Without the search for the highest mode there is half as much to compile, and nothing less to store.
     scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
-    def wall(thickness: jax.Array, every: int) -> jax.Array:
-        result = jaxform.simulate(
-            jaxform.replace(scene, {"parison.thickness": thickness}), windows_per_checkpoint=every
-        )
+    def wall(thickness: jax.Array, adjoint: jaxform.Adjoint) -> jax.Array:
+        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), adjoint=adjoint)
         return jnp.mean(jnp.square(result.thickness))
 
     usual, *others = (
-        jax.jit(jax.value_and_grad(lambda h, n=n: wall(h, n)))(scene.parison.thickness) for n in (1, 0, 3)
+        jax.jit(jax.value_and_grad(lambda h, way=way: wall(h, way)))(scene.parison.thickness)
+        for way in (jaxform.Reversed(), jaxform.Stored(), jaxform.Reversed(windows=3), jaxform.Checkpointed())
     )
     for other in others:
         np.testing.assert_allclose(other[0], usual[0], rtol=1e-12)
@@ -320,10 +321,10 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     """Also from that of a sheet of which most sticks, some nodes of which have many elements."""
     scene = scenes.cup()
     start, sheet_body = initial_state(scene), body(scene)
-    stuck = start.stuck | (jnp.linalg.norm(start.positions, axis=0) < 0.6)
+    stuck = start.nodes.stuck | (jnp.linalg.norm(start.nodes.positions, axis=0) < 0.6)
     assert 5 < int(jnp.sum(~stuck)) < stuck.size / 2
-    velocities = jnp.where(stuck, 0.0, any_mode(start.positions))
-    state = dataclasses.replace(start, stuck=stuck, velocities=velocities, mode=any_mode(start.positions))
+    velocities = jnp.where(stuck, 0.0, any_mode(start.nodes.positions))
+    state = start.with_nodes(stuck=stuck, velocities=velocities, mode=any_mode(start.nodes.positions))
     working = worked_through(state, scene, sheet_body)
     taken = working.taken(state)
     assert not np.array_equal(working.packed.place, np.arange(stuck.size))
@@ -331,11 +332,13 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
         np.testing.assert_array_equal(got, expected)
     # What is not worked through makes up for what the account leaves out.
     whole = sheet_body.whole
-    energy, volume = account(state.positions * 1.1, whole.elements, sheet_body.thickness[whole.element], scene.material)
-    moved = dataclasses.replace(state, positions=state.positions * 1.1)
+    energy, volume = account(
+        state.nodes.positions * 1.1, whole.elements, sheet_body.thickness[whole.element], scene.material
+    )
+    moved = state.with_nodes(positions=state.nodes.positions * 1.1)
     working = worked_through(moved, scene, sheet_body)
     elements = working.packed.elements
-    own, inside = account(working.taken(moved).positions, elements, working.thickness, scene.material)
+    own, inside = account(working.taken(moved).nodes.positions, elements, working.thickness, scene.material)
     assert 0.0 < float(own) < float(energy)
     np.testing.assert_allclose(own + working.idle_energy, energy, rtol=1e-13)
     np.testing.assert_allclose(inside + working.idle_volume, volume, rtol=1e-13, atol=1e-16)

@@ -115,7 +115,7 @@ def test_a_run_that_reaches_its_end_with_energy_missing_says_so() -> None:
     drawn = random_scenes.draw(127)
     state, result = stress.run_drawn(drawn)
     assert float(result.time) == pytest.approx(float(drawn.scene.solver.end_time))
-    assert abs(float(state.imbalance)) > 0.01 * float(state.peak_work)
+    assert abs(float(state.account.imbalance)) > 0.01 * float(state.account.peak_work)
     assert int(result.status) == Status.UNBALANCED
     assert "misses more than 1 % of the work" in jaxform.explain(result)
 

@@ -59,8 +59,8 @@ def test_what_is_on_the_flange_lies_there_on_the_side_that_is_pushed(gap: float)
         np.testing.assert_allclose(places[on_it, 2], gap, atol=1e-15)
         state = initial_state(scene)
         clamped = np.asarray(scene.parison.clamped)
-        np.testing.assert_array_equal(state.stuck, on_it | clamped)
-        assert np.all(np.asarray(state.contact_time)[on_it & ~clamped] > 0)
+        np.testing.assert_array_equal(state.nodes.stuck, on_it | clamped)
+        assert np.all(np.asarray(state.nodes.contact_time)[on_it & ~clamped] > 0)
 
 
 def test_a_sheet_that_is_through_the_flange_is_refused() -> None:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import field
-from typing import Any, dataclass_transform
+from typing import dataclass_transform
 
 import jax
 import jax.numpy as jnp
 
 from jaxform.errors import InputError
-from jaxform.pytree import pytree, static
-from jaxform.ranges import Range, declare
+from jaxform.parameters import declared_part, parameter, within
+from jaxform.pytree import static
 
 Slope = jax.Array | None
 """A derivative of the energy; None where the law never has it, so that the step does not compute it."""
@@ -77,25 +75,6 @@ def _along(function: Callable[[jax.Array], Slope], at: jax.Array) -> Slope:
     return jax.jvp(spread, (at,), (jnp.ones_like(at),))[1]
 
 
-def parameter(
-    unit: str = "", *, above: float | None = None, least: float | None = None, most: float | None = None
-) -> Any:
-    """A number of a law, with its range; by default any finite one.
-
-    Args:
-        unit: Of the number, empty where it has none.
-        above: It is greater than this.
-        least: It is not less than this.
-        most: It is not greater than this.
-    """
-    return within(Range(unit, above=above, least=least, most=most))
-
-
-def within(allowed: Range) -> Any:
-    """A number of a law with a range that is declared elsewhere."""
-    return field(metadata={"range": allowed})
-
-
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
 def law[T: Law](cls: type[T]) -> type[T]:
     """Makes a class a law: a frozen dataclass and a pytree, its parameters known to `replace` and to designs.
@@ -103,23 +82,7 @@ def law[T: Law](cls: type[T]) -> type[T]:
     Raises:
         InputError: It does not derive from `Law`, has no energy or density, or an undeclared parameter.
     """
-    name = getattr(cls, "__name__", str(cls))
     if not (isinstance(cls, type) and issubclass(cls, Law)) or cls.energy is Law.energy:
-        raise InputError("is no law", "derive it from jaxform.Law and give it an energy", value=name)
-    made = pytree(cls)
-    declared = {part.name: part.metadata.get("range") for part in _numbers(made)}
-    missing = sorted(key for key, allowed in {"density": None, **declared}.items() if allowed is None)
-    if missing:
-        raise InputError(f"does not declare {', '.join(missing)}", "declare them with jaxform.parameter", value=name)
-    for key, allowed in ranges_of(made).items():
-        declare(f"material.{key}", allowed)
-    return made
-
-
-def ranges_of(law: type[Law] | Law) -> dict[str, Range]:
-    """The range of each parameter of a law, by name."""
-    return {part.name: part.metadata["range"] for part in _numbers(law)}
-
-
-def _numbers(law: Any) -> list[dataclasses.Field[Any]]:
-    return [part for part in dataclasses.fields(law) if not part.metadata.get("static")]
+        remedy = "derive it from jaxform.Law and give it an energy"
+        raise InputError("is no law", remedy, value=getattr(cls, "__name__", str(cls)))
+    return declared_part(cls, "material", needed=("density",))

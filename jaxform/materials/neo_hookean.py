@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import jax
 
-from jaxform.materials.law import Law, Slope, law, within
+from jaxform.materials.law import Law, Slope, law
+from jaxform.parameters import within
 from jaxform.ranges import RANGES
 
 

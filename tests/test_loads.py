@@ -1,0 +1,143 @@
+"""Loadings that a user adds: the pressure follows the enclosed volume, and the step knows how it falls."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform import membrane, reference, shapes
+from jaxform.body import body
+from jaxform.errors import InputError
+from jaxform.result import Result
+from jaxform.state import initial_state
+from jaxform.timestep import choose_step
+from jaxform.working import worked_through
+from tests import scenes
+from tests.examples.sealed_gas import SealedGas
+from tests.scenes import real
+
+THICKNESS = 0.01
+DEAD = 0.1
+
+
+def gas(initial: float, content: float, outside: float = 1.0, inflow_time: float = 40.0) -> SealedGas:
+    return SealedGas(*map(real, (initial, content, inflow_time, DEAD, outside)))
+
+
+def sphere(elements: int, outside: float, stretch: float, end_time: float = 60.0) -> jaxform.Scene:
+    """A quarter of a closed sphere of radius 1, filled with the gas that holds it at a stretch; at rest at first."""
+    sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
+    quarter = reference.enclosed_volume(sheet.positions, sheet.triangles)
+    content = (float(_bears(np.asarray(stretch))) + outside) * (DEAD + quarter * stretch**3)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, THICKNESS, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=gas(outside * (DEAD + quarter), content, outside),
+        solver=jaxform.make_solver(end_time=end_time, damping=1.0),
+    )
+
+
+def _retried(result: Result) -> int:
+    assert result.schedule is not None
+    counts = np.asarray(result.schedule.counts)
+    return int(np.sum(counts[: np.flatnonzero(counts)[-1]] == 0))
+
+
+def _bears(stretch: np.ndarray) -> np.ndarray:
+    """Pressure of a Mooney-Rivlin sphere: 4 c (h0/r) (1/s - 1/s^7) (1 + alpha s^2)."""
+    return 4 * THICKNESS * (1 / stretch - stretch**-7) * (1 + 0.1 * stretch**2)
+
+
+def test_a_sphere_filled_with_gas() -> None:
+    """In equilibrium the gas of that volume has the pressure that the sphere bears at that stretch."""
+    scene = sphere(512, outside=1.0, stretch=1.5)
+    result = jaxform.run(scene)
+    radius = np.linalg.norm(np.asarray(result.positions), axis=1)
+    assert int(result.status) == 0 and _retried(result) == 0
+    # What 512 flat triangles leave.
+    assert np.sqrt(np.mean(np.square(radius / 1.5 - 1.0))) < 3e-3
+    assert float(jaxform.summarize(result, scene)["energy"]["balance_error"]) < 1e-3
+
+
+@pytest.mark.parametrize("outside", [0.1, 100.0, 10000.0])
+def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> None:
+    """Against the largest eigenvalue of the exact Hessian, the gas included."""
+    scene = sphere(32, outside, stretch=1.1)
+    state, sheet = initial_state(scene), body(scene)
+    working = worked_through(state, scene, sheet)
+    mobile = np.asarray(sheet.compliance > 0).ravel()
+
+    def force(flat: jax.Array) -> jax.Array:
+        def energy(flat: jax.Array) -> jax.Array:
+            volume = sheet.sheet.area * sheet.thickness
+            geometry = flat.reshape(3, -1), sheet.sheet.triangles, sheet.sheet.inverse_metric
+            return membrane.strain_energy(*geometry, volume, scene.material)
+
+        def inside(flat: jax.Array) -> jax.Array:
+            return dataclasses.replace(working, idle_volume=real(0.0)).volume(working.packed.taken(flat.reshape(3, -1)))
+
+        volume, rise = jax.value_and_grad(inside)(flat)
+        return scene.pressure.at(state.time, volume) * rise - jax.grad(energy)(flat)
+
+    stiffness = -np.asarray(jax.jacobian(force)(state.nodes.positions.ravel()))[np.ix_(mobile, mobile)]
+    root = np.sqrt(np.asarray(sheet.compliance).ravel()[mobile])
+    limit = 2.0 / np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root).max())
+    for sharp in (True, False):
+        changed = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, sharp_step=sharp))
+        begin = initial_state(changed)
+        chosen = choose_step(working.taken(begin), changed, working)
+        assert 0.3 * limit < float(chosen.length) < limit
+    result = jaxform.run(
+        dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=real(2000 * limit)))
+    )
+    assert int(result.status) == 0 and _retried(result) == 0
+
+
+@pytest.fixture(scope="module")
+def cup() -> jaxform.Scene:
+    return scenes.loaded(gas(initial=DEAD, content=0.5, inflow_time=16.0))
+
+
+def test_a_gas_forms_a_cup_and_its_work_is_kept_account_of(cup: jaxform.Scene) -> None:
+    result = jaxform.run(cup)
+    assert int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
+    assert float(result.energy.balance_error) < 2e-3
+    np.testing.assert_allclose(jaxform.simulate(cup).positions, result.positions, rtol=0, atol=1e-9)
+
+
+def test_gradients_by_a_loadings_numbers(cup: jaxform.Scene) -> None:
+    schedule = jaxform.run(cup).schedule
+
+    def figure(values: dict[str, jax.Array]) -> jax.Array:
+        result = jaxform.simulate(jaxform.replace(cup, values), schedule=schedule)
+        return jnp.mean(jnp.square(100.0 * result.thickness)) + jnp.mean(jnp.square(result.positions))
+
+    weights = 1.0 + np.arange(cup.parison.thickness.size) / cup.parison.thickness.size
+    ways = {"pressure.content": 1.0, "pressure.dead_volume": 1.0, "parison.thickness": 0.01 * weights}
+    at = {"parison.thickness": cup.parison.thickness}
+    at |= {path: getattr(cup.pressure, path.partition(".")[2]) for path in ways if path.startswith("pressure")}
+    whole = jax.jit(jax.value_and_grad(figure))
+    slopes = whole(at)[1]
+    for path, way in ways.items():
+        step = 1e-6
+        both = [float(whole(at | {path: at[path] + sign * step * way})[0]) for sign in (1, -1)]
+        along = float(jnp.sum(slopes[path] * way))
+        assert abs(along) > 1e-5
+        np.testing.assert_allclose(along, (both[0] - both[1]) / (2 * step), rtol=1e-6)
+
+
+def test_what_is_no_loading_is_refused_in_words() -> None:
+    with pytest.raises(InputError, match="is no loading"):
+        jaxform.loading(cast("Any", type("Nothing", (), {})))
+    with pytest.raises(InputError, match="give it a pressure"):
+        jaxform.loading(type("Empty", (jaxform.Loading,), {}))
+    with pytest.raises(InputError, match=r"pressure: is no loading.*decorated with jaxform\.loading"):
+        scenes.loaded(cast("Any", 3.0))
+    with pytest.raises(InputError, match=r"pressure\.content.*must be positive"):
+        scenes.loaded(gas(1.0, -1.0))
