@@ -21,9 +21,12 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 import jaxform
 import optimize
 from benchmarks import membranes
-from jaxform import files, molds, sections
-from jaxform.result import Result, formed_areas
-from jaxform.scene import Scene
+from jaxform import molds
+from jaxform.io import files
+from jaxform.model.scene import Scene
+from jaxform.results import sections
+from jaxform.results.result import Result
+from jaxform.results.summary import formed_areas
 from optimize import solvers
 
 # Sphere under a pressure step: alpha, P r0/(c h0), largest stretch, period in r0 sqrt(rho/c).

@@ -27,14 +27,19 @@ import numpy as np
 import jaxform
 from benchmarks import contact, formulations, peers, sheets
 from benchmarks.sheets import best_in_turns, best_seconds, whole_loop
-from jaxform import molds, simulation, stepping
-from jaxform.body import Body
-from jaxform.compiling import compiled, compiler_options
+from jaxform import molds
+from jaxform.contact import candidates
+from jaxform.contact.broad_phase import LOOK_EVERY
+from jaxform.core.compiling import compiled, compiler_options
+from jaxform.dynamics import timestep
+from jaxform.dynamics import window as windows
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
-from jaxform.scene import SHORT_WINDOW
-from jaxform.state import PackedState, State, can_move
-from jaxform.watch import LOOK_EVERY
-from jaxform.working import Working, packed_moving, worked_through
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.runs import loop
+from jaxform.sheet import account
+from jaxform.sheet.active_set import Working, packed_moving, worked_through
+from jaxform.sheet.discretization import Body
+from jaxform.sheet.state import PackedState, State, can_move
 
 SIZES = (128, 512, 2048, 8192, 32768, 131072)
 _WORK = 1_200_000  # element steps in one timing
@@ -180,7 +185,7 @@ def show_memory(steps: tuple[int, ...] = (640, 2560, 10000), everything: int = 6
     for count in steps:
         scene = free_sheet(2048, count)
         stored = [jaxform.Stored()] if count <= everything else []
-        for adjoint in (*stored, *(jaxform.Reversed(windows) for windows in (1, 4, 16))):
+        for adjoint in (*stored, *(jaxform.Reversed(count) for count in (1, 4, 16))):
             table.append(gradient_cost(scene, adjoint))
             say(table[-1])
     return table
@@ -224,10 +229,10 @@ def show_skips() -> Table:
 
 def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
-    state, body, taken = simulation._begin(scene)
-    advance = simulation._compiled(state, scene, body, taken)
+    state, body, taken = loop.begin(scene)
+    advance = loop.compiled_advance(state, scene, body, taken)
     sheet = scene.tables.sheet
-    count = jax.jit(lambda state: can_move(state.stuck, sheet.triangles, sheet.area).sum())
+    count = jax.jit(lambda state: can_move(state.nodes.stuck, sheet.triangles, sheet.area).sum())
     moved, done = 0, False
     while not done:
         moving, before = int(count(state)), int(state.steps)
@@ -279,18 +284,18 @@ def with_windows_of(steps: int, scene: jaxform.Scene) -> jaxform.Scene:
 def show_parts(window: int = 20) -> Table:
     """Cost of the parts of a step and of a short window's border on the dish [us], all elements moving."""
     scene = with_windows_of(SHORT_WINDOW, jaxform.load("dish"))
-    state, body, taken = simulation._begin(scene)
-    state = simulation._compiled(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
+    state, body, taken = loop.begin(scene)
+    state = loop.compiled_advance(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
     free = dataclasses.replace(scene, mold=None, tables=dataclasses.replace(scene.tables, grid=None))
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
     def border(state: PackedState, scene: jaxform.Scene, working: Working) -> Any:
-        return stepping.window_in_place(state, with_windows_of(1, scene), working)
+        return windows.window_in_place(state, with_windows_of(1, scene), working)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
-        return stepping.list_near(
+        return candidates.list_near(
             state.nodes.positions,
             state.nodes.velocities,
             ~state.nodes.stuck,
@@ -300,18 +305,18 @@ def show_parts(window: int = 20) -> Table:
         )
 
     def balance(state: State, scene: jaxform.Scene, working: Working) -> Any:
-        return stepping.account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
+        return account.account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
 
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
-        "nothing": (lambda state, *_: state.positions[0, 0], scene),
+        "nothing": (lambda state, *_: state.nodes.positions[0, 0], scene),
         "pack what can move": (lambda state, scene, _: _packed(state, scene, body), scene),
-        "choose the step": (stepping.choose_step, scene),
+        "choose the step": (timestep.choose_step, scene),
         "list the nodes near the mold": (listed, scene),
         "energy account": (balance, scene),
-        "window": (stepping.window_in_place, scene),
-        "window without contact": (stepping.window_in_place, free),
-        "and without damping": (stepping.window_in_place, undamped),
-        "and without the search for the step": (stepping.window_in_place, unsearched),
+        "window": (windows.window_in_place, scene),
+        "window without contact": (windows.window_in_place, free),
+        "and without damping": (windows.window_in_place, undamped),
+        "and without the search for the step": (windows.window_in_place, unsearched),
         "window of one step": (border, scene),
         "window of one step without contact": (border, free),
         "and without damping and search": (border, unsearched),
@@ -353,7 +358,7 @@ def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> C
 
         return jax.lax.fori_loop(0, _TIMES, once, jnp.zeros(()))
 
-    working = jax.jit(worked_through)(state, scene, simulation._begin(scene)[1])
+    working = jax.jit(worked_through)(state, scene, loop.begin(scene)[1])
     taken = working.taken(state)
     return lambda: several(taken, scene, working)
 

@@ -14,10 +14,13 @@ import jax
 import numpy as np
 
 import jaxform
-from jaxform import checking, files, meshes, output, padding, plots
-from jaxform.molds import MoldShape, revolved
-from jaxform.result import penetrated
-from jaxform.store import Store
+from jaxform.cli import checking
+from jaxform.core.store import Store
+from jaxform.io import files, output, plots
+from jaxform.mesh import meshes
+from jaxform.results.summary import penetrated
+from jaxform.runs import padding
+from jaxform.tools.molds import MoldShape, revolved
 
 SIZES = (100_000, 400_000)  # elements
 MOLDS = (300, 200_000)  # triangles

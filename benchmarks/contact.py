@@ -20,13 +20,15 @@ import trimesh
 
 import jaxform
 from benchmarks.sheets import best_in_turns, whole_loop
-from jaxform import contact, membrane, molds, near, shapes, watch
-from jaxform.blocks import BLOCK
-from jaxform.mold import Mold
-from jaxform.nodes import Nodes
-from jaxform.result import penetrated
-from jaxform.scene import Scene
-from jaxform.search import SearchGrid, build_grid
+from jaxform import molds, shapes
+from jaxform.contact import broad_phase, candidates, sticking
+from jaxform.kernels.blocks import BLOCK
+from jaxform.mechanics import membrane
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene
+from jaxform.results.summary import penetrated
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid, build_grid
 
 BATCH = 128  # paths that are looked at together: few, so that all their pairs find room
 
@@ -89,23 +91,23 @@ def random_paths(wall: Mold, grid: SearchGrid, count: int, seed: int) -> tuple[n
 @functools.partial(jax.jit, static_argnames="differentiable")
 def walk(
     begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid, *, differentiable: bool = False
-) -> tuple[contact.Landing, jax.Array]:
+) -> tuple[sticking.Landing, jax.Array]:
     """One step of all nodes from begin to end (3, n), as a simulation takes it: the landing; is all well?"""
     count = begin.shape[1]
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
-    window = near.list_near(begin, way, ~stuck, once, once, grid)
-    due = watch.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
+    window = candidates.list_near(begin, way, ~stuck, once, once, grid)
+    due = broad_phase.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     there = end if differentiable else membrane.rows_of(end)
     nodes = Nodes(there, way, stuck, -mass, none, None, {})
-    flying = contact.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
-    now = contact.Step(once, once, jnp.int32(0))
-    room = None if differentiable else contact.nothing_met(stuck.size, end.dtype)
-    landed, _ = contact.land(flying, now, due, mass, window, wall, grid, room)
+    flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
+    now = sticking.Step(once, once, jnp.int32(0))
+    room = None if differentiable else sticking.nothing_met(stuck.size, end.dtype)
+    landed, _ = sticking.land(flying, now, due, mass, window, wall, grid, room)
     nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
     landed = landed._replace(nodes=nodes)
-    well = ~(window.overflow | jnp.any(watch.missed(end, stuck, watch.balls(window), watch.unseen())))
+    well = ~(window.overflow | jnp.any(broad_phase.missed(end, stuck, broad_phase.balls(window), broad_phase.unseen())))
     return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
 
 

@@ -20,8 +20,8 @@ import jaxform
 import optimize
 from benchmarks import design_page
 from benchmarks.pages import DOCS, Found, keep, kept
-from jaxform import catalog
-from jaxform.profiles import Profile
+from jaxform.io import catalog
+from jaxform.mesh.profiles import Profile
 from optimize.search import Search
 from optimize.walls import nodal_area
 

@@ -23,10 +23,12 @@ from scipy.spatial import KDTree
 
 import jaxform
 from benchmarks.strangers import tray
-from jaxform import molds, shapes, topology
-from jaxform.molds import MoldShape
-from jaxform.result import Result, penetrated, warnings_of_mold
-from jaxform.scene import Scene
+from jaxform import molds, shapes
+from jaxform.mesh import topology
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result
+from jaxform.results.summary import penetrated, warnings_of_mold
+from jaxform.tools.molds import MoldShape
 
 DISTANCES = (0.0, 1e-9, -1e-9, 1e-6, -1e-6, 1e-5, 1e-4, 1e-3)
 """Of the flange from the sheet's plane, on the side that the pressure pushes to [m]."""

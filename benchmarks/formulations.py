@@ -13,10 +13,14 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
-from jaxform import blocks, force, packing, scene
-from jaxform.compiling import compiled, compiler_options
+from jaxform.core.compiling import compiled, compiler_options
+from jaxform.kernels import blocks
 from jaxform.materials import Law, MooneyRivlin
-from jaxform.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
+from jaxform.mechanics import force
+from jaxform.mechanics.elements import Elements, Shares, assembled, no_corners
+from jaxform.mechanics.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
+from jaxform.model import tables
+from jaxform.sheet import packing
 
 LAW = MooneyRivlin(jnp.asarray(C), jnp.asarray(ALPHA), jnp.asarray(1.0))
 
@@ -95,7 +99,7 @@ def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
         u, w = ([a - b for a, b in zip(corner, first, strict=True)] for corner in (second, third))
         shares = jax.lax.optimization_barrier(_corners(u, w, inverse, weight, jax.lax.optimization_barrier))
         rows = [jnp.stack([jnp.pad(share[k], (0, room - count)) for share in shares]) for k in range(3)]
-        found = force.assembled(jax.lax.optimization_barrier(rows), _shares(elements))
+        found = assembled(jax.lax.optimization_barrier(rows), _shares(elements))
         return jnp.stack(found)[:, : x.shape[1]]
 
     return nodal
@@ -103,16 +107,16 @@ def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
 
 def packed(sheet: Sheet, *, paired: bool = True) -> packing.Packed:
     """The sheet as `jaxform` steps it; or with elements one by one, as where they are bisected."""
-    tables = scene.Sheet(
+    geometry = tables.Sheet(
         jnp.asarray(sheet.triangles.T), jnp.asarray(sheet.metric.T), jnp.asarray(sheet.area), jnp.zeros(3)
     )
     if paired:
-        return packing.pack(None, tables, packing.make_paired_assembly(sheet.positions, sheet.triangles))
-    return packing.pack(None, tables, packing.make_assembly(sheet.triangles, len(sheet.positions)))
+        return packing.pack(None, geometry, packing.make_paired_assembly(sheet.positions, sheet.triangles))
+    return packing.pack(None, geometry, packing.make_assembly(sheet.triangles, len(sheet.positions)))
 
 
-def _shares(elements: force.Elements) -> force.Shares:
-    return force.Shares(elements.slots, jnp.max(elements.row_count))
+def _shares(elements: Elements) -> Shares:
+    return Shares(elements.slots, jnp.max(elements.row_count))
 
 
 def _weight(sheet: Sheet) -> jax.Array:
@@ -177,11 +181,11 @@ def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Law) -> Callable[
             x, v, corners, volume = state
             load = force.Load(x, thickness, pressure, law)
             corners, volume = force.corner_forces(load, whole.elements, corners)
-            nodal = force.assembled(corners, _shares(whole.elements))
+            nodal = assembled(corners, _shares(whole.elements))
             v = [w + step * f * c for w, f, c in zip(v, nodal, compliance, strict=True)]
             return vector(a + step * w for a, w in zip(x, v, strict=True)), v, corners, volume
 
-        room = force.no_corners(x, whole.elements)
+        room = no_corners(x, whole.elements)
         state = rows_of(x), list(jnp.zeros_like(x)), room, jnp.zeros((), dtype)
         return whole.put_back(jnp.stack(jax.lax.fori_loop(0, count, advance, state)[0]))
 

@@ -65,15 +65,15 @@ def run_case(kind: str, number: int) -> dict[str, Any]:
 
 
 def _outcome(arguments: list[str]) -> dict[str, Any]:
-    from jaxform import cli
-    from jaxform.errors import InputWarning
+    from jaxform.cli import command
+    from jaxform.core.errors import InputWarning
 
     out, err = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
             # Of doubtful input; all others are printed, which counts as a fault.
             warnings.simplefilter("ignore", InputWarning)
-            status = cli.main(arguments) if arguments[0] == "check" else _load(*arguments)
+            status = command.main(arguments) if arguments[0] == "check" else _load(*arguments)
     except BaseException:
         return {"status": -1, "words": traceback.format_exc()}
     lines = [line for line in err.getvalue().splitlines() if not line.startswith("jaxform: warning: ")]
@@ -85,8 +85,8 @@ def _outcome(arguments: list[str]) -> dict[str, Any]:
 def _load(what: str, path: str) -> int:
     """What a command does before it compiles a step."""
     import optimize
-    from jaxform import files
-    from jaxform.errors import InputError
+    from jaxform.core.errors import InputError
+    from jaxform.io import files
 
     try:
         if what == "study":
@@ -195,7 +195,7 @@ def _work(kind: str, numbers: list[int]) -> None:
 
     import jax
 
-    import jaxform.files  # noqa: F401  (so that the first case is not charged with it)
+    import jaxform.io.files  # noqa: F401  (so that the first case is not charged with it)
 
     jax.config.update("jax_enable_x64", True)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()

@@ -221,7 +221,8 @@ def _meshes() -> dict[str, bytes]:
     import meshio
     import numpy as np
 
-    from jaxform import meshes, molds, shapes
+    from jaxform import molds, shapes
+    from jaxform.mesh import meshes
 
     cup = molds.revolved(profile=[[0.0, 50.0], [55.0, 50.0], [100.0, 0.0]], segments=12)
     sheet = shapes.disc(radius=0.1, elements=24)

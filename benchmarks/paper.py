@@ -27,10 +27,13 @@ from benchmarks import scenes as bottle_tables
 from benchmarks.bench import one_core, say
 from benchmarks.pages import DOCS, keep, kept, save
 from benchmarks.sheets import best_in_turns, whole_loop
-from jaxform import files, scenes, sections, views
-from jaxform.result import Result, only_used, summarize, wall_statistics
-from jaxform.scene import Scene
-from jaxform.store import Store
+from jaxform import scenes
+from jaxform.core.store import Store
+from jaxform.io import files, views
+from jaxform.model.scene import Scene
+from jaxform.results import sections
+from jaxform.results.result import Result, only_used
+from jaxform.results.summary import summarize, wall_statistics
 
 Row = dict[str, Any]
 Part = tuple[Scene, Result]

@@ -19,12 +19,14 @@ from numpy.random import Generator
 
 import jaxform
 from benchmarks import strangers
-from jaxform import building, molds, search, shapes
+from jaxform import molds, shapes
+from jaxform.core.pytree import as_real
+from jaxform.core.store import Store
 from jaxform.materials import Law
-from jaxform.pytree import as_real
-from jaxform.scene import LONG_WINDOW, SHORT_WINDOW
-from jaxform.shapes import Sheet
-from jaxform.store import Store
+from jaxform.mesh.shapes import Sheet
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
+from jaxform.prepare import growing, planning
+from jaxform.tools import search
 
 WINDOWS = 1500  # room for a run's schedule; scenes that plan for more are shortened
 _CELLS = 36  # along each side of a mold's grid
@@ -140,14 +142,14 @@ def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
         share = 0.9 * WINDOWS / planned
         changes = {"solver.end_time": share * np.asarray(scene.solver.end_time)}
         scene = jaxform.replace(scene, changes | {"pressure.time": share * np.asarray(scene.pressure.time)})
-        planned = building._planned_windows(scene.tables.bound, scene.material, scene.solver)
-        planned = min(planned + building._spare_windows(scene.tables.grid), WINDOWS)
+        planned = planning.planned_windows(scene.tables.bound, scene.material, scene.solver)
+        planned = min(planned + planning.spare_windows(scene.tables.grid), WINDOWS)
         tags.append("shortened")
     grid = None if scene.mold is None else _common_grid(scene)
     longest = np.int32(LONG_WINDOW if scene.refinement is None else SHORT_WINDOW)
     tables = dataclasses.replace(scene.tables, grid=grid, window_count=WINDOWS, longest_window=longest)
     if tables.forest is not None and tables.forest.bend is not None and scene.mold is not None and grid is not None:
-        forest = dataclasses.replace(tables.forest, bend=building.bends(scene.mold, grid))
+        forest = dataclasses.replace(tables.forest, bend=growing.bends(scene.mold, grid))
         tables = dataclasses.replace(tables, forest=forest)
     return Drawn(name, dataclasses.replace(scene, tables=tables), planned, tags)
 

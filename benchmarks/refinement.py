@@ -23,10 +23,14 @@ import jaxform
 from benchmarks.accuracy import away_from_corner, exact_ratio, rms
 from benchmarks.bench import one_core, say
 from benchmarks.sheets import best_in_turns
-from jaxform import body, files, refinement, simulation, stepping, working
-from jaxform.result import Result, only_used
-from jaxform.scene import Scene
-from jaxform.state import State, finished
+from jaxform.adapt import refinement
+from jaxform.dynamics import window as windows
+from jaxform.io import files
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result, only_used
+from jaxform.runs import loop
+from jaxform.sheet import active_set, discretization
+from jaxform.sheet.state import State, finished
 
 Row = dict[str, Any]
 _JUMP = 1e-6  # a second difference beyond it: a node grazes the mold, and lands now or some steps later
@@ -209,10 +213,10 @@ def show_overhead() -> list[Row]:
         ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
     ):
         scene, part, seconds = timed(scene)
-        state, first, _ = simulation._begin(scene)
+        state, first, _ = loop.begin(scene)
         look = jax.jit(functools.partial(_look, scene))
-        advance = jax.jit(lambda state, now, scene=scene: stepping.window(state, scene, now, differentiable=False))
-        now, spent, growths = body.present_body(scene, state.mesh, first), 0.0, 0
+        advance = jax.jit(lambda state, now, scene=scene: windows.window(state, scene, now, differentiable=False))
+        now, spent, growths = discretization.present_body(scene, state.mesh, first), 0.0, 0
         while not finished(state, scene):
             if refinement.looks(state.windows, scene):
                 # Calling the program, and copies of all it gives, take time too, which a run does not spend: so beside
@@ -231,8 +235,8 @@ def show_overhead() -> list[Row]:
     return rows
 
 
-def _look(scene: jaxform.Scene, state: State, now: body.Body) -> tuple[State, body.Body]:
-    packed = working.worked_through(state, scene, now)
+def _look(scene: jaxform.Scene, state: State, now: discretization.Body) -> tuple[State, discretization.Body]:
+    packed = active_set.worked_through(state, scene, now)
     refined, now = refinement.refined_in_place(packed.taken(state), scene, now, packed)
     return packed.put_back(refined), now
 

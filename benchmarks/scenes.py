@@ -15,9 +15,10 @@ import numpy as np
 import jaxform
 from benchmarks.bench import say
 from jaxform import scenes
-from jaxform.bottle import Bottle
-from jaxform.result import Result, formed_areas, summarize
-from jaxform.scene import Scene
+from jaxform.mesh.bottle import Bottle
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result
+from jaxform.results.summary import formed_areas, summarize
 
 Row = dict[str, Any]
 PAPER = {"body": "60", "neck": "20", "bottom": "about 50", "handle": "50 to 60"}

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform import simulation
-from jaxform.scene import Scene
-from jaxform.state import State
+from jaxform.model.scene import Scene
+from jaxform.runs import loop
+from jaxform.sheet.state import State
 
 Array = NDArray[np.floating]
 
@@ -83,6 +83,6 @@ def best_in_turns(runs: dict[str, Callable[[], Any]], rounds: int = 7) -> dict[s
 
 def whole_loop(scene: Scene) -> Callable[[], State]:
     """The whole loop of a scene's run, compiled; it gives the last state."""
-    begun = simulation._begin(scene)
-    advance, most = simulation._compiled(begun[0], scene, *begun[1:]), jnp.int32(scene.tables.window_count)
+    begun = loop.begin(scene)
+    advance, most = loop.compiled_advance(begun[0], scene, *begun[1:]), jnp.int32(scene.tables.window_count)
     return lambda: advance(begun[0], scene, *begun[1:], most)[0]

@@ -16,8 +16,8 @@ from benchmarks.accuracy import real, scene_of
 from benchmarks.random_scenes import NAMES
 from benchmarks.refinement import box
 from jaxform import molds, shapes
-from jaxform.scene import Scene
-from jaxform.state import Schedule
+from jaxform.model.scene import Scene
+from jaxform.sheet.state import Schedule
 
 Found = dict[str, Any]
 LEAVES = ("parison.thickness", "pressure.value")

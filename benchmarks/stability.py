@@ -24,14 +24,19 @@ from benchmarks import slopes, stability_page, stress
 from benchmarks.accuracy import modified, mooney, real, scene_of
 from benchmarks.pages import DOCS, Found, keep, kept
 from benchmarks.random_scenes import NAMES, STRANGERS, family_of
-from jaxform import force, packing, shapes, simulation
-from jaxform.body import body
-from jaxform.force import Load
+from jaxform import shapes
 from jaxform.materials import Law
-from jaxform.result import Result, wall_statistics
-from jaxform.scene import LONG_WINDOW, SHORT_WINDOW, Scene
-from jaxform.shapes import Sheet
-from jaxform.state import State, finished
+from jaxform.mechanics import force
+from jaxform.mechanics.force import Load
+from jaxform.mesh.shapes import Sheet
+from jaxform.model.scene import Scene
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
+from jaxform.results.result import Result
+from jaxform.results.summary import wall_statistics
+from jaxform.runs import loop, simulation
+from jaxform.sheet import packing
+from jaxform.sheet.discretization import body
+from jaxform.sheet.state import State, finished
 
 _FILE = DOCS / "stability.json"
 OUT = Path(__file__).parent.parent / "out" / "stability"
@@ -92,11 +97,11 @@ def true_limit(state: State, scene: Scene) -> jax.Array:
 
 def windows(scene: Scene, most: int = 10_000) -> Iterator[tuple[State, State]]:
     """The states before and after each window."""
-    state, first, taken = simulation._begin(scene)
+    state, first, taken = loop.begin(scene)
     for _ in range(min(most, scene.tables.window_count)):
         if bool(finished(state, scene)):
             return
-        after, taken, _ = simulation._advance(state, scene, first, taken, jnp.int32(1))
+        after, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(1))
         yield state, after
         state = after
 
@@ -196,11 +201,11 @@ def _ringing(sheet: Sheet, end: float) -> Scene:
 def measure_drift(steps: int, points: int = 200) -> Found:
     """What the account of energy misses over time, over the largest work."""
     scene = ringing(steps)
-    state, first, taken = simulation._begin(scene)
+    state, first, taken = loop.begin(scene)
     rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
     while not bool(finished(state, scene)) and int(state.windows) < scene.tables.window_count:
-        state, taken, _ = simulation._advance(state, scene, first, taken, jnp.int32(most))
-        result = simulation._make_result(state, scene, first, taken)
+        state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(most))
+        result = loop._make_result(state, scene, first, taken)
         energy = result.energy
         missed = float(energy.strain) + float(energy.kinetic) - float(energy.external_work)
         rows.append([int(state.steps), missed / float(state.peak_work)])

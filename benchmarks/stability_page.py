@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.pages import Found, save
-from jaxform.state import Status
+from jaxform.sheet.state import Status
 
 _LEAVES = {"parison.thickness": "thickness", "pressure.value": "pressure"}
 _SHOWN = 12  # seeds of a class

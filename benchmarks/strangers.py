@@ -13,7 +13,7 @@ from numpy.random import Generator
 
 import jaxform
 from jaxform import molds, shapes
-from jaxform.shapes import Sheet
+from jaxform.mesh.shapes import Sheet
 
 OFF = "units off"
 """The tag of a scene whose sheet and mold differ a thousand times in size."""

@@ -22,9 +22,10 @@ import numpy as np
 import jaxform
 from benchmarks.random_scenes import Drawn, draw
 from benchmarks.strangers import OFF
-from jaxform import simulation
-from jaxform.result import Result, penetrated, summarize, warnings_of_mold
-from jaxform.state import State, Status, finished
+from jaxform.results.result import Result
+from jaxform.results.summary import penetrated, summarize, warnings_of_mold
+from jaxform.runs import loop
+from jaxform.sheet.state import State, Status, finished
 
 Row = dict[str, Any]
 LIMIT = 60.0  # s for a scene
@@ -36,17 +37,17 @@ _AT_ONCE = 100  # windows between two looks at the clock
 def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
     """What `jaxform.run` does, with the windows that the scene had planned, looking at the clock."""
     scene, left = drawn.scene, drawn.planned
-    state, first, taken = simulation._begin(scene)
-    simulation._compiled(state, scene, first, taken)  # not counted
+    state, first, taken = loop.begin(scene)
+    loop.compiled_advance(state, scene, first, taken)  # not counted
     began = time.perf_counter()
     while left > 0 and not bool(finished(state, scene)):
         most = min(left, _AT_ONCE)
-        state, taken, _ = simulation._compiled(state, scene, first, taken)(state, scene, first, taken, jnp.int32(most))
+        state, taken, _ = loop.compiled_advance(state, scene, first, taken)(state, scene, first, taken, jnp.int32(most))
         left -= most
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
-    state = simulation._closed(state, scene, first)
-    return state, simulation._make_result(state, scene, first, taken)
+    state = loop.closed(state, scene, first)
+    return state, loop._make_result(state, scene, first, taken)
 
 
 def examine(drawn: Drawn, state: State, result: Result) -> Row:

@@ -22,9 +22,9 @@ import optimize
 from benchmarks import accuracy, refinement, validate_page
 from benchmarks.bench import one_core
 from benchmarks.pages import DOCS, Found, keep, kept
-from jaxform import files
-from jaxform.result import Result
-from jaxform.scene import Scene
+from jaxform.io import files
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result
 
 _FILE = DOCS / "accuracy.json"
 _RUNS = 3  # of which the fastest is taken

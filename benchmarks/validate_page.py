@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.pages import Found, save
-from jaxform.result import SLOW_ENOUGH
+from jaxform.results.summary import SLOW_ENOUGH
 
 
 def write(found: Found, folder: Path) -> None:

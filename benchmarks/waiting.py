@@ -22,10 +22,12 @@ import numpy as np
 
 import jaxform
 from benchmarks.beside import SCENE, cup
-from jaxform import meshes, molds, padding, shapes, simulation
-from jaxform.molds import MoldShape
-from jaxform.scene import Scene
-from jaxform.store import Store
+from jaxform import molds, shapes
+from jaxform.core.store import Store
+from jaxform.mesh import meshes
+from jaxform.model.scene import Scene
+from jaxform.runs import loop, padding
+from jaxform.tools.molds import MoldShape
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _ROUNDS = 40
@@ -82,7 +84,7 @@ def show_second() -> None:
 
 def _whole(scene: Scene, store: Store) -> Callable[[], Any]:
     """A run of a scene in arrays as they are, from its begin to its result, compiled beforehand."""
-    programs = simulation._programs(scene, store)
+    programs = loop.programs(scene, store)
     close, made = programs.closed.ready(), programs.result.ready()
     most = np.int32(scene.tables.window_count)
 

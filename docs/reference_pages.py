@@ -11,8 +11,9 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from jaxform import cli, schema
-from jaxform.validation import Table
+from jaxform.cli import command
+from jaxform.io import schema
+from jaxform.io.validation import Table
 from optimize.designs import Study
 
 _METHODS = (schema.Lbfgs, schema.Adam, schema.LeastSquares, schema.FixedPoint)
@@ -155,11 +156,11 @@ def _default(name: str, field: FieldInfo, model: type[Table]) -> str:
 
 
 def _command() -> str:
-    parser = cli._parser()
+    parser = command._parser()
     parts = ["# Command\n"]
-    for name, (text, command) in _commands(parser).items():
+    for name, (text, sub) in _commands(parser).items():
         parts.append(f"## jaxform {name}\n\n{text[:1].upper()}{text[1:]}.\n")
-        rows = [_argument(action) for action in command._actions if not isinstance(action, argparse._HelpAction)]
+        rows = [_argument(action) for action in sub._actions if not isinstance(action, argparse._HelpAction)]
         if rows:
             parts += ["| argument | |", "|---|---|", *rows, ""]
     return "\n".join([*parts, _STATUSES])
@@ -168,7 +169,7 @@ def _command() -> str:
 def _commands(parser: argparse.ArgumentParser) -> dict[str, tuple[str, argparse.ArgumentParser]]:
     action = next(one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
     words = {choice.dest: choice.help or "" for choice in action._choices_actions}
-    return {name: (words[name], command) for name, command in action.choices.items()}
+    return {name: (words[name], sub) for name, sub in action.choices.items()}
 
 
 def _argument(action: argparse.Action) -> str:

@@ -1,19 +1,15 @@
 from . import molds, scenes, shapes
-from .adjoint import Adjoint, Checkpointed, Reversed, Stored
-from .building import build_scene
-from .carried import Field, Surroundings, field
-from .compiling import compiler_options
-from .errors import InputError, InputWarning
-from .files import load
+from .adapt.refinement import fitted
+from .adjoint.strategies import Adjoint, Checkpointed, Reversed, Stored
+from .core.compiling import compiler_options
+from .core.errors import InputError, InputWarning
+from .core.parameters import parameter
+from .io.files import load
 from .loads import Loading, Pressure, loading, make_pressure
 from .materials import Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, law
-from .mold import Mold, make_mold
-from .padding import padded
-from .parameters import parameter
-from .refinement import fitted
-from .replacing import replace
-from .result import Result, explain, summarize
-from .scene import (
+from .model.field import Field, Surroundings, field
+from .model.replacing import replace
+from .model.scene import (
     Parison,
     Refinement,
     Scene,
@@ -22,8 +18,16 @@ from .scene import (
     make_refinement,
     make_solver,
 )
-from .simulation import Moment, run, simulate, simulate_batch
-from .state import Schedule
+from .prepare.building import build_scene
+from .results.explanation import explain
+from .results.result import Result
+from .results.summary import summarize
+from .runs.batch import simulate_batch
+from .runs.host import Moment, run
+from .runs.padding import padded
+from .runs.simulation import simulate
+from .sheet.state import Schedule
+from .tools.mold import Mold, make_mold
 
 __all__ = [
     "Adjoint",

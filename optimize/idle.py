@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Result
-from jaxform.result import SLOW_ENOUGH
+from jaxform.results.summary import SLOW_ENOUGH
 from optimize.designs import Point
 from optimize.pressures import PressureKnots
 from optimize.search import Search

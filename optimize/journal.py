@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from jaxform import InputError
-from jaxform.writing import unwritten, whole
+from jaxform.core.writing import unwritten, whole
 
 Answer = dict[str, Any]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxform import InputError, Result, Scene, simulate
-from jaxform.profiles import Profile
+from jaxform.mesh.profiles import Profile
 from optimize.walls import formed_area, nodal_area, nodal_volume
 
 

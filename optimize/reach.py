@@ -11,7 +11,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform import InputError, Result, Scene, topology
+from jaxform import InputError, Result, Scene
+from jaxform.mesh import topology
 from optimize.designs import KEPT, Point, Study
 from optimize.endings import Ending
 from optimize.objectives import LeastMass, Objective, Target, Weighted

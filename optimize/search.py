@@ -19,7 +19,7 @@ import numpy as np
 
 import jaxform
 from jaxform import Result, Scene
-from jaxform.compiling import compiled
+from jaxform.core.compiling import compiled
 from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
 from optimize.endings import Ending, SpentError, spent
 from optimize.journal import Answer, Journal

@@ -10,8 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import interpolate, optimize
 
-from jaxform import InputError, Scene, bisection, sections
-from jaxform.profiles import Profile
+from jaxform import InputError, Scene
+from jaxform.mesh import bisection
+from jaxform.mesh.profiles import Profile
+from jaxform.results import sections
 from optimize.variables import Bounds, check_bounds, limited, log_bounded, log_unbounded, unlimited
 
 Array = np.ndarray

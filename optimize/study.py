@@ -13,12 +13,14 @@ import jax
 import numpy as np
 
 import jaxform
-from jaxform import Scene, fields, files, meshes, schema
-from jaxform.errors import InputError
-from jaxform.profiles import Profile
-from jaxform.result import only_used
-from jaxform.store import Store
-from jaxform.writing import whole
+from jaxform import Scene
+from jaxform.core.errors import InputError
+from jaxform.core.store import Store
+from jaxform.core.writing import whole
+from jaxform.io import fields, files, schema
+from jaxform.mesh import meshes
+from jaxform.mesh.profiles import Profile
+from jaxform.results.result import only_used
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots

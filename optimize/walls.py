@@ -7,7 +7,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform import Result, Scene, membrane
+from jaxform import Result, Scene
+from jaxform.mechanics import membrane
 
 
 def formed_area(result: Result) -> jax.Array:

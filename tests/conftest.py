@@ -23,7 +23,7 @@ jax.config.update("jax_enable_x64", True)
 jax.devices()  # reads the flags
 os.environ["XLA_FLAGS"] = _FLAGS
 
-from jaxform import compiling  # noqa: E402
+from jaxform.core import compiling  # noqa: E402
 
 compiling._LEVEL = 0
 

@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from jaxform import molds, refinement, remeshing, shapes, working
-from jaxform.body import NEVER, Body
+from jaxform import molds, shapes
+from jaxform.adapt import refinement, remeshing
 from jaxform.materials import Law
-from jaxform.scene import Scene
-from jaxform.shapes import Sheet
-from jaxform.state import State
+from jaxform.mesh.shapes import Sheet
+from jaxform.model.scene import Scene
+from jaxform.sheet import active_set
+from jaxform.sheet.discretization import NEVER, Body
+from jaxform.sheet.state import State
 
 FILE = """
 name = "small"
@@ -125,6 +127,6 @@ def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tupl
 @jax.jit
 def looked_at(state: State, scene: Scene, sheet: Body) -> tuple[State, Body]:
     """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
-    packed = working.worked_through(state, scene, sheet)
+    packed = active_set.worked_through(state, scene, sheet)
     refined, sheet = refinement.refined_in_place(packed.taken(state), scene, sheet, packed)
     return packed.put_back(refined), sheet

@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from jaxform import bisection, shapes, topology
-from jaxform.bisection import Forest
-from jaxform.body import NEVER
-from jaxform.errors import InputError
-from jaxform.remeshing import Queue, closed
+from jaxform import shapes
+from jaxform.adapt.remeshing import Queue, closed
+from jaxform.core.errors import InputError
+from jaxform.mesh import bisection, topology
+from jaxform.mesh.bisection import Forest
+from jaxform.sheet.discretization import NEVER
 
 DEPTH = 4
 

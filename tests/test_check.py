@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import cli
-from jaxform.meshes import read_mesh
+from jaxform.cli import command, session
+from jaxform.mesh.meshes import read_mesh
 from tests import scenes
 
 WRONG = scenes.FILE.replace("[[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]", "[[0.0, -0.05], [0.055, -0.05], [0.1, 0.0]]")
@@ -38,14 +38,14 @@ iterations = 17
 def _own_cache() -> Iterator[None]:
     """The command keeps compiled programs; the tests keep theirs to themselves."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "_cache_folder", lambda: None)
+        patch.setattr(session, "cache_folder", lambda: None)
         yield
 
 
 def test_check_shows_a_mold_on_the_wrong_side(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "scene.toml").write_text(WRONG)
     out = tmp_path / "out"
-    assert cli.main(["check", str(tmp_path / "scene.toml"), "--out", str(out)]) == 0
+    assert command.main(["check", str(tmp_path / "scene.toml"), "--out", str(out)]) == 0
     said = capfd.readouterr()
     for words in (
         "sheet with its images: -0.1 to 0.1 x -0.1 to 0.1 x 0 to 0 m",
@@ -68,19 +68,19 @@ def test_check_shows_a_mold_on_the_wrong_side(tmp_path: Path, capfd: pytest.Capt
 def test_check_reads_studies(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "scene.toml").write_text(scenes.FILE)
     (tmp_path / "study.toml").write_text(STUDY)
-    assert cli.main(["check", str(tmp_path / "study.toml")]) == 0
+    assert command.main(["check", str(tmp_path / "study.toml")]) == 0
     said = capfd.readouterr()
     assert said.err == ""
     assert "variable: thickness-profile, along radius, knots 3, bounds [0.0005, 0.002]" in said.out
     assert "objective: least-mass" in said.out and "minimum 0.0005" in said.out
     assert "search: adam, iterations 17" in said.out and "40 elements" in said.out
     (tmp_path / "study.toml").write_text(STUDY.replace("knots = 3", "knots = 0"))
-    assert cli.main(["check", str(tmp_path / "study.toml")]) == 2
+    assert command.main(["check", str(tmp_path / "study.toml")]) == 2
     assert "study.toml" in capfd.readouterr().err
 
 
 def test_check_of_a_study_whose_target_is_another_scene_runs_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["check", "pressure-schedule"]) == 0
+    assert command.main(["check", "pressure-schedule"]) == 0
     said = capfd.readouterr()
     assert "objective: target" in said.out and "cup-slow" in said.out and said.err == ""
 
@@ -88,7 +88,7 @@ def test_check_of_a_study_whose_target_is_another_scene_runs_nothing(capfd: pyte
 def test_what_simulate_warns_of_is_in_its_summary(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "scene.toml").write_text(WRONG + "[output]\nframes = 3\n")
     out = tmp_path / "out"
-    assert cli.main(["simulate", str(tmp_path / "scene.toml"), "--out", str(out), "--quiet"]) == 0
+    assert command.main(["simulate", str(tmp_path / "scene.toml"), "--out", str(out), "--quiet"]) == 0
     lines = [line.removeprefix("jaxform: warning: ") for line in capfd.readouterr().err.splitlines()]
     summary = json.loads((out / "summary.json").read_text())
     assert summary["warnings"] == lines and len(set(lines)) == len(lines) == 3

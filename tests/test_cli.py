@@ -16,7 +16,9 @@ import pytest
 from PIL import Image
 
 import jaxform
-from jaxform import cli, files, molds
+from jaxform import molds
+from jaxform.cli import command, session
+from jaxform.io import files
 from tests import scenes
 
 SCENE = scenes.FILE
@@ -45,7 +47,7 @@ iterations = 2
 def _own_cache() -> Iterator[None]:
     """The command keeps compiled programs; the tests keep theirs to themselves."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "_cache_folder", lambda: None)
+        patch.setattr(session, "cache_folder", lambda: None)
         yield
 
 
@@ -63,7 +65,7 @@ def _picture_size(path: Path) -> tuple[int, int]:
 
 def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line on standard error of a command that must exit with 2."""
-    assert cli.main(list(arguments)) == 2
+    assert command.main(list(arguments)) == 2
     captured = capfd.readouterr()
     assert captured.out == ""
     lines = captured.err.splitlines()
@@ -74,7 +76,7 @@ def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
 def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene_file = _write(tmp_path, SCENE + "[output]\nframes = 3\n")
     out = tmp_path / "out"
-    assert cli.main(["simulate", str(scene_file), "--out", str(out)]) == 0
+    assert command.main(["simulate", str(scene_file), "--out", str(out)]) == 0
     captured = capfd.readouterr()
     assert "status: ok" in captured.out
     assert captured.err == ""
@@ -128,7 +130,7 @@ def test_the_box_with_an_insert_tells_where_an_element_cuts_its_edge(
     mold = text[text.index('shape = "revolved"') : text.index("[solver]")]
     text = text.replace(mold, 'shape = "box-insert"\n').replace("end_time = 0.05", "end_time = 0.15")
     out = tmp_path / "out"
-    assert cli.main(["simulate", str(_write(tmp_path, text)), "--out", str(out)]) == 0
+    assert command.main(["simulate", str(_write(tmp_path, text)), "--out", str(out)]) == 0
     summary = json.loads((out / "summary.json").read_text())
     x, y, z = summary["penetration_place"]
     assert summary["thickness"]["mean"] < summary["penetration_max"] < 0.02
@@ -158,7 +160,7 @@ def test_a_mold_from_an_stl_file_in_mm_with_its_triangles_turned_makes_the_same_
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_both_precisions_run_the_dish(tmp_path: Path, capfd: pytest.CaptureFixture[str], dtype: str) -> None:
     try:
-        assert cli.main(["simulate", "dish-coarse", "--out", str(tmp_path), "--dtype", dtype, "--quiet"]) == 0
+        assert command.main(["simulate", "dish-coarse", "--out", str(tmp_path), "--dtype", dtype, "--quiet"]) == 0
     finally:
         jax.config.update("jax_enable_x64", True)
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -172,7 +174,7 @@ def test_quiet_says_nothing_and_force_overwrites(tmp_path: Path, capfd: pytest.C
     (out / "mine.txt").write_text("keep")
     line = _refused(capfd, "simulate", str(scene_file), "--out", str(out))
     assert "--force" in line and str(out) in line
-    assert cli.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
+    assert command.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
     captured = capfd.readouterr()
     assert captured.out + captured.err == ""
     assert (out / "mine.txt").read_text() == "keep"
@@ -182,7 +184,7 @@ def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(tmp_path: Path, capf
     free = SCENE.replace(SCENE[SCENE.index("[mold]") : SCENE.index("[solver]")], "")
     blast = free.replace("value = [0.0, 2.0e4]", "value = [1.0e9, 1.0e9]").replace("damping = 100.0\n", "")
     out = tmp_path / "out"
-    assert cli.main(["simulate", str(_write(tmp_path, blast)), "--out", str(out)]) == 3
+    assert command.main(["simulate", str(_write(tmp_path, blast)), "--out", str(out)]) == 3
     captured = capfd.readouterr()
     assert len([line for line in captured.err.splitlines() if "warning" not in line]) == 1
     summary = json.loads((out / "summary.json").read_text())
@@ -192,7 +194,7 @@ def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(tmp_path: Path, capf
 
 def test_check_runs_no_step_and_names_what_is_skipped(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     free = SCENE[: SCENE.index("[mold]")] + "[solver]\nend_time = 0.05\n"
-    assert cli.main(["check", str(_write(tmp_path, free))]) == 0
+    assert command.main(["check", str(_write(tmp_path, free))]) == 0
     text = capfd.readouterr().out
     for words in ("40 elements", "no mold", "damping (none given)", "frames"):
         assert words in text, text
@@ -207,9 +209,9 @@ def test_a_wish_for_a_slow_process(tmp_path: Path, capfd: pytest.CaptureFixture[
     # The whole pressure within a hundredth of the time that the scene takes for it.
     hasty = SCENE.replace("[0.0, 0.2]", "[0.0, 0.002]") + "quasi_static = true\n"
     scene_file, out = _write(tmp_path, hasty), tmp_path / "out"
-    assert cli.main(["check", str(scene_file)]) == 0
+    assert command.main(["check", str(scene_file)]) == 0
     assert "meant to be slow" in capfd.readouterr().out
-    assert cli.main(["simulate", str(scene_file), "--out", str(out), "--quiet"]) == 0
+    assert command.main(["simulate", str(scene_file), "--out", str(out), "--quiet"]) == 0
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1 and "no slow process" in lines[0] and "pressure.time" in lines[0]
     summary = json.loads((out / "summary.json").read_text())
@@ -218,12 +220,12 @@ def test_a_wish_for_a_slow_process(tmp_path: Path, capfd: pytest.CaptureFixture[
 
 
 def test_scenes_lists_all_and_each_can_be_checked(capfd: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["scenes"]) == 0
+    assert command.main(["scenes"]) == 0
     text = capfd.readouterr().out
     for name in ("dish", "dish-coarse", "bowl", "dish-uniform-wall"):
         assert name in text
     for name in ("dish", "bowl"):
-        assert cli.main(["check", name]) == 0
+        assert command.main(["check", name]) == 0
 
 
 @pytest.mark.parametrize("method", ["lbfgs", "adam"])
@@ -232,7 +234,7 @@ def test_optimize_writes_a_better_scene_that_runs(
 ) -> None:
     _write(tmp_path)
     study, out = _write(tmp_path, STUDY.format(method=method), "study.toml"), tmp_path / "out"
-    assert cli.main(["optimize", str(study), "--out", str(out), "--quiet"]) == 0
+    assert command.main(["optimize", str(study), "--out", str(out), "--quiet"]) == 0
     assert capfd.readouterr().err == ""
     rows = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     assert rows.dtype.names is not None
@@ -393,7 +395,7 @@ def test_a_reader_who_leaves_early_stops_nothing() -> None:
 
 
 def test_help_and_the_list_of_scenes_need_no_jax() -> None:
-    words = "import sys; from jaxform import cli; cli.main(['scenes']); sys.exit('jax' in sys.modules)"
+    words = "import sys; from jaxform.cli import main; main(['scenes']); sys.exit('jax' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", words], capture_output=True).returncode == 0
     # All names are there all the same.
     assert {"load", "simulate", "scenes"} < set(dir(jaxform))

@@ -12,14 +12,20 @@ import trimesh
 
 import jaxform
 from benchmarks import contact as figures
-from jaxform import building, molds, shapes, simulation, stepping, watch
-from jaxform import near as nearness
-from jaxform.mold import Mold
-from jaxform.penetration import penetration, point_triangle_distance
-from jaxform.result import penetrated
-from jaxform.search import CLASSES, FarCells, SearchGrid, build_grid
-from jaxform.state import State
-from jaxform.store import Store
+from jaxform import molds, shapes
+from jaxform.contact import broad_phase, cells
+from jaxform.contact import candidates as nearness
+from jaxform.contact.cells import cell_of
+from jaxform.core.store import Store
+from jaxform.dynamics import step
+from jaxform.dynamics import window as windows
+from jaxform.prepare import building
+from jaxform.results.summary import penetrated
+from jaxform.runs import loop
+from jaxform.sheet.state import State
+from jaxform.tools.mold import Mold
+from jaxform.tools.penetration import penetration, point_triangle_distance
+from jaxform.tools.search import CLASSES, FarCells, SearchGrid, build_grid
 from tests import scenes
 
 
@@ -104,7 +110,7 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    bound = np.asarray(nearness.looked_up(jnp.asarray(points.T), grid)[1])
+    bound = np.asarray(cells.looked_up(jnp.asarray(points.T), grid)[1])
     for point, least in zip(points, bound, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert least <= distance.min() + 1e-12
@@ -139,7 +145,7 @@ def test_nodes_that_fly_far_over_a_fine_mold_meet_what_brute_force_finds() -> No
 def _check_lists(cells: SearchGrid | FarCells, grid: SearchGrid, corners: np.ndarray) -> None:
     """Each cell lists all that is in its reach of it, and its first classes all that is in a part of it."""
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    places = np.asarray(nearness.cells(jnp.asarray(points.T), cells))
+    places = np.asarray(cell_of(jnp.asarray(points.T), cells))
     start, ends = np.asarray(cells.start), np.asarray(cells.ends).reshape(-1, CLASSES)
     listed = np.asarray(grid.number)[np.asarray(grid.listed)]
     for point, number in zip(points, places, strict=True):
@@ -248,15 +254,17 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     scene = scenes.cup()
 
     def windows() -> State:
-        state, body, _ = simulation._begin(scene)
-        advance = jax.jit(lambda state: stepping.window(state, scene, body, differentiable=False))
+        state, body, _ = loop.begin(scene)
+        advance = jax.jit(lambda state: windows.window(state, scene, body, differentiable=False))
         for _ in range(25):
             state = advance(state)
         return state
 
     skipping = windows()
-    monkeypatch.setattr(stepping, "watch", lambda *args: watch.watch(*args)._replace(due=watch.every_block(args[2])))
-    monkeypatch.setattr(stepping, "look", lambda *args: watch.look(*args)._replace(close=jnp.asarray(True)))
+    monkeypatch.setattr(
+        step, "watch", lambda *args: broad_phase.watch(*args)._replace(due=broad_phase.every_block(args[2]))
+    )
+    monkeypatch.setattr(step, "look", lambda *args: broad_phase.look(*args)._replace(close=jnp.asarray(True)))
     always = windows()
     assert 0 < int((skipping.nodes.wall != 0).sum())
     np.testing.assert_array_equal(skipping.nodes.positions, always.nodes.positions)
@@ -272,8 +280,9 @@ def test_what_touches_between_two_looks_unseen_is_taken_anew(monkeypatch: pytest
     """Where a look does not look ahead, the first nodes to touch are always seen too late."""
     scene = scenes.cup()
     seen = jaxform.run(scene)
-    monkeypatch.setattr(watch, "_AHEAD", 0.0)
-    monkeypatch.setattr(stepping, "LOOK_EVERY", 16)
+    monkeypatch.setattr(broad_phase, "_AHEAD", 0.0)
+    for module in (step, windows):
+        monkeypatch.setattr(module, "LOOK_EVERY", 16)
     monkeypatch.setattr(nearness, "_slip", lambda square, till_look: jnp.zeros(()))
     jax.clear_caches()
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead

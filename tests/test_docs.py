@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from jaxform import schema
+from jaxform.io import schema
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "docs"))

@@ -8,8 +8,8 @@ import pytest
 
 import jaxform
 from benchmarks import accuracy
-from jaxform import files
-from jaxform.result import Result, only_used
+from jaxform.io import files
+from jaxform.results.result import Result, only_used
 
 SIZES = (38, 150, 600)
 

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import output, shapes
-from jaxform.errors import InputError
-from jaxform.state import Status
+from jaxform import shapes
+from jaxform.core.errors import InputError
+from jaxform.io import output
+from jaxform.sheet.state import Status
 from tests import scenes
 from tests.examples.cooling import Cooling
 from tests.scenes import real

@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import blocks, force, membrane, packing, shapes
-from jaxform.compiling import compiled
-from jaxform.force import Elements, Load
+from jaxform import shapes
+from jaxform.core.compiling import compiled
+from jaxform.kernels import blocks
 from jaxform.materials import Law
-from jaxform.scene import Sheet
+from jaxform.mechanics import force, membrane
+from jaxform.mechanics.elements import Elements
+from jaxform.mechanics.force import Load
+from jaxform.model.tables import Sheet
+from jaxform.sheet import packing
 from tests.scenes import mooney, real
 
 ONE_BY_ONE_AND_IN_PAIRS = pytest.mark.parametrize("paired", [False, True])
@@ -102,7 +106,7 @@ def test_pressure_force_is_pressure_times_the_slope_of_the_volume_inside(paired:
 
 
 def _boundary(sheet: Elements) -> np.ndarray:
-    from jaxform import topology
+    from jaxform.mesh import topology
 
     return topology.boundary_nodes(np.asarray(sheet.triangles.T)[np.asarray(sheet.area) > 0])
 

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxform import disk, fields, files, meshes, molds, polygons
-from jaxform.errors import InputError, InputWarning
-from jaxform.meshes import Mesh, read_mesh
+from jaxform import molds
+from jaxform.core import disk
+from jaxform.core.errors import InputError, InputWarning
+from jaxform.io import fields, files, rewriting
+from jaxform.mesh import meshes, polygons
+from jaxform.mesh.meshes import Mesh, read_mesh
 from tests import scenes
 
 CUP = molds.revolved(profile=[[0.0, 0.05], [0.06, 0.05], [0.1, 0.0]], segments=12)
@@ -325,7 +328,7 @@ def test_several_mold_files_are_one_mold(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         np.asarray(two.mold.vertices)[two.mold.triangles], np.asarray(one.mold.vertices)[one.mold.triangles], atol=1e-8
     )
-    written = files.write_scene(files.read_scene(tmp_path / "two.toml"), {}, tmp_path / "half")
+    written = rewriting.write_scene(files.read_scene(tmp_path / "two.toml"), {}, tmp_path / "half")
     again = files.load(written)
     assert again.mold is not None
     np.testing.assert_array_equal(again.mold.vertices, two.mold.vertices)

@@ -13,20 +13,23 @@ import pytest
 
 import jaxform
 from benchmarks import fuzz
-from jaxform import cachefolder, catalog, cli, disk, lastresort, molds, shapes
-from jaxform.errors import InputError, InputWarning
-from jaxform.output import Frames
-from jaxform.store import Store
+from jaxform import molds, shapes
+from jaxform.cli import command, session
+from jaxform.core import cachefolder, disk, lastresort
+from jaxform.core.errors import InputError, InputWarning
+from jaxform.core.store import Store
+from jaxform.io import catalog
+from jaxform.io.output import Frames
 from tests import scenes
 
 
 @pytest.fixture(autouse=True)
 def _own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "_cache_folder", lambda: None)
+    monkeypatch.setattr(session, "cache_folder", lambda: None)
 
 
 def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert cli.main(list(arguments)) == 2
+    assert command.main(list(arguments)) == 2
     printed = capfd.readouterr()
     assert printed.out == "" and len(printed.err.splitlines()) == 1, printed.err
     assert len(printed.err) < 3000
@@ -146,7 +149,7 @@ def test_what_the_machine_refuses_is_one_line(
     def fail(_: object) -> int:
         raise error
 
-    monkeypatch.setattr(cli, "_scenes", fail)
+    monkeypatch.setattr(command, "_scenes", fail)
     assert words in _refused(capfd, "scenes")
 
 
@@ -157,16 +160,16 @@ def test_a_mistake_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch)
         def fail(_: object, error: Exception = error) -> int:
             raise error
 
-        monkeypatch.setattr(cli, "_scenes", fail)
+        monkeypatch.setattr(command, "_scenes", fail)
         with pytest.raises(type(error)):
-            cli.main(["scenes"])
+            command.main(["scenes"])
 
 
 def test_a_full_disk_for_people_who_read(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(cli, "_say", full)
+    monkeypatch.setattr(session, "say", full)
     assert "No space left" in _refused(capfd, "scenes")
 
 

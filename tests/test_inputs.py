@@ -19,11 +19,11 @@ from packaging.requirements import Requirement
 from pydantic import TypeAdapter, ValidationError
 
 import jaxform
-from jaxform import energy, result, schema
-from jaxform.ranges import RANGES
-from jaxform.replacing import DESIGNABLE
-from jaxform.simulation import check_numbers
-from jaxform.state import Status
+from jaxform.core.ranges import RANGES
+from jaxform.io import schema
+from jaxform.model.replacing import DESIGNABLE, check_numbers
+from jaxform.results import energy, summary
+from jaxform.sheet.state import Status
 from tests import scenes
 
 _PROJECT = Path(__file__).parent.parent / "pyproject.toml"
@@ -197,7 +197,7 @@ def test_a_sheet_that_hardly_moves_is_warned_of_and_balanced() -> None:
     assert float(part.energy.haste) == 0.0
     assert any("hardly moved" in sentence for sentence in jaxform.summarize(part, scene)["warnings"])
     still = jaxform.replace(_small(), {"pressure.value": 0.0})
-    assert result.warnings_of(part, still) == []
+    assert summary.warnings_of(part, still) == []
 
 
 _SHARDED = """

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import fuzz_journals
 from jaxform import InputError
-from jaxform.writing import PREFIX, whole
+from jaxform.core.writing import PREFIX, whole
 from optimize import Journal, write_history
 from optimize.designs import COLUMNS
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import membrane
-from jaxform.errors import InputError
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import ranges_of
+from jaxform.core.store import Store
 from jaxform.materials import Slope
-from jaxform.parameters import ranges_of
-from jaxform.result import Result
-from jaxform.state import Status
-from jaxform.store import Store
+from jaxform.mechanics import membrane
+from jaxform.results.result import Result
+from jaxform.sheet.state import Status
 from tests import scenes
 from tests.examples.yeoh import Yeoh
 from tests.scenes import real

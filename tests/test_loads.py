@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import membrane, reference, shapes
-from jaxform.body import body
-from jaxform.errors import InputError
-from jaxform.result import Result
-from jaxform.state import initial_state
-from jaxform.timestep import choose_step
-from jaxform.working import worked_through
+from jaxform import shapes
+from jaxform.core.errors import InputError
+from jaxform.dynamics.initial import initial_state
+from jaxform.dynamics.timestep import choose_step
+from jaxform.mechanics import membrane
+from jaxform.mesh import reference
+from jaxform.results.result import Result
+from jaxform.sheet.active_set import worked_through
+from jaxform.sheet.discretization import body
 from tests import scenes
 from tests.examples.sealed_gas import SealedGas
 from tests.scenes import real

@@ -9,9 +9,10 @@ import meshio
 import numpy as np
 import pytest
 
-from jaxform import meshes, shapes, topology
-from jaxform.errors import InputError
-from jaxform.meshes import Mesh, drop_degenerate, read_mesh, weld, write_pvd, write_vtu
+from jaxform import shapes
+from jaxform.core.errors import InputError
+from jaxform.mesh import meshes, topology
+from jaxform.mesh.meshes import Mesh, drop_degenerate, read_mesh, weld, write_pvd, write_vtu
 
 FORMATS = [
     *("stl-ascii", "stl-binary", "obj", "off", "vtk-ascii", "vtk-binary"),

@@ -6,10 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from jaxform import shapes, topology
-from jaxform.errors import InputError
-from jaxform.meshes import Mesh
-from jaxform.molds import bottle_half, box_insert, divided, from_mesh, revolved
+from jaxform import shapes
+from jaxform.core.errors import InputError
+from jaxform.mesh import topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools.molds import bottle_half, box_insert, divided, from_mesh, revolved
 
 CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
 BOX = Mesh(

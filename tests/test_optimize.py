@@ -13,7 +13,7 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform.profiles import Profile
+from jaxform.mesh.profiles import Profile
 from optimize import objectives
 from optimize.designs import KEPT
 from optimize.search import Search

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 import jaxform
 from benchmarks import waiting
-from jaxform import padding, simulation, sizes
+from jaxform.kernels import sizes
+from jaxform.runs import loop, padding
 from tests.scenes import cup
 
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*hardly moved")
@@ -141,7 +142,7 @@ def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     room = padding.on_rungs(make())
     assert room.order is not None
     scene, own = room.scene, room.own
-    whole = simulation._whole
+    whole = loop.whole_run
     expected = whole(scene)
     beyond = np.ones(len(scene.parison.positions), bool)
     beyond[room.order.node] = False

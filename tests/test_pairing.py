@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxform import pairing, shapes
+from jaxform import shapes
+from jaxform.kernels import pairing
 
 STRIP = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6]])
 FAN = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [5, 6, 7]])  # three at one edge, and one apart

@@ -16,9 +16,13 @@ from PIL import Image
 import jaxform
 from benchmarks import paper
 from benchmarks import scenes as tables
-from jaxform import body, cli, molds, sections, shapes, state
-from jaxform.bottle import Bottle
-from jaxform.result import Result, make_result
+from jaxform import molds, shapes
+from jaxform.cli import command, session
+from jaxform.dynamics import initial
+from jaxform.mesh.bottle import Bottle
+from jaxform.results import sections
+from jaxform.results.result import Result, make_result
+from jaxform.sheet import discretization
 from tests import scenes
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -31,7 +35,7 @@ def _at_rest(sheet: shapes.Sheet) -> tuple[jaxform.Scene, Result]:
         pressure=jaxform.make_pressure([0.0], [0.0]),
         solver=jaxform.make_solver(end_time=1.0),
     )
-    return scene, make_result(state.initial_state(scene), scene, body.body(scene))
+    return scene, make_result(initial.initial_state(scene), scene, discretization.body(scene))
 
 
 def test_stretches_along_and_around_a_cone() -> None:
@@ -104,12 +108,12 @@ def test_the_animations_move_and_are_small() -> None:
 
 def test_frames_play_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The list names every frame with its time, and each is a mesh that other programs read."""
-    monkeypatch.setattr(cli, "_cache_folder", lambda: None)
+    monkeypatch.setattr(session, "cache_folder", lambda: None)
     scene = tmp_path / "scene.toml"
     source = (Path(jaxform.__file__).parent / "scenes" / "bowl.toml").read_text()
     source = source.replace("element_size = 0.01\n", "elements = 24\n").replace("end_time = 0.24", "end_time = 0.1")
     scene.write_text(source + "\n[output]\nframes = 4\n")
-    assert cli.main(["simulate", str(scene), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert command.main(["simulate", str(scene), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     sets = ElementTree.parse(tmp_path / "out" / "frames.pvd").getroot().findall("./Collection/DataSet")
     times = [float(each.attrib["timestep"]) for each in sets]
     assert len(times) == 4 and times == sorted(set(times)) and times[-1] <= 0.1 * (1 + 1e-9)

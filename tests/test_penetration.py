@@ -10,11 +10,11 @@ import trimesh
 
 import jaxform
 from jaxform import molds, shapes
-from jaxform.crossings import near_pairs
-from jaxform.distances import point_triangle_distance
-from jaxform.mold import Mold
-from jaxform.penetration import _lattice, penetration, resting_directions
-from jaxform.search import SearchGrid, build_grid
+from jaxform.tools.crossings import near_pairs
+from jaxform.tools.distances import point_triangle_distance
+from jaxform.tools.mold import Mold
+from jaxform.tools.penetration import _lattice, penetration, resting_directions
+from jaxform.tools.search import SearchGrid, build_grid
 
 CLOSED = {
     "ball": lambda: trimesh.creation.icosphere(subdivisions=2),

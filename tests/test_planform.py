@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxform import planform, topology
+from jaxform.mesh import planform, topology
 
 
 def polygon_area(loop: np.ndarray) -> float:

@@ -11,7 +11,7 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform import cli
+from jaxform.cli import command, session
 from optimize import reach
 from optimize.designs import Point
 from optimize.endings import Ending, done, spent
@@ -120,8 +120,8 @@ def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd
     (tmp_path / "scene.toml").write_text(scene)
     (tmp_path / "study.toml").write_text(study.format(9.5e-4))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cli, "_cache_folder", lambda: None)
-        assert cli.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]) == 3
+        patch.setattr(session, "cache_folder", lambda: None)
+        assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]) == 3
         captured = capfd.readouterr()
         assert "limits are broken by" in captured.out and "stopped by" in captured.out
         summary = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -131,7 +131,7 @@ def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd
         assert summary["status"] in captured.err
         assert summary["design"]["violation"] > 0.3 and summary["design"]["stopped_by"] == "iterations"
         (tmp_path / "study.toml").write_text(study.format(1.0))
-        assert cli.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "none")]) == 2
+        assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "none")]) == 2
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1 and "study.toml: objective.minimum = 1.0: cannot be kept" in lines[0]
     assert not (tmp_path / "none" / "history.csv").exists()

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxform
-from jaxform.recovery import nodal_ratio
+from jaxform.results.recovery import nodal_ratio
 from tests import scenes
 
 

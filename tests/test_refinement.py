@@ -13,12 +13,18 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import body, meshes, output, refinement, result, topology
-from jaxform.body import NEVER
-from jaxform.errors import InputError
-from jaxform.result import Result
-from jaxform.scene import Forest, Scene
-from jaxform.state import Schedule, State, initial_state
+from jaxform.adapt import refinement
+from jaxform.core.errors import InputError
+from jaxform.dynamics.initial import initial_state
+from jaxform.io import output
+from jaxform.mesh import meshes, topology
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Forest
+from jaxform.results import result, summary
+from jaxform.results.result import Result
+from jaxform.sheet import discretization
+from jaxform.sheet.discretization import NEVER
+from jaxform.sheet.state import Schedule, State
 from tests import scenes
 
 
@@ -47,12 +53,12 @@ def live(scene: Scene) -> Result:
     return jaxform.simulate(scene)
 
 
-def grown(scene: Scene, seed: int) -> tuple[State, State, body.Body, body.Body]:
+def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Body, discretization.Body]:
     """A state moved and set in motion at random, and the same with elements bisected at random, three times."""
     random = np.random.default_rng(seed)
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
     scene = jaxform.replace(scene, {"parison.thickness": thickness})
-    state, first = initial_state(scene), body.body(scene)
+    state, first = initial_state(scene), discretization.body(scene)
     stuck = state.nodes.stuck
     free = ~stuck & (jnp.arange(stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
     shape = state.nodes.positions.shape
@@ -66,12 +72,14 @@ def grown(scene: Scene, seed: int) -> tuple[State, State, body.Body, body.Body]:
     for _ in range(3):
         mesh = after.mesh
         assert mesh is not None
-        wanted = jnp.asarray(random.uniform(size=mesh.element.size) < 0.2) & (body.levels(mesh.element, forest) < 2)
+        wanted = jnp.asarray(random.uniform(size=mesh.element.size) < 0.2) & (
+            discretization.levels(mesh.element, forest) < 2
+        )
         after, now = scenes.bisected(scene, after, now, wanted)
     return state, after, first, now
 
 
-def lists_of(mesh: body.Mesh, forest: Forest) -> None:
+def lists_of(mesh: discretization.Mesh, forest: Forest) -> None:
     """Checks the lists of a mesh against what is bisected."""
     split, count = np.asarray(mesh.split_at) != NEVER, int(mesh.element_count)
     element, number = np.asarray(mesh.element)[:count], np.arange(len(split))
@@ -137,9 +145,9 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
     )
 
 
-def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarray]:
+def looked_at(scene: Scene) -> tuple[discretization.Body, np.ndarray, np.ndarray, np.ndarray]:
     """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
-    state, now = initial_state(scene), body.body(scene)
+    state, now = initial_state(scene), discretization.body(scene)
     for _ in range(6):
         state, now = scenes.looked_at(state, scene, now)
     forest, mold, mesh = scene.tables.forest, scene.mold, state.mesh
@@ -154,7 +162,7 @@ def looked_at(scene: Scene) -> tuple[body.Body, np.ndarray, np.ndarray, np.ndarr
     away, along = corners.mean(0)[:, None] - begin, end - begin
     share = np.clip((away * along).sum(2) / (along**2).sum(1), 0.0, 1.0)
     distance = np.linalg.norm(away - share[..., None] * along, axis=2).min(1)
-    return now, np.asarray(body.levels(mesh.element, forest))[:count], distance, side
+    return now, np.asarray(discretization.levels(mesh.element, forest))[:count], distance, side
 
 
 @pytest.mark.parametrize("reach", [1.0, 2.0])
@@ -186,7 +194,7 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
     scene = flying_at_first(over_a_block(2.0, at_rest=at_rest))
     before = initial_state(scene)
     upwards = jnp.where(before.nodes.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
-    before, now = before.with_nodes(velocities=upwards), body.body(scene)
+    before, now = before.with_nodes(velocities=upwards), discretization.body(scene)
     state, _ = scenes.looked_at(before, scene, now)
     forest, grid, old, mesh = scene.tables.forest, scene.tables.grid, before.mesh, state.mesh
     assert forest is not None and grid is not None and old is not None and mesh is not None
@@ -202,14 +210,14 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
     kept = share**2 * (3.0 - 2.0 * share) if at_rest else np.ones(len(new))
     held = np.asarray(forest.mobility)[:, np.asarray(mesh.node)[new]].max(0) == 0.0
     velocities = 0.5 * sum(np.asarray(upwards)[:, at] for at in ends) * np.where(held, 0.0, kept)
-    np.testing.assert_allclose(np.asarray(state.velocities)[:, new], velocities, atol=1e-12)
+    np.testing.assert_allclose(np.asarray(state.nodes.velocities)[:, new], velocities, atol=1e-12)
     if at_rest:
         assert np.any(kept == 0.0) and np.any(kept == 1.0)
 
 
 def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> None:
     scene = flying_at_first(over_a_block(2.0, gap=0.0))
-    before, now = initial_state(scene), body.body(scene)
+    before, now = initial_state(scene), discretization.body(scene)
 
     @jax.jit
     @jax.value_and_grad
@@ -238,7 +246,7 @@ def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: R
     assert forest is not None
     deepest = np.asarray(forest.sheet.area)[-(forest.root_count << forest.depth) :].sum()
     assert float(live.mass) == pytest.approx(deepest * 0.01, rel=1e-12)  # density 1
-    assert result.penetrated(live, scene).nodes < 1e-9
+    assert summary.penetrated(live, scene).nodes < 1e-9
     active = np.asarray(live.active)
     assert np.isfinite(np.asarray(live.positions)).all() and np.isfinite(np.asarray(live.thickness)).all()
     assert (np.asarray(live.thickness)[active] > 0).all() and not np.asarray(live.thickness)[~active].any()
@@ -268,7 +276,7 @@ def test_a_replay_goes_on_where_its_schedule_does_not_fit(
     assert jaxform.explain(again) == jaxform.explain(own) == "ok"
     assert float(again.time) == pytest.approx(float(own.time), rel=0.1)
     assert float(again.energy.balance_error) < 5e-3
-    assert result.penetrated(again, changed).nodes < 1e-9
+    assert summary.penetrated(again, changed).nodes < 1e-9
     used = np.asarray(again.used & own.used)
     walls = (np.asarray(part.element_volume)[used].sum() for part in (again, own))
     assert next(walls) == pytest.approx(next(walls), rel=0.05)
@@ -334,9 +342,9 @@ def test_files_and_pictures_have_the_nodes_that_exist(scene: Scene, live: Result
     shown, part = result.only_used(scene, live)
     np.testing.assert_array_equal(mesh.triangles, part.triangles)
     np.testing.assert_allclose(mesh.positions, part.positions)
-    summary = result.summarize(live, scene)
-    assert summary["elements_initial"] == len(scene.parison.triangles) < summary["elements_final"]
-    assert summary["nodes_final"] == len(mesh.positions) == len(shown.parison.positions)
+    facts = jaxform.summarize(live, scene)
+    assert facts["elements_initial"] == len(scene.parison.triangles) < facts["elements_final"]
+    assert facts["nodes_final"] == len(mesh.positions) == len(shown.parison.positions)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxform.review import thinnest, warnings_of_part
-from jaxform.scene import Scene
-from jaxform.state import Status
+from jaxform.model.scene import Scene
+from jaxform.results.review import thinnest, warnings_of_part
+from jaxform.sheet.state import Status
 from tests import scenes
 
 

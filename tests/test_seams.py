@@ -10,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 import jaxform
-from jaxform import InputWarning, grids, meshes, seams, shapes
-from jaxform.meshes import Mesh
+from jaxform import InputWarning, shapes
+from jaxform.mesh import grids, meshes
+from jaxform.mesh.meshes import Mesh
+from jaxform.model import seams
 from tests import scenes
 
 Array = NDArray[np.float64]

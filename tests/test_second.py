@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import force
-from jaxform.force import Load
+from jaxform.mechanics import force
+from jaxform.mechanics.force import Load
 from tests import scenes
 from tests.test_force import LAWS, _case, _random_like
 

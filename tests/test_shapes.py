@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxform import shapes, topology
-from jaxform.errors import InputError
-from jaxform.meshes import Mesh
-from jaxform.profiles import Profile
-from jaxform.shapes import disc, from_mesh, rectangle, sphere
+from jaxform import shapes
+from jaxform.core.errors import InputError
+from jaxform.mesh import topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.profiles import Profile
+from jaxform.mesh.shapes import disc, from_mesh, rectangle, sphere
 
 SYMMETRIES = ["none", "half", "quarter"]
 KEPT = {"none": 1.0, "half": 0.5, "quarter": 0.25}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from types import ModuleType
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,11 @@ import pytest
 
 import jaxform
 from benchmarks.bench import without
-from jaxform import body, molds, shapes, state, stepping, working
-from jaxform.state import Status
+from jaxform import molds, shapes
+from jaxform.dynamics import initial
+from jaxform.dynamics import window as windows
+from jaxform.sheet import discretization, state
+from jaxform.sheet.state import Status
 from tests import scenes
 
 simulate = jax.jit(jaxform.simulate)
@@ -242,29 +245,35 @@ def test_the_run_ends_when_nothing_can_move() -> None:
     assert float(result.time) < 25.0
 
 
-@pytest.mark.parametrize(
-    ("room", "part"),
-    [
-        (stepping, "list_near"),
-        (stepping, "look"),
-        (stepping, "watch"),
-        (stepping, "missed"),
-        (working, "pack"),
-        (stepping, "_touch"),
-    ],
-)
-def test_no_mold_no_contact_code(room: ModuleType, part: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def used(*_: object, **__: object) -> None:
-        raise AssertionError(part)
+def _traced(scene: jaxform.Scene) -> set[str]:
+    """Files and functions of this package in which the operations of a window of a scene were made."""
+    found: set[str] = set()
 
-    monkeypatch.setattr(room, part, used)
-    jax.make_jaxpr(_window)(scenes.free_disc(60, 2.0, scenes.mooney(0.1)))
-    with pytest.raises(AssertionError, match=part):
-        jax.make_jaxpr(_window)(scenes.cup())
+    def collect(jaxpr: Any) -> None:
+        for equation in jaxpr.eqns:
+            for frame in equation.source_info.traceback.frames:
+                if "/jaxform/" in frame.file_name:
+                    found.update((frame.file_name.rpartition("/jaxform/")[2], frame.function_name))
+            for part in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda leaf: hasattr(leaf, "eqns")):
+                inner = getattr(part, "jaxpr", part)
+                if hasattr(inner, "eqns"):
+                    collect(inner)
+
+    def window(scene: jaxform.Scene) -> state.State:
+        return windows.window(initial.initial_state(scene), scene, discretization.body(scene))
+
+    collect(jax.make_jaxpr(window)(scene).jaxpr)
+    return found
 
 
-def _window(scene: jaxform.Scene) -> state.State:
-    return stepping.window(state.initial_state(scene), scene, body.body(scene))
+def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
+    free, cup = _traced(scenes.free_disc(60, 2.0, scenes.mooney(0.1))), _traced(scenes.cup())
+    for part in ("contact/candidates.py", "contact/broad_phase.py", "contact/sticking.py", "packed_moving"):
+        assert part in cup and part not in free
+    gas = jaxform.make_pressure([0.0], [1.0])
+    assert not {"_pressure_inside", "model/field.py", "adapt/refinement.py"} & (
+        free | cup | _traced(scenes.loaded(gas))
+    )
 
 
 def test_one_compilation_serves_all_numbers() -> None:

@@ -12,11 +12,19 @@ import pytest
 
 import jaxform
 from benchmarks.bench import without
-from jaxform import blocks, building, force, membrane, packing, shapes, simulation, timestep
-from jaxform.body import body
-from jaxform.scene import Sheet
-from jaxform.state import account, any_mode, initial_state
-from jaxform.working import worked_through
+from jaxform import shapes
+from jaxform.dynamics import timestep
+from jaxform.dynamics.initial import initial_state
+from jaxform.kernels import blocks
+from jaxform.mechanics import force, membrane
+from jaxform.model.tables import Sheet
+from jaxform.prepare import planning
+from jaxform.runs import batch, loop
+from jaxform.sheet import packing
+from jaxform.sheet.account import account
+from jaxform.sheet.active_set import worked_through
+from jaxform.sheet.discretization import body
+from jaxform.sheet.state import any_mode
 from tests import scenes
 
 
@@ -38,7 +46,7 @@ def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
 
 def test_what_sticks_is_packed_away() -> None:
     scene = scenes.cup()
-    state, sheet_body, _ = simulation._begin(scene)
+    state, sheet_body, _ = loop.begin(scene)
     moving = np.zeros(scene.tables.sheet.area.size, bool)
     moving[[3, 4, 40]] = True
     packed = packing.pack(jnp.asarray(moving), scene.tables.sheet, scene.tables.assembly)
@@ -175,7 +183,7 @@ def test_the_first_step_is_not_cold() -> None:
     assert plain_found.mode is None
     assert 1.1 < float(sharp / bound) < 2.0
     # What `check` tells is found on the host. On the ladder, and a little less where nothing damps.
-    assert 0.85 < float(bound) / building.first_step(plain) <= 1.0
+    assert 0.85 < float(bound) / planning.first_step(plain) <= 1.0
 
 
 def _weighted(
@@ -260,7 +268,7 @@ def test_a_batch_gives_the_results_of_single_runs() -> None:
     rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
     rows["pressure.value"] = np.stack([np.asarray(scene.pressure.value)] * 3)
     together = jaxform.simulate_batch(scene, rows, workers=2)
-    beside = simulation._side_by_side(scene, rows)
+    beside = batch._side_by_side(scene, rows)
     for k in range(3):
         alone = jaxform.run(jaxform.replace(scene, {path: values[k] for path, values in rows.items()}))
         np.testing.assert_array_equal(together.thickness[k], alone.thickness)

@@ -12,9 +12,10 @@ import pytest
 
 import jaxform
 from benchmarks import random_scenes, stability, stability_page, stress
-from jaxform import simulation, stepping
-from jaxform.result import summarize
-from jaxform.state import Status
+from jaxform.dynamics import closing
+from jaxform.results.summary import summarize
+from jaxform.runs import loop
+from jaxform.sheet.state import Status
 from tests import scenes
 
 # Of the family "free sphere", which shares one program. 7 and 31 overflowed within a window: they stiffen in it.
@@ -60,8 +61,8 @@ def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     """The stress run's own loop is that of `run`, windows tried in vain included."""
     drawn = random_scenes.draw(ONCE_BROKEN[0])
     _, ours = stress.run_drawn(drawn)
-    state, first, taken = simulation._begin(drawn.scene)
-    state, taken, done = simulation._advance(state, drawn.scene, first, taken, jnp.int32(drawn.planned))
+    state, first, taken = loop.begin(drawn.scene)
+    state, taken, done = loop.advance(state, drawn.scene, first, taken, jnp.int32(drawn.planned))
     assert bool(done)
     np.testing.assert_array_equal(ours.positions, state.positions.T)
     assert ours.schedule is not None
@@ -128,7 +129,7 @@ def test_a_sheet_that_runs_away_says_so() -> None:
     result = jaxform.run(sudden)
     assert int(result.status) & (Status.RUNAWAY | Status.NON_FINITE | Status.WINDOWS_EXHAUSTED)
     assert np.all(np.isfinite(np.asarray(result.positions)))
-    assert float(result.energy.balance_error) < stepping._ENERGY_TOLERANCE
+    assert float(result.energy.balance_error) < closing._ENERGY_TOLERANCE
 
 
 def test_the_page_is_drawn_from_what_was_found(tmp_path: Path) -> None:

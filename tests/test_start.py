@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import bisection, sight
-from jaxform.result import penetrated
-from jaxform.scene import Scene
-from jaxform.search import build_grid
-from jaxform.start import fine_at_once
-from jaxform.state import initial_state
+from jaxform.contact import sight
+from jaxform.dynamics.initial import initial_state
+from jaxform.mesh import bisection
+from jaxform.model.scene import Scene
+from jaxform.prepare.start import fine_at_once
+from jaxform.results.summary import penetrated
+from jaxform.tools.search import build_grid
 from tests import scenes
 
 RIM = 0.6  # of the opening [m], in a disc of radius 1

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import compiling, files, store
-from jaxform.simulation import run
-from jaxform.store import Store
+from jaxform.core import compiling, store
+from jaxform.core.store import Store
+from jaxform.io import files
+from jaxform.runs.host import run
 from tests.scenes import cup, free_disc, mooney
 
 # The runs end before the sheet reaches the cup.
@@ -127,5 +128,6 @@ def test_a_changed_byte_anywhere_in_the_package_is_other_source(tmp_path: Path) 
     changed = store._sources(tmp_path)
     (inside / "b.py").rename(tmp_path / "b.py")
     moved = store._sources(tmp_path)
+    assert (store.PACKAGE / "__init__.pyi").exists() and (store.PACKAGE / "dynamics" / "step.py").exists()
     (tmp_path / "notes.txt").write_text("not source")
     assert len({before, changed, moved}) == 3 and store._sources(tmp_path) == moved

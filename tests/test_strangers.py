@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from benchmarks import cad, cad_molds, flanges, random_scenes, strangers, stress
-from jaxform import files, meshes, schema, topology
-from jaxform.errors import InputError
+from jaxform.core.errors import InputError
+from jaxform.io import files, schema
+from jaxform.mesh import meshes, topology
 
 
 def test_the_sweep_of_flanges_is_spread_over_all_that_varies() -> None:

@@ -10,8 +10,9 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform import catalog, cli, files, schema
-from jaxform.validation import validate
+from jaxform.cli import command, session
+from jaxform.io import catalog, files, schema
+from jaxform.io.validation import validate
 from tests import scenes
 
 SCENE = (
@@ -92,7 +93,7 @@ def test_what_is_wrong_is_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], variables: list[str], objective: str, solver: str, words: str
 ) -> None:
     path = _write(tmp_path, variables, objective, solver or 'method = "lbfgs"')
-    assert cli.main(["optimize", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    assert command.main(["optimize", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 2
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1 and words in lines[0] and "study.toml" in lines[0], lines
 
@@ -100,18 +101,18 @@ def test_what_is_wrong_is_one_line(
 def test_the_command_goes_on_after_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "_cache_folder", lambda: None)
+    monkeypatch.setattr(session, "cache_folder", lambda: None)
     solver = 'method = "fixed-point"\niterations = 3'
     path, out = _write(tmp_path, [FIELD + "smoothness = 0.05"], TARGET, solver), tmp_path / "out"
-    assert cli.main(["optimize", str(path), "--out", str(out)]) == 0
+    assert command.main(["optimize", str(path), "--out", str(out)]) == 0
     whole = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     notes = out / "search.jsonl"
     lines = notes.read_text().splitlines(keepends=True)
     assert len(lines) == 1 + len(whole)
     notes.write_text("".join(lines[:3]))
-    refused = cli.main(["optimize", str(path), "--out", str(out)])
+    refused = command.main(["optimize", str(path), "--out", str(out)])
     assert refused == 2 and "--out" in capfd.readouterr().err
-    assert cli.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
+    assert command.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
     assert "2 answers were known" in capfd.readouterr().out
     again = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(again["objective"], whole["objective"])
@@ -121,7 +122,7 @@ def test_the_command_goes_on_after_a_kill(
         float(jaxform.run(files.load(out / "best.toml")).mass), facts["after"]["mass"], rtol=1e-9
     )
     (tmp_path / "study.toml").write_text(path.read_text().replace("6e-4", "7e-4"))
-    assert cli.main(["optimize", str(path), "--out", str(out), "--resume"]) == 2
+    assert command.main(["optimize", str(path), "--out", str(out), "--resume"]) == 2
     assert "another study" in capfd.readouterr().err
 
 

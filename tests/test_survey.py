@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform import InputWarning, files, meshes, molds, shapes
-from jaxform.survey import survey
+from jaxform import InputWarning, molds, shapes
+from jaxform.io import files
+from jaxform.io.survey import survey
+from jaxform.mesh import meshes
 from tests import scenes
 
 CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]

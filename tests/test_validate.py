@@ -12,7 +12,7 @@ import pytest
 
 import jaxform
 from benchmarks import accuracy, membranes, validate, validate_page
-from jaxform.result import SLOW_ENOUGH, warnings_of
+from jaxform.results.summary import SLOW_ENOUGH, warnings_of
 from tests import scenes
 
 

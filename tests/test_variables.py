@@ -12,8 +12,8 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform import files
-from jaxform.profiles import Profile
+from jaxform.io import files, rewriting
+from jaxform.mesh.profiles import Profile
 from optimize.variables import bounded, limited, log_bounded, log_unbounded, unbounded, unlimited
 from tests import scenes
 
@@ -120,7 +120,7 @@ def test_a_field_of_a_refined_scene_comes_back_from_its_file(tmp_path: Path) -> 
     scene = files.build(document)
     variable = optimize.ThicknessField(scene, bounds=(5e-4, 2e-3), smoothness=0.06)
     free = 2 * np.random.default_rng(3).normal(size=variable.start.size)
-    files.write_scene(document, variable.document(jnp.asarray(free)), tmp_path)
+    rewriting.write_scene(document, variable.document(jnp.asarray(free)), tmp_path)
     again = files.load(tmp_path / "best.toml")
     np.testing.assert_allclose(again.parison.thickness, _thickness(variable, free), rtol=1e-6)
 

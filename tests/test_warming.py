@@ -6,15 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from jaxform import cli, padding, warming
+from jaxform.cli import command, session, warming
+from jaxform.runs import padding
 from tests import scenes
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "cache"
-    monkeypatch.setattr(cli, "_cache_folder", lambda: folder)
-    monkeypatch.setattr(cli, "_use_compile_cache", lambda _: None)
+    monkeypatch.setattr(session, "cache_folder", lambda: folder)
+    monkeypatch.setattr(session, "use_compile_cache", lambda _: None)
     return folder
 
 
@@ -24,13 +25,13 @@ def test_what_was_compiled_beforehand_serves_other_scenes_of_the_kind(
     scene, other = tmp_path / "scene.toml", tmp_path / "other.toml"
     scene.write_text(scenes.FILE)
     other.write_text(scenes.FILE.replace("elements = 40", "elements = 90").replace("segments = 48", "segments = 36"))
-    assert cli.main(["check", str(scene)]) == 0
+    assert command.main(["check", str(scene)]) == 0
     assert "compiles first, for about 6 s" in capfd.readouterr().out
-    assert cli.main(["warm", str(scene)]) == 0
+    assert command.main(["warm", str(scene)]) == 0
     assert "1 compiled, 0 were so already" in capfd.readouterr().out
-    assert cli.main(["warm", str(other), str(scene)]) == 0
+    assert command.main(["warm", str(other), str(scene)]) == 0
     assert "0 compiled, 2 were so already" in capfd.readouterr().out
-    assert cli.main(["check", str(other)]) == 0
+    assert command.main(["check", str(other)]) == 0
     assert "its programs are compiled already" in capfd.readouterr().out
 
 
@@ -46,7 +47,7 @@ def test_an_interruption_leaves_what_is_done(
         return len(done) % 2 == 0
 
     monkeypatch.setattr(warming.Kind, "compile", compile)
-    assert cli.main(["warm"]) == cli.INTERRUPTED
+    assert command.main(["warm"]) == session.INTERRUPTED
     lines = capfd.readouterr().out.splitlines()
     assert "compiled already" in lines[0] and "compiled already" not in lines[1]
     assert lines[-1].startswith("interrupted; 3 of ")
@@ -63,12 +64,12 @@ def test_the_common_kinds_are_of_other_shapes_and_known_sizes() -> None:
 def test_without_a_folder_there_is_nothing_to_warm(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, "_cache_folder", lambda: None)
-    assert cli.main(["warm"]) == cli.BAD_INPUT
+    monkeypatch.setattr(session, "cache_folder", lambda: None)
+    assert command.main(["warm"]) == session.BAD_INPUT
     assert "XDG_CACHE_HOME" in capfd.readouterr().err
 
 
 def test_a_scene_that_is_wrong_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "wrong.toml").write_text("[parison]\n")
-    assert cli.main(["warm", str(tmp_path / "wrong.toml")]) == cli.BAD_INPUT
+    assert command.main(["warm", str(tmp_path / "wrong.toml")]) == session.BAD_INPUT
     assert "wrong.toml" in capfd.readouterr().err

@@ -12,11 +12,15 @@ import pytest
 
 import jaxform
 from benchmarks.bench import with_windows_of, without
-from jaxform import building, shapes, stepping, timestep
-from jaxform.body import body
-from jaxform.scene import LONG_WINDOW, SHORT_WINDOW
-from jaxform.state import State, initial_state
-from jaxform.working import Room, Working, worked_through
+from jaxform import shapes
+from jaxform.dynamics import timestep
+from jaxform.dynamics import window as windows
+from jaxform.dynamics.initial import initial_state
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
+from jaxform.prepare import planning
+from jaxform.sheet.active_set import Room, Working, worked_through
+from jaxform.sheet.discretization import body
+from jaxform.sheet.state import State
 from tests import scenes
 
 
@@ -142,7 +146,7 @@ def test_the_derivatives_of_long_windows_agree(cup: jaxform.Scene) -> None:
 )
 def test_there_are_enough_windows_to_look_at_a_run(short_ones: int, frames: int, longest: int) -> None:
     """A built scene knows how many short windows it may take; a run takes a quarter of them, or more."""
-    assert building.longest_window(short_ones, frames) == longest
+    assert planning.longest_window(short_ones, frames) == longest
 
 
 def test_with_refinement_all_windows_are_short() -> None:
@@ -154,12 +158,12 @@ def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> Non
     scene = scenes.cup()
 
     def begun(state: State) -> tuple[State, Working]:
-        working = stepping.with_room(worked_through(state, scene, body(scene)), scene)
+        working = windows.with_room(worked_through(state, scene, body(scene)), scene)
         return working.taken(state), working
 
     @jax.jit
     def several(state: State, working: Working) -> tuple[State, Working]:
-        window = lambda _, now: stepping.window_in_place(now[0], scene, now[1])  # noqa: E731
+        window = lambda _, now: windows.window_in_place(now[0], scene, now[1])  # noqa: E731
         return jax.lax.fori_loop(0, 12, window, (state, working))
 
     def full(room: jax.Array) -> jax.Array:

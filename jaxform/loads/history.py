@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxform.errors import InputError
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import within
+from jaxform.core.pytree import as_real, static
+from jaxform.core.ranges import RANGES, as_numbers, check
 from jaxform.loads.loading import Loading, loading
-from jaxform.parameters import within
-from jaxform.pytree import as_real, static
-from jaxform.ranges import RANGES, as_numbers, check
 
 _INTERPOLATIONS = ("linear", "cubic-ramp")
 _FEW_KNOTS = 256

@@ -7,9 +7,9 @@ from typing import Any, ClassVar, dataclass_transform
 import jax
 import numpy as np
 
-from jaxform.errors import InputError
-from jaxform.parameters import declared_part, parameter, within
-from jaxform.pytree import as_real, static
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.pytree import as_real, static
 
 _LOOKS = 17
 

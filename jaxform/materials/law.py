@@ -8,9 +8,9 @@ from typing import dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.errors import InputError
-from jaxform.parameters import declared_part, parameter, within
-from jaxform.pytree import static
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.pytree import static
 
 Slope = jax.Array | None
 """A derivative of the energy; None where the law never has it, so that the step does not compute it."""

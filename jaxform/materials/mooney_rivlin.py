@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jaxform.core.parameters import within
+from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
-from jaxform.parameters import within
-from jaxform.ranges import RANGES
 
 
 @law

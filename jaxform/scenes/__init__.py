@@ -20,11 +20,11 @@ from typing import Any, Literal
 import numpy as np
 from jax.core import Tracer
 
-from jaxform import files, schema
-from jaxform.errors import InputError
-from jaxform.scene import Scene
-from jaxform.shapes import Symmetry
-from jaxform.validation import validate
+from jaxform.core.errors import InputError
+from jaxform.io import files, schema
+from jaxform.io.validation import validate
+from jaxform.mesh.shapes import Symmetry
+from jaxform.model.scene import Scene
 
 Keys = Mapping[str, Any]
 """Keys and values of a table of a scene file."""

@@ -1,0 +1,287 @@
+"""New nodes: in the middle of their edges and moving as these did, but near the mold at rest; at the mold put there.
+
+Where an element cut a corner of the mold, the middle of its side may be beyond. What is beyond is told from where its
+edge's ends are, which is on the near side: the way from there crosses the mold. Such a node is put to the nearest place
+of the mold; one on the mold sticks where its edge's ends do; one before it is free. One that lay on the mold when the
+run began is there still.
+
+Places are taken one after the other, and an edge's ends come before its middle: new nodes are worked through in
+blocks of places, and only as far as there are any.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.adapt.nearest import closest_place, nearest_triangle
+from jaxform.contact import cells
+from jaxform.contact.sight import Sight, seen
+from jaxform.kernels.blocks import BLOCK, cut, only_if, put
+from jaxform.mechanics.membrane import cross, dot
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Forest
+from jaxform.sheet.discretization import Mesh
+from jaxform.sheet.state import State, at_start
+from jaxform.tools.mold import Mold
+
+_BEFORE = 64  # times the distance at which a node touches, before its wall: where a node that sticks looks from
+_BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin wall
+_CALM = 0.5  # of its edge: a new node that is nearer to the mold is at rest; from a whole one on it moves as it would
+
+
+class _Births(NamedTuple):
+    """A block of places from `begin` on: which (n,) have a new node, which node, and the places of its edge's ends."""
+
+    begin: jax.Array
+    new: jax.Array
+    node: jax.Array
+    ends: tuple[jax.Array, jax.Array]
+    differentiable: bool
+
+    def own(self, values: jax.Array) -> jax.Array:
+        """The block of values (..., n_place)."""
+        return cut(values, self.begin, self.new.size)
+
+    def put(self, values: jax.Array, own: jax.Array) -> jax.Array:
+        """The values with others at the new nodes' places."""
+        return put(values, jnp.where(self.new, own, self.own(values)), self.begin)
+
+    def chained(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
+        """What is joined from the values (..., n) at both ends of the edges: those outside, at new nodes its own."""
+        inside = [jnp.clip(end - self.begin, 0, self.new.size - 1) for end in self.ends]
+        newer = [self.new & (end >= self.begin) & self.new[at] for end, at in zip(self.ends, inside, strict=True)]
+
+        def again(own: jax.Array) -> jax.Array:
+            triples = zip(newer, inside, outside, strict=True)
+            return join(*(jnp.where(new, own[..., at], other) for new, at, other in triples))
+
+        def still(waiting: jax.Array) -> jax.Array:
+            waits = [new & waiting[at] for new, at in zip(newer, inside, strict=True)]
+            return waits[0] | waits[1]
+
+        def generation(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
+            own, waiting = carry
+            return (only_if(jnp.any(waiting), again, own, differentiable=True), still(waiting)), None
+
+        start = join(*outside), newer[0] | newer[1]
+        if self.differentiable:
+            # At most as often as there can be generations at one border; mostly there are one or two.
+            return jax.lax.scan(generation, start, length=depth)[0][0]
+        return jax.lax.while_loop(
+            lambda carry: jnp.any(carry[1]), lambda carry: (again(carry[0]), still(carry[1])), start
+        )[0]
+
+
+class _Older(NamedTuple):
+    """The finer mesh, and how many of its nodes were there before."""
+
+    mesh: Mesh
+    count: jax.Array
+
+    def ancestor(self, place: jax.Array, forest: Forest) -> jax.Array:
+        """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
+
+        def up(place: jax.Array) -> jax.Array:
+            above = self.mesh.place[forest.ends[0, self.mesh.node[place]]]
+            return jnp.where(place < self.count, place, above)
+
+        return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), up, place)
+
+
+def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differentiable: bool = True) -> State:
+    """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
+
+    Args:
+        state: The state, with its own mesh.
+        mesh: The finer mesh.
+        scene: The scene.
+        volumes: Of all triangles of the forest (n_triangle,) [m^3].
+        differentiable: Whether loops have as many passes as there is room for; else they end with the new nodes.
+    """
+    forest, old = scene.tables.forest, state.mesh
+    assert forest is not None and old is not None
+    size = min(BLOCK, mesh.node.size)
+
+    def births(block: jax.Array) -> _Births:
+        nominal = old.node_count + block * size
+        begin = jnp.minimum(nominal, mesh.node.size - size)
+        place = begin + jnp.arange(size)
+        new = (place >= nominal) & (place < mesh.node_count)
+        node = cut(mesh.node, begin, size)
+        first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
+        return _Births(begin, new, node, (first, second), differentiable)
+
+    def worked(nodes: Nodes, work: Callable[[Nodes, _Births], Nodes]) -> Nodes:
+        if not differentiable:
+            blocks = -(-(mesh.node_count - old.node_count) // size)
+            return jax.lax.fori_loop(0, blocks, lambda block, nodes: work(nodes, births(block)), nodes)
+
+        def one(nodes: Nodes, block: jax.Array) -> tuple[Nodes, None]:
+            any_left = old.node_count + block * size < mesh.node_count
+            return only_if(any_left, lambda nodes: work(nodes, births(block)), nodes, differentiable=True), None
+
+        return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
+
+    # The loop over blocks carries no more than it changes.
+    nodes = dataclasses.replace(state.nodes, mode=None)
+    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, volumes))
+    if scene.mold is not None and scene.tables.grid is not None:
+        older, time = _Older(mesh, old.node_count), state.time
+        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, scene, older, time))
+    return dataclasses.replace(state, nodes=nodes).with_nodes(mode=state.nodes.mode)
+
+
+def _between(nodes: Nodes, births: _Births, scene: Scene, volumes: jax.Array) -> Nodes:
+    """The nodes with the block's new ones in the middle of their edges, moving as these did.
+
+    A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
+    weighted by these the momentum is kept exactly.
+    """
+    forest = scene.tables.forest
+    assert forest is not None
+    # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
+    reference = scene.parison.positions
+    begins = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
+    moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, begins, strict=True)]
+    middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
+    weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
+    velocities = births.chained(
+        [nodes.velocities[:, end] for end in births.ends],
+        lambda first, second: weight * first + (1.0 - weight) * second,
+        forest.depth,
+    )
+    start = at_start(scene, births.node)
+    fields = {
+        name: births.put(
+            values, births.chained([values[end] for end in births.ends], scene.fields[name].between, forest.depth)
+        )
+        for name, values in nodes.fields.items()
+    }
+    return dataclasses.replace(
+        nodes,
+        positions=births.put(nodes.positions, reference[births.node].T + jnp.where(start.stuck, 0.0, middle)),
+        velocities=births.put(nodes.velocities, jnp.where(start.stuck, 0.0, velocities)),
+        stuck=births.put(nodes.stuck, start.stuck),
+        contact_time=births.put(nodes.contact_time, start.contact_time),
+        wall=births.put(nodes.wall, start.wall),
+        fields=fields,
+    )
+
+
+def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest) -> jax.Array:
+    """Share (n,) of an edge's first end in the velocity of its middle: of the mass that both lose."""
+    lost = jnp.zeros((2, owner.size), volumes.dtype)
+    for triangle, there in ((owner, True), (forest.partner[owner], forest.partner[owner] != owner)):
+        children = 2 * triangle + forest.root_count
+        # The first child keeps the edge's begin, the second its end; each end loses the other's part.
+        parts = volumes[jnp.minimum(children + 1, volumes.size - 1)], volumes[jnp.minimum(children, volumes.size - 1)]
+        turned = forest.sheet.triangles[1, triangle] != end
+        lost += jnp.where(there, jnp.stack([jnp.where(turned, parts[1], parts[0]), jnp.where(turned, *parts)]), 0.0)
+    return lost[0] / (lost[0] + lost[1])
+
+
+class _Outlook(NamedTuple):
+    """What new nodes (n,) see of the mold from the sheet: where they look from (3, n) [m], and what is between."""
+
+    begin: jax.Array
+    seen: Sight
+
+
+def _settled(nodes: Nodes, births: _Births, scene: Scene, older: _Older, time: jax.Array) -> Nodes:
+    """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
+    mold, grid, forest, refinement = scene.mold, scene.tables.grid, scene.tables.forest, scene.refinement
+    assert mold is not None and grid is not None and forest is not None and refinement is not None
+    points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
+    free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
+    found = nearest_triangle(places, free, grid)
+    outlook = _outlook(places, free, nodes, births, older, scene)
+    touches = free & (found.distance <= cells.touch_distance(grid))
+    beyond = free & ~touches & (outlook.seen.count % 2 == 1)
+    ends = [nodes.stuck[at] for at in births.ends]
+    sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
+    lands = births.new & sticks & ~stuck
+    # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
+    last = outlook.seen.triangle
+    both, known = jnp.append(found.triangle, last), jnp.append(free & (found.triangle >= 0), free & (last >= 0))
+    nearest, front = jnp.split(closest_place(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
+    turned = beyond & _on_its_back(nearest - places, found.triangle, outlook.seen, mold)
+    chosen = jnp.where(turned, jnp.maximum(last, 0), found.triangle)
+    triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
+    point = jnp.where(turned, front, nearest)
+    velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
+    if refinement.at_rest:
+        edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
+        length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
+        gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
+        velocities = jnp.where(flies, _kept(gap, size), 1.0) * velocities
+    # It is on the side of the place that it looks from; what is beyond may look from another wall.
+    above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
+    side = jnp.where(above < 0.0, -1, 1)
+    return dataclasses.replace(
+        nodes,
+        positions=births.put(nodes.positions, jnp.where(lands, point, points)),
+        velocities=births.put(nodes.velocities, velocities),
+        stuck=births.put(nodes.stuck, stuck | lands),
+        contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.own(nodes.contact_time))),
+        wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.own(nodes.wall))),
+    )
+
+
+def _outlook(
+    points: jax.Array, free: jax.Array, nodes: Nodes, births: _Births, older: _Older, scene: Scene
+) -> _Outlook:
+    """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
+
+    One that flies is looked from; of nodes that stick, one that is known to, a little before its wall.
+    """
+    mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
+    assert mold is not None and grid is not None and forest is not None
+    first, second = (older.ancestor(end, forest) for end in births.ends)
+    stuck, wall = nodes.stuck, nodes.wall
+    worse = stuck[first] & (~stuck[second] | (wall[first] == 0) & (wall[second] != 0))
+    place = jnp.where(worse, second, first)
+    there, triangle = wall[place], jnp.maximum(jnp.abs(wall[place]) - 1, 0)
+    off = _BEFORE * cells.touch_distance(grid) * jnp.sign(there)
+    begin = jax.lax.stop_gradient(nodes.positions[:, place] + off * _normal(mold, triangle))
+    way = begin - points
+    _, bound = cells.looked_up(points, grid)
+    return _Outlook(begin, seen(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
+
+
+def _on_its_back(gap: jax.Array, nearest: jax.Array, seen: Sight, mold: Mold) -> jax.Array:
+    """Of points (n,) beyond the mold whether the nearest triangle, a gap (3, n) [m] away, is the back of a thin wall.
+
+    Or is not known. Its front is what the way from the sheet crosses last.
+    """
+    gap = jax.lax.stop_gradient(gap)
+    front = jax.lax.stop_gradient(_normal(mold, jnp.maximum(seen.triangle, 0)))
+    return (nearest < 0) | (seen.side * dot(gap, front) < -_BACKWARD * jnp.sqrt(dot(gap, gap)))
+
+
+def _normal(mold: Mold, triangle: jax.Array) -> jax.Array:
+    """Unit normals (3, n) of the mold's triangles (n,)."""
+    d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
+    normal = jnp.stack(cross(e - d, f - d))
+    return normal / jnp.sqrt(dot(normal, normal))
+
+
+def _height(points: jax.Array, mold: Mold, triangle: jax.Array) -> jax.Array:
+    """Height (n,) [m] of points (3, n) over the planes of triangles (n,)."""
+    return jax.lax.stop_gradient(dot(points - mold.vertices[mold.triangles[triangle, 0]].T, _normal(mold, triangle)))
+
+
+def _kept(gap: jax.Array, size: jax.Array) -> jax.Array:
+    """Share (n,) of its velocity that a new node keeps with a gap (3, n) to the mold, beside sizes (n,) [m].
+
+    A replay would jump where a node that moves on lands just before a border or just after.
+    """
+    # Bounded before the root is taken, which has no slope at 0.
+    distance = jnp.sqrt(jnp.maximum(dot(gap, gap), jnp.square(_CALM * size)))
+    share = jnp.clip((distance / size - _CALM) / (1.0 - _CALM), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)

@@ -1,0 +1,291 @@
+"""Refinement at a window's border: which elements are bisected, what their neighbours then need, and the new nodes.
+
+Nothing but marks changes: the forest has been bisected beforehand. What is decided here is piecewise constant in the
+design; the state of the new nodes flows through from their edges' ends.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.adapt.insertion import born
+from jaxform.adapt.remeshing import Queue, bisected, closed, queued
+from jaxform.contact.cells import cell_of
+from jaxform.kernels import sizes
+from jaxform.kernels.blocks import BLOCK, listed, only_if, over_blocks, padded
+from jaxform.mechanics import membrane
+from jaxform.mechanics.membrane import Vector, dot, gather, minus
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.account import account, kinetic_energy
+from jaxform.sheet.active_set import Working
+from jaxform.sheet.discretization import NEVER, Body, levels, node_room, refined_body
+from jaxform.sheet.scheme import caught_up
+from jaxform.sheet.state import PackedState, Schedule, State, Status
+
+_SPARE_BLOCKS = 2
+
+
+def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
+    """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
+
+    With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
+
+    Args:
+        state: The state.
+        scene: The scene.
+        sheet_body: The sheet with the state's mesh.
+        schedule: The decisions that are taken; None where the mesh decides.
+    """
+    mesh = state.mesh
+    if mesh is None:
+        return state, sheet_body
+    if schedule is not None and schedule.split_at is not None:
+        planned = schedule.split_at <= schedule.upcoming(state.replay.row)
+        due = jnp.any(planned & (mesh.split_at == NEVER))
+        wanted = functools.partial(_planned, planned=planned)
+    else:
+        due, wanted = _is_due(state, scene), _wanted
+
+    def look(now: tuple[State, Body]) -> tuple[State, Body]:
+        return _grown(now[0], scene, now[1], *wanted(now[0], scene, now[1]), None)
+
+    return only_if(due, look, (state, sheet_body), differentiable=True)
+
+
+def refined_in_place(state: PackedState, scene: Scene, sheet_body: Body, working: Working) -> tuple[PackedState, Body]:
+    """The same of a state in the order of what the last window worked through; no derivative is taken."""
+    if state.mesh is None:
+        return state, sheet_body
+
+    def look(now: tuple[PackedState, Body]) -> tuple[PackedState, Body]:
+        state, body = working.put_back(now[0]), now[1]
+        state, body = _grown(state, scene, body, *_wanted(state, scene, body), working)
+        return working.taken(state), body
+
+    return only_if(_is_due(state, scene), look, (state, sheet_body))
+
+
+def _is_due(state: State | PackedState, scene: Scene) -> jax.Array:
+    # A window that is retried begins with the mesh that it had.
+    return looks(state.windows, scene) & ((state.control.last_count > 0) | (state.windows == 0))
+
+
+def looks(window: jax.Array, scene: Scene) -> jax.Array:
+    """Whether it is time to look at the mesh at the border before a window, where no schedule says so."""
+    assert scene.refinement is not None
+    return window % -(-scene.refinement.interval // SHORT_WINDOW) == 0
+
+
+def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:
+    """What is bisected (n_triangle,) where that is planned by now, and those of it that are not yet."""
+    mesh, forest = state.mesh, scene.tables.forest
+    assert mesh is not None and forest is not None
+    new = planned & (mesh.split_at == NEVER)
+    return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
+
+
+def _wanted(state: State, scene: Scene, sheet_body: Body) -> tuple[jax.Array, Queue]:
+    """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
+    mesh, forest = state.mesh, scene.tables.forest
+    assert mesh is not None and forest is not None
+    place, count = listed(_marked(state, scene, sheet_body), mesh.element.size)
+    return closed(mesh.split_at, mesh.element[place], count, forest, state.windows)
+
+
+def _within_reach(first: Vector, edge1: Vector, edge2: Vector, scene: Scene) -> jax.Array:
+    """By how much a bent part of the mold is within the base reach [m] of triangles (n,) with such edges [m]."""
+    grid, forest, refinement = scene.tables.grid, scene.tables.forest, scene.refinement
+    assert grid is not None and forest is not None and forest.bend is not None and refinement is not None
+    square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
+    middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
+    cell = cell_of(middle, grid, forest.bend.parts)
+    return refinement.base_reach * jnp.sqrt(square) - gather(forest.bend.distance, cell)
+
+
+def can_have_more_room(scene: Scene) -> bool:
+    """Whether the forest has more elements than there is room for."""
+    forest, refinement = scene.tables.forest, scene.refinement
+    return forest is not None and refinement is not None and refinement.elements < forest.root_count << forest.depth
+
+
+def fitted(scene: Scene, used: int) -> Scene:
+    """A scene with room for somewhat more elements than were `used` in a run of it: what is not used takes time too.
+
+    A scene without refinement, or with no more room than that, is as it was.
+    """
+    forest, refinement = scene.tables.forest, scene.refinement
+    if forest is None or refinement is None:
+        return scene
+    blocks = min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK))
+    return scene if used <= refinement.elements <= blocks * BLOCK else _with_room(scene, blocks)
+
+
+def _with_room(scene: Scene, blocks: int) -> Scene:
+    forest, refinement = scene.tables.forest, scene.refinement
+    assert forest is not None and refinement is not None
+    elements = blocks * BLOCK
+    nodes = node_room(elements, forest.first_nodes, forest.owner.size)
+    tables = dataclasses.replace(scene.tables, forest=dataclasses.replace(forest, node_room=nodes))
+    return dataclasses.replace(scene, tables=tables, refinement=dataclasses.replace(refinement, elements=elements))
+
+
+def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
+    """A scene with twice the room for elements, and a state that found too little as it was before it did."""
+    refinement, mesh = scene.refinement, state.mesh
+    assert refinement is not None and mesh is not None
+    scene = _with_room(scene, sizes.grown(2 * refinement.elements) // BLOCK)
+    assert scene.refinement is not None and scene.tables.forest is not None
+    elements, nodes = scene.refinement.elements, scene.tables.forest.node_room
+    beyond = _padded(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
+    grown = dataclasses.replace(
+        mesh,
+        element=_padded(mesh.element, elements),
+        node=_padded(mesh.node, nodes),
+        corner=beyond,
+        corner_count=_padded(mesh.corner_count, nodes),
+        row=_padded(mesh.row, elements),
+    )
+    status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
+    return scene, dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, status=status)
+
+
+def _padded(values: jax.Array, count: int) -> jax.Array:
+    return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
+
+
+def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+    """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
+    state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
+    refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
+    assert refinement is not None and forest is not None and mesh is not None
+    shapes = _shapes(state, scene, sheet_body)
+    sheet, fine = sheet_body.sheet, 0.5 * sheet_body.sheet.area < refinement.min_area
+    room = padded(mesh.element.size)
+    blocks = mesh.element_count // BLOCK + 1
+
+    def work(element: jax.Array, neighbor: jax.Array, own: jax.Array, fine: jax.Array, area: jax.Array) -> Any:
+        level = levels(element, forest)
+        wanted = _bent(own, neighbor, shapes, refinement.angle) & (level < refinement.max_level)
+        if refinement.jump is not None:
+            wanted |= _uneven(own, neighbor, shapes, refinement.jump) & (level < refinement.max_level)
+        if forest.bend is not None:
+            # A bent part of the mold is nearer than so many longest sides.
+            wanted |= (own[4] > 0.0) & (level < refinement.base_level)
+        return [[wanted & ~fine & (area > 0.0)]], []
+
+    across = mesh.side[forest.half_edges[:, mesh.element] ^ 1]
+    lists = mesh.element, across, shapes[:, : mesh.element.size], fine, sheet.area
+    inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - x.shape[-1])]) for x in lists)
+    (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, room), bool)])
+    return marks[0, : mesh.element.size]
+
+
+def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+    """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
+    elements, grid, forest = sheet_body.whole.elements, scene.tables.grid, scene.tables.forest
+    assert forest is not None
+    rows = membrane.rows_of(state.nodes.positions)
+    thickness = sheet_body.thickness[sheet_body.whole.element]
+
+    def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
+        first, edge1, edge2 = membrane.edges(rows, triangles)
+        normal = membrane.cross(edge1, edge2)
+        size = jnp.sqrt(jnp.maximum(membrane.dot(normal, normal), jnp.finfo(area.dtype).tiny))
+        x, y, z = (component / size for component in normal)
+        near = jnp.zeros_like(size)
+        if forest.bend is not None and grid is not None:
+            near = _within_reach(first, edge1, edge2, scene)
+        return [[x, y, z, 2.0 * area * thickness / size, near]], []
+
+    inputs = elements.triangles, elements.area, thickness
+    into = [jnp.zeros((5, thickness.size), thickness.dtype)]
+    (found,), _ = over_blocks(work, elements.block_count, inputs, into)
+    return found
+
+
+def _bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
+    """Whether a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
+    normal = own[0], own[1], own[2]
+    beside = []
+    for side in neighbor:
+        there = side >= 0
+        x, y, z = (jnp.where(there, row[jnp.maximum(side, 0)], 0.0) for row in shapes[:3])
+        beside.append((there, (x, y, z)))
+    mean = functools.reduce(membrane.plus, (other for _, other in beside), normal)
+    limit = jnp.cos(jnp.deg2rad(angle)) * jnp.sqrt(membrane.dot(mean, mean))
+    bent = membrane.dot(normal, mean) < limit
+    for there, other in beside:
+        bent |= there & (membrane.dot(other, mean) < limit)
+    return bent
+
+
+def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
+    """Whether an element (n,) is that much thicker or thinner than a neighbour."""
+    uneven = jnp.zeros(own.shape[1], bool)
+    for side in neighbor:
+        other = shapes[3][jnp.maximum(side, 0)]
+        ratio = jnp.maximum(other, own[3]) / jnp.minimum(other, own[3])
+        uneven |= (side >= 0) & (ratio > 1.0 + jump)
+    return uneven
+
+
+def _grown(
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, working: Working | None
+) -> tuple[State, Body]:
+    """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
+    mesh = state.mesh
+    assert mesh is not None
+    fits = (mesh.element_count + queue.count <= mesh.element.size) & (
+        mesh.node_count + queue.node_count <= mesh.node.size
+    )
+    full = jnp.where(fits, 0, Status.REFINEMENT_OVERFLOW).astype(state.status.dtype)
+    state = dataclasses.replace(state, status=state.status | full)
+
+    def grow(now: tuple[State, Body]) -> tuple[State, Body]:
+        state, body = now
+        return _with_parts(state, scene, body, split_at, queue, working)
+
+    return only_if(fits & (queue.count > 0), grow, (state, sheet_body), differentiable=working is None)
+
+
+def _with_parts(
+    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, working: Working | None
+) -> tuple[State, Body]:
+    """The state with the queue's triangles bisected."""
+    differentiable = working is None
+    forest, old = scene.tables.forest, state.mesh
+    assert forest is not None and old is not None and sheet_body.volumes is not None
+    before, state = state, caught_up(state, scene, sheet_body, working)
+    mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
+    body = refined_body(scene, mesh, sheet_body.volumes)
+    new = born(state, mesh, scene, sheet_body.volumes, differentiable=differentiable)
+    # What concerns the account alone carries no derivative.
+    (strain, volume), (new_strain, new_volume) = (
+        account(
+            *jax.lax.stop_gradient((s.nodes.positions, b.whole.elements, b.thickness[b.whole.element], scene.material))
+        )
+        for s, b in ((state, sheet_body), (new, body))
+    )
+    kinetic, new_kinetic = (
+        jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, sheet_body), (new, body))
+    )
+    loss = strain + kinetic - new_strain - new_kinetic
+    made = dataclasses.replace(
+        new,
+        mesh=mesh,
+        control=dataclasses.replace(state.control, sharpness=jnp.zeros_like(state.control.sharpness)),
+        account=dataclasses.replace(
+            state.account,
+            refinement_loss=state.account.refinement_loss + loss,
+            volume=state.account.volume + new_volume - volume,
+        ),
+    )
+    # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
+    sound = jnp.isfinite(loss)
+    return only_if(~sound, lambda _: (before, sheet_body), (made, body), differentiable=differentiable)

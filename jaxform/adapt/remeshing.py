@@ -1,0 +1,179 @@
+"""Bisecting triangles of the forest in the program: which more are needed, and the lists of what there then is.
+
+One triangle after the other, by loops that end when the triangles do: at a border few are bisected of many. XLA
+compiles such loops without scatters into one function each, so that a triangle takes well under a microsecond; all
+lists change in place, and nothing is as long as the forest. There is nothing to differentiate here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import once
+from jaxform.mesh import bisection
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Forest
+from jaxform.sheet.discretization import NEVER, Mesh, first_mesh
+
+
+@pytree
+class Queue:
+    """Triangles to be bisected.
+
+    Attributes:
+        triangle: Their numbers (room,), ascending, so that parents come before their parts; then the largest number.
+        count: How many there are; more than there is room for where some are missing.
+        node_count: How many nodes they bring.
+    """
+
+    triangle: jax.Array
+    count: jax.Array
+    node_count: jax.Array
+
+
+def no_queue(room: int) -> Queue:
+    """Nothing to be bisected."""
+    return Queue(jnp.full(room, NEVER, jnp.int32), jnp.int32(0), jnp.int32(0))
+
+
+def queued(found: jax.Array, count: jax.Array, forest: Forest | bisection.Forest) -> Queue:
+    """A queue of triangles (room,) of which `count` are meant, in any order; closed already."""
+    there = jnp.arange(found.size) < count
+    triangle = jnp.sort(jnp.where(there, found, NEVER))
+    own = jnp.where(there, found, 0)
+    # Two triangles share the new node in the middle of the edge between them.
+    return Queue(triangle, count, jnp.sum(there & (own <= jnp.asarray(forest.partner)[own]), dtype=jnp.int32))
+
+
+def closed(
+    split_at: jax.Array, wanted: jax.Array, count: jax.Array, forest: Forest | bisection.Forest, window: jax.Array
+) -> tuple[jax.Array, Queue]:
+    """What is bisected (n_triangle,) when those wanted are, so that no node hangs on a side; and those that are new.
+
+    With a triangle its partner is bisected, and what has bisected parts is so itself. The least such set, so it does
+    not depend on the order in which they are wanted.
+
+    Args:
+        split_at: The window at whose border each triangle was bisected; NEVER where it was not.
+        wanted: Numbers of triangles (room,), those that are none at or above n_triangle.
+        count: How many of these are to be looked at.
+        forest: The forest.
+        window: The present one.
+    """
+    room, last = wanted.size, split_at.size - 1
+    partner = jnp.asarray(forest.partner)
+
+    def push(growing: _Growing, triangle: jax.Array, meant: jax.Array | bool) -> _Growing:
+        split_at, queue, count = growing
+        number = jnp.clip(triangle, 0, last)
+        before = _at(split_at, number)
+        new = meant & (before == NEVER)
+        split_at = _with(split_at, jnp.where(new, window, before), number)
+        # The last entry is for whatever is not meant.
+        queue = _with(queue, number, jnp.where(new, jnp.minimum(count, room), room))
+        return split_at, queue, count + new.astype(jnp.int32)
+
+    def ask(i: jax.Array, carry: _Growing) -> _Growing:
+        triangle = _at(wanted, i)
+        return push(carry, triangle, triangle <= last)
+
+    def follow(carry: tuple[jax.Array, _Growing]) -> tuple[jax.Array, _Growing]:
+        i, growing = carry
+        triangle = _at(growing[1], jnp.minimum(i, room))
+        growing = push(growing, _at(partner, triangle), True)
+        return i + 1, push(growing, (triangle - forest.root_count) // 2, triangle >= forest.root_count)
+
+    start = split_at, jnp.zeros(room + 1, jnp.int32), jnp.int32(0)
+    growing = jax.lax.fori_loop(0, count, ask, start)
+    _, (split_at, queue, found) = jax.lax.while_loop(
+        lambda carry: carry[0] < carry[1][2], follow, (jnp.int32(0), growing)
+    )
+    return split_at, queued(queue[:room], found, forest)
+
+
+_Growing = tuple[jax.Array, jax.Array, jax.Array]  # split_at, the queue with a spare entry, its count
+
+
+def bisected(mesh: Mesh, queue: Queue, forest: Forest) -> Mesh:
+    """The mesh with the queue's triangles bisected, for which there must be room; `split_at` is left to the caller."""
+
+    def bisect(i: jax.Array, mesh: Mesh) -> Mesh:
+        triangle = _at(queue.triangle, i)
+        mesh, middle = _with_middle(mesh, _at(forest.middle, triangle))
+        mesh, element = _with_parts(mesh, triangle, forest)
+        places = [_at(mesh.place, _at(forest.sheet.triangles, k, triangle)) for k in range(3)]
+        return _with_corners(mesh, places, middle, element)
+
+    return jax.lax.fori_loop(0, queue.count, bisect, mesh)
+
+
+def started_mesh(scene: Scene) -> Mesh:
+    """The mesh when a run begins: that of the scene, fine at once where its tables say so."""
+    mesh, forest = first_mesh(scene), scene.tables.forest
+    assert forest is not None
+    if forest.fine_at_once is None:
+        return mesh
+    found = forest.fine_at_once
+    queue = queued(found, jnp.sum(found < NEVER, dtype=jnp.int32), forest)
+    split_at = mesh.split_at.at[found].set(0, mode="drop")
+    return dataclasses.replace(bisected(mesh, queue, forest), split_at=split_at)
+
+
+# One entry is read and written as a slice, which XLA does in place; `.at` would make it a scatter. What is read before
+# a list is written to goes through a barrier together, or XLA would copy the list.
+
+
+def _at(values: jax.Array, *index: jax.Array | int) -> jax.Array:
+    place = [jnp.asarray(i, jnp.int32) for i in index]
+    return once(jax.lax.dynamic_slice(values, place, (1,) * values.ndim)).reshape(())
+
+
+def _with(values: jax.Array, new: jax.Array | int, *index: jax.Array | int) -> jax.Array:
+    one = jnp.asarray(new, values.dtype).reshape((1,) * values.ndim)
+    return jax.lax.dynamic_update_slice(values, one, [jnp.asarray(i, jnp.int32) for i in index])
+
+
+def _with_middle(mesh: Mesh, node: jax.Array) -> tuple[Mesh, jax.Array]:
+    """The mesh with a node, and its place; it may have it already."""
+    before = _at(mesh.place, node)
+    place = jnp.where(before == 0, mesh.node_count, before)
+    return dataclasses.replace(
+        mesh,
+        place=_with(mesh.place, place, node),
+        node=_with(mesh.node, node, place),
+        node_count=mesh.node_count + (before == 0).astype(jnp.int32),
+    ), place
+
+
+def _with_parts(mesh: Mesh, triangle: jax.Array, forest: Forest) -> tuple[Mesh, jax.Array]:
+    """The mesh with two triangles for one, and which element that was; the second part comes last in the list."""
+    half_edges, first = forest.half_edges, 2 * triangle + forest.root_count
+    last, cut = mesh.element_count, _at(half_edges, 1, triangle)
+    element, cut = once((_at(mesh.side, _at(half_edges, 0, triangle)), cut))
+    side = _with(mesh.side, -1, cut)
+    for part, number in ((first, element), (first + 1, last)):
+        for k in range(3):
+            side = _with(side, number, _at(half_edges, k, part))
+    elements = _with(_with(mesh.element, first, element), first + 1, last)
+    return dataclasses.replace(mesh, element=elements, element_count=last + 1, side=side), element
+
+
+def _with_corners(mesh: Mesh, places: list[jax.Array], middle: jax.Array, element: jax.Array) -> Mesh:
+    """The mesh with the corners of both parts, (middle, peak, a) and (middle, b, peak), at their nodes."""
+    peak, a, b = places
+    last, corner, row = mesh.element_count - 1, mesh.corner, mesh.row
+    rows, counts = [_at(row, k, element) for k in range(3)], [_at(mesh.corner_count, node) for node in (middle, peak)]
+    (peak_row, a_row, b_row), (middle_row, second_row) = once((rows, counts))
+    count = _with(_with(mesh.corner_count, middle_row + 2, middle), second_row + 1, peak)
+    for number, corners in (
+        (element, ((middle, middle_row), (peak, peak_row), (a, a_row))),
+        (last, ((middle, middle_row + 1), (b, b_row), (peak, second_row))),
+    ):
+        for k, (node, own) in enumerate(corners):
+            corner = _with(corner, 4 * number + k, own, node)
+            row = _with(row, own, k, number)
+    return dataclasses.replace(mesh, corner=corner, corner_count=count, row=row)

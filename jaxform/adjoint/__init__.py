@@ -1,0 +1,1 @@
+"""Reverse derivatives: the reversed scheme, and the strategies a user can choose."""

@@ -1,0 +1,351 @@
+"""The reverse derivative of a window's steps, written by hand.
+
+Between its borders a window is a few passes over elements and nodes, and its scheme goes as well backwards: from the
+positions and velocities at the end, the forces at these positions give the velocities before. So nothing is kept but
+the end; every step back costs one pass over the elements, for the force and the transpose of its derivative together,
+and one over the nodes. Nodes that landed are let go in the step they landed in, one by one. Where damping takes too
+much of a velocity for it to be found again, the steps are worked out once more from the begin, and their velocities
+kept. Found by JAX, the derivative would keep more and work every step out again; forward mode, which keeps nothing, is
+left to JAX.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.adjoint.backward import BackwardNodes, End, Turn, Window, force_cotangent, over_nodes, with_loss
+from jaxform.contact import sticking
+from jaxform.core.pytree import pytree
+from jaxform.dynamics.timestep import LEAST_LEFT
+from jaxform.dynamics.window import window, window_and_impacts
+from jaxform.kernels import blocks
+from jaxform.kernels.blocks import Part, listed, once, only_if, over_blocks
+from jaxform.kernels.derivatives import Cotangents, Rule
+from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
+from jaxform.mechanics.force import Load, corner_cotangents, corner_forces
+from jaxform.mechanics.membrane import dot, rows_of
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.active_set import idle_volume, packed_moving
+from jaxform.sheet.discretization import NEVER, Body, Mesh, present_body
+from jaxform.sheet.scheme import Timing, kicked, kicks, pressures
+from jaxform.sheet.state import LOSSES, Schedule, State
+from jaxform.tools.mold import Mold
+
+_SMOOTH = ("volume", "external_work", *LOSSES)  # of the account
+
+
+@pytree
+class _Kept:
+    """What the reverse derivative of a window needs.
+
+    Of its begin stuck, time [s], step [s], volume [m^3] and mesh, as in `State`; of its end the positions `end`
+    (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
+
+    Attributes:
+        positions: Of nodes that landed, before that step (3, n_node) [m].
+        velocities: At the end (3, n_node) [m/s]; of nodes that landed, what they landed with. Where steps cannot be
+            taken back, both are those of all nodes at the begin.
+    """
+
+    scene: Scene
+    first: Body
+    stuck: jax.Array
+    time: jax.Array
+    before: jax.Array
+    volume: jax.Array
+    mesh: Mesh | None
+    end: jax.Array
+    wall: jax.Array
+    landed: jax.Array
+    length: jax.Array
+    count: jax.Array
+    positions: jax.Array
+    velocities: jax.Array
+
+
+def _value(
+    _: tuple[bool, ...], state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None
+) -> tuple[State, _Kept]:
+    end, landed, impact = window_and_impacts(state, scene, sheet_body, schedule)
+    positions, velocities, control = end.nodes.positions, end.nodes.velocities, end.control
+    if impact is not None:
+        positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
+    damping = scene.solver.damping
+    if damping is not None:
+        timing = Timing(state.time, state.control.step_length, control.last_length)
+        back = _can_be_taken_back(damping, timing, control.last_count)
+        positions, velocities = (
+            jnp.where(back, late, early)
+            for late, early in ((positions, state.nodes.positions), (velocities, state.nodes.velocities))
+        )
+    kept = _Kept(
+        scene=scene,
+        first=first,
+        stuck=state.nodes.stuck,
+        time=state.time,
+        before=state.control.step_length,
+        volume=state.account.volume,
+        mesh=state.mesh,
+        end=end.nodes.positions,
+        wall=end.nodes.wall,
+        landed=landed,
+        length=control.last_length,
+        count=control.last_count,
+        positions=positions,
+        velocities=velocities,
+    )
+    return end, kept
+
+
+def _can_be_taken_back(damping: jax.Array, timing: Timing, count: jax.Array) -> jax.Array:
+    """Whether the steps of a window leave enough of a velocity to find it again: a longer one is as long as they do."""
+    half = 0.5 * damping * jnp.maximum(timing.before, timing.length)
+    return (count > SHORT_WINDOW) | (1.0 - half > LEAST_LEFT ** (1.0 / SHORT_WINDOW) * (1.0 + half))
+
+
+@jax.checkpoint
+def _plain(state: State, scene: Scene, sheet_body: Body, _: Body, schedule: Schedule | None) -> State:
+    return window(state, scene, sheet_body, schedule)
+
+
+def carries(state: State) -> State:
+    """Which leaves of a state carry a derivative."""
+    none: Any = jax.tree.map(lambda _: False, state)
+    smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
+    pressure = None if state.account.pressure is None else True
+    account = dataclasses.replace(none.account, **dict.fromkeys(_SMOOTH, True), pressure=pressure)
+    return dataclasses.replace(none, nodes=smooth, account=account)
+
+
+def _end_of(kept: _Kept, now: Window) -> End:
+    """Where steps cannot be taken back, they are worked out once more."""
+    packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
+    begin, end = packed.taken(kept.positions), packed.taken(kept.end)
+    velocities = jnp.where(packed.exists, packed.taken(kept.velocities), 0.0)
+    if damping is None:
+        return End(begin, velocities)
+    keeps = ~_can_be_taken_back(damping, Timing(kept.time, kept.before, kept.length), kept.count)
+    places, count = now.mass.size, jnp.where(keeps, now.count, 0)
+
+    def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        n, positions, velocities, before, speeds, corners = carry
+        load = Load(positions, now.thickness, now.pressure[n], now.scene.material)
+        corners, _ = corner_forces(load, elements, corners)
+
+        def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
+            positions, velocities, before = old
+            nodal = assembled(corners, own)
+            new, _ = kicked(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
+            new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
+            before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
+            ways = zip(positions, new, end, strict=True)
+            moved = [jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways]
+            return [moved, new, before, new], []
+
+        inputs = shares(elements), now.landed, now.mass, now.compliance, end
+        into = [positions, velocities, before, Part(speeds, (n + 1) * places, places)]
+        new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
+        return n + 1, *new, corners
+
+    speeds = jnp.zeros((3, (SHORT_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
+    carry = jnp.int32(0), begin, velocities, begin, speeds, no_corners(begin, elements)
+    carry = jax.lax.while_loop(lambda carry: carry[0] < count, advance, carry)
+    return End(carry[3], carry[2], carry[4], keeps)
+
+
+def _landings(
+    nodes: BackwardNodes, before: jax.Array, kept: _Kept, turn: Turn, now: Window, loss: jax.Array
+) -> BackwardNodes:
+    """Goes back over the landings of a step, for the nodes that landed: one by one, each to where it was `before`."""
+    mold = now.scene.mold
+    assert mold is not None
+    wall = now.packed.taken(kept.wall)
+    number, time = turn.number, kept.time + (turn.number + 1) * turn.length
+    places, count = listed(now.landed == number, now.landed.size)
+
+    def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
+        place = blocks.entry(places, k)
+
+        def own(values: jax.Array) -> jax.Array:
+            return blocks.cut(values, place, 1)
+
+        def put(values: jax.Array, new: jax.Array) -> jax.Array:
+            return blocks.put(values, new, place)
+
+        def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
+            free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
+            flying = sticking.Landing(
+                Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
+            )
+            triangle = Mold(corners, jnp.arange(3, dtype=jnp.int32)[None])
+            there = sticking.landed(flying, sticking.Step(turn.length, time, number), mass, triangle, none)
+            return there.nodes.positions, there.nodes.contact_time, there.loss
+
+        # All is read before anything is written, or XLA would copy the arrays.
+        old = once(jax.tree.map(own, nodes._replace(damping=None, vertices=None)))
+        begin = own(before)
+        triangle = mold.triangles[jnp.abs(own(wall)[0]) - 1]
+        after = begin + turn.length * old.speeds
+        _, pull = jax.vjp(land, after, old.speeds, own(now.mass), mold.vertices[triangle])
+        position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
+        velocity = velocity + turn.length * position
+        force = force_cotangent(rows_of(velocity), rows_of(own(now.compliance)), turn.kick, now)
+        return BackwardNodes(
+            at=put(nodes.at, begin),
+            speeds=nodes.speeds,
+            positions=put(nodes.positions, position),
+            velocities=put(nodes.velocities, velocity),
+            force=put(nodes.force, jnp.stack(force)),
+            mass=put(nodes.mass, old.mass + mass),
+            compliance=nodes.compliance,
+            contact_time=put(nodes.contact_time, jnp.zeros_like(old.contact_time)),
+            damping=nodes.damping,
+            vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
+        )
+
+    return jax.lax.fori_loop(0, count, one, nodes)
+
+
+def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
+    """Of a window's begin and of all that it depends on, from those of its `end`."""
+    scene, begun = kept.scene, cotangents.of[0]
+    sheet_body = present_body(scene, kept.mesh, kept.first)
+    packed = packed_moving(kept.stuck, kept.mesh, scene, sheet_body)
+    timing, longest = Timing(kept.time, kept.before, kept.length), scene.tables.window_room
+    (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
+    number = jnp.arange(longest)
+    taken = number < kept.count
+    held = packed.taken(kept.stuck) | ~packed.exists
+    now = Window(
+        scene=scene,
+        packed=packed,
+        thickness=sheet_body.thickness[packed.element],
+        mass=packed.taken(sheet_body.mass),
+        compliance=packed.taken(sheet_body.compliance),
+        landed=jnp.where(held, -1, packed.taken(kept.landed)),
+        pressure=jnp.append(pressure, 0.0),
+        kick=jnp.append(jnp.where(taken, kicks(timing, longest), 0.0), 0.0),
+        length=kept.length,
+        count=kept.count,
+    )
+
+    # What the pressure does: mean times (volume - volume before), summed.
+    work = end.account.external_work
+    after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
+    volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
+    idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, sheet_body, packed), kept.end)
+    back = _steps_back(kept, now, cotangents, end, volume)
+    nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
+    gains = jnp.where(taken, work * gains, 0.0)
+
+    put, of = cotangents.put, cotangents.of
+    put(begun.nodes.positions, packed.put_back(nodes.positions) + pull_idle(jnp.sum(volume))[0])
+    put(begun.nodes.velocities, packed.put_back(nodes.velocities))
+    put(begun.nodes.contact_time, packed.put_back(nodes.contact_time))
+    put(begun.account.volume, jnp.where(kept.count > 0, -work * mean[0], end.account.volume))
+    for name in ("external_work", *LOSSES):
+        put(getattr(begun.account, name), getattr(end.account, name))
+    put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
+    put(of[1].material, jax.tree.unflatten(jax.tree.structure(scene.material), back.law))
+    put(of[1].solver.damping, None if scene.solver.damping is None else nodes.damping)
+    if scene.mold is not None and nodes.vertices is not None:
+        put(of[1].mold.vertices, nodes.vertices)
+    put(of[2].mass, packed.put_back(nodes.mass))
+    # In proportion, since mass alone changes it: the mobility is given.
+    square = dot(now.compliance, now.compliance)
+    share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
+    put(of[2].compliance, packed.put_back(share * now.compliance))
+    if cotangents.want(of[2].thickness):
+        none = jnp.zeros_like(sheet_body.thickness)
+        put(of[2].thickness, none.at[packed.element].add(back.summed[0][0] / now.thickness))
+
+
+class _Back(NamedTuple):
+    """On the way back: the next step, the nodes, and room for what corners get.
+
+    With them the elements' sums; at every step, and after the last, the cotangents of the pressure, and the volume
+    enclosed by what is worked through [m^3]; the cotangents of the law's parameters.
+    """
+
+    number: jax.Array
+    nodes: BackwardNodes
+    corners: Corners
+    summed: list[jax.Array]
+    pressing: jax.Array
+    volumes: jax.Array
+    law: list[jax.Array]
+
+
+def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, volume: jax.Array) -> _Back:
+    """To the window's begin, with the cotangents of the volume at every step."""
+    scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
+    start, positions, real = _end_of(kept, now), packed.taken(kept.end), now.thickness.dtype
+    loss = end.account
+    thickens = cotangents.want(of[2].thickness)
+    presses, varies = cotangents.want(of[1].pressure), cotangents.want(of[1].material)
+    parameters = jax.tree.leaves(scene.material)
+    wanted = [True, thickens, presses, *(varies for _ in parameters)]
+    vertices = scene.mold.vertices if scene.mold is not None and cotangents.want(of[1].mold.vertices) else None
+    at_every_step = jnp.zeros(scene.tables.window_room + 1, real)
+    landed = jnp.where(now.landed < 0, NEVER, now.landed)
+    lands = jnp.zeros(at_every_step.size, bool).at[landed].set(True, mode="drop")
+    last = _Back(
+        number=now.count,
+        nodes=BackwardNodes(
+            at=positions,
+            speeds=start.velocities,
+            positions=jnp.where(packed.exists, packed.taken(end.nodes.positions), 0.0),
+            velocities=jnp.where(packed.exists, packed.taken(end.nodes.velocities), 0.0),
+            force=jnp.zeros_like(positions),
+            mass=jnp.zeros_like(now.mass),
+            compliance=jnp.zeros_like(now.mass),
+            contact_time=jnp.where(packed.exists, packed.taken(end.nodes.contact_time), 0.0),
+            damping=jnp.zeros((), real),
+            vertices=None if vertices is None else jnp.zeros_like(vertices),
+        ),
+        corners=no_corners(positions, elements) + no_corners(positions, elements),
+        summed=[jnp.zeros((1, now.thickness.size), real)] * thickens,
+        pressing=at_every_step,
+        volumes=at_every_step,
+        law=[jnp.zeros((), real) for _ in parameters],
+    )
+
+    def back(carry: _Back) -> _Back:
+        n, nodes, corners = carry.number, carry.nodes, carry.corners
+        first = n == 0
+        turn = Turn(
+            n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), later_kick=now.kick[n]
+        )
+        load = Load(nodes.at, now.thickness, now.pressure[n], scene.material)
+        if scene.solver.damping is not None:
+            nodes, corners = only_if(
+                loss.damping_loss != 0.0,
+                lambda both: with_loss(*both, load, turn, now, start, loss.damping_loss),
+                (nodes, corners),
+            )
+        corners, summed, sums = corner_cotangents(
+            load, elements, wanted, nodes.force, volume[n], corners, carry.summed, forces=True
+        )
+        enclosed = sums.pop()
+        pressing = carry.pressing.at[n].set(sums.pop(0)) if presses else carry.pressing
+        law = [total + more for total, more in zip(carry.law, sums, strict=True)] if varies else carry.law
+        nodes = over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
+        if scene.mold is not None:
+            nodes = only_if(
+                lands[n - 1],
+                lambda nodes: _landings(nodes, start.before, kept, turn, now, loss.contact_loss),
+                nodes,
+            )
+        volumes = carry.volumes.at[n].set(enclosed)
+        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law)
+
+    return jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
+
+
+differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries, lasting=True)

@@ -1,0 +1,104 @@
+"""How the reverse derivative of a run is found: a strategy that the user can choose.
+
+Gradients are the same whichever is taken; time and memory are not. New physics is differentiable by checkpoints from
+its first day, and by the reversed scheme once each of its parts can be stepped backwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+
+from jaxform.adjoint.reversed_scheme import differentiable_window
+from jaxform.core.errors import InputError
+from jaxform.dynamics.window import window
+from jaxform.model.scene import Scene
+from jaxform.sheet.discretization import Body
+from jaxform.sheet.state import Schedule, State
+
+
+@dataclass(frozen=True)
+class Adjoint:
+    """A way to find the reverse derivative of a run.
+
+    Attributes:
+        windows: The state is kept before every so many windows; what is in between is worked out once more.
+    """
+
+    windows: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuses what is no number of windows."""
+        if not (isinstance(self.windows, int) and self.windows > 0):
+            raise InputError(
+                "must be a positive whole number", "keep the state at each border: 1", "windows", self.windows
+            )
+
+    def check(self, scene: Scene) -> None:
+        """Raises InputError where a scene has a part that this cannot go back over."""
+
+    def border[T](self, look: T) -> T:
+        """What a window's border does, with what is kept of it."""
+        return jax.checkpoint(look)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+        """The state after a window."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Reversed(Adjoint):
+    """Takes the steps back, one by one, from each window's end: the fastest, and nothing of a window is kept.
+
+    For scenes whose every part can be stepped backwards (`Scene.reversible`), which is what it raises InputError for.
+    """
+
+    def check(self, scene: Scene) -> None:
+        """Raises InputError where a scene has a part that cannot be stepped backwards."""
+        if not scene.reversible:
+            problem = (
+                "cannot step this scene backwards: it has fields of its own, or a pressure that follows the volume"
+            )
+            raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
+
+    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+        """The state after a window, with its reverse derivative written by hand."""
+        return differentiable_window(state, scene, sheet_body, first, schedule)
+
+
+@dataclass(frozen=True)
+class Checkpointed(Adjoint):
+    """JAX's own derivative of each window, whose steps are worked out once more for it: for any scene."""
+
+    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+        """The state after a window, of which the begin is kept."""
+        return jax.checkpoint(window)(state, scene, sheet_body, schedule)
+
+
+@dataclass(frozen=True)
+class Stored(Adjoint):
+    """JAX's own derivative, with every step kept: for short runs, and to check the others with."""
+
+    def border[T](self, look: T) -> T:
+        """All of it is kept."""
+        return look
+
+    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+        """The state after a window."""
+        return window(state, scene, sheet_body, schedule)
+
+
+def adjoint_of(scene: Scene, chosen: Adjoint | None) -> Adjoint:
+    """The strategy that was chosen, or the fastest that a scene allows.
+
+    Raises:
+        InputError: It is none, or not one for this scene.
+    """
+    if chosen is None:
+        return Reversed() if scene.reversible else Checkpointed()
+    if not isinstance(chosen, Adjoint):
+        remedy = "choose jaxform.Reversed(), jaxform.Checkpointed() or jaxform.Stored()"
+        raise InputError("is no way to find a derivative", remedy, "adjoint", chosen)
+    chosen.check(scene)
+    return chosen

@@ -1,0 +1,144 @@
+"""The command: `jaxform scenes | simulate | optimize | check | warm`. It alone knows both jaxform and optimize.
+
+Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
+computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from jaxform.cli import session
+from jaxform.core import lastresort
+from jaxform.core.errors import InputError, heard
+from jaxform.io import catalog
+
+if TYPE_CHECKING:
+    pass
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command, that of the process where no arguments are given, and returns its exit status."""
+    # What is imported stays: to look for garbage in it takes a tenth of a short run. `prepare` turns it on again.
+    gc.disable()
+    try:
+        arguments = _parser().parse_args(argv)
+        with heard(session.warn) as arguments.warned:
+            return arguments.command(arguments)
+    except InputError as error:
+        _complain(str(error))
+        return session.BAD_INPUT
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        return session.INTERRUPTED
+    except (OSError, MemoryError, RuntimeError) as error:
+        words = lastresort.in_words(error)
+        if words is None:
+            raise
+        _complain(words)
+        return session.BAD_INPUT
+    finally:
+        session.guard.close()
+        if argv is None:
+            # The process ends: to look through all that is left for garbage takes a quarter of a second.
+            gc.freeze()
+        else:
+            # For a caller that goes on, wherever the command ended.
+            gc.unfreeze()
+        gc.enable()
+
+
+def _complain(words: str) -> None:
+    """The one line on standard error, where there is one."""
+    with contextlib.suppress(OSError):
+        print(f"jaxform: {words}", file=sys.stderr, flush=True)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see `{self.prog} --help`")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="jaxform", description="Blow moulding and thermoforming, simulated and designed.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    scenes = commands.add_parser("scenes", help="list the built-in scenes and studies")
+    scenes.set_defaults(command=_scenes)
+    for name, command, what, words in (
+        ("simulate", _simulate, "SCENE", "simulate a scene"),
+        ("optimize", _optimize, "STUDY", "search for the best design of a study"),
+        ("check", _check, "SCENE", "validate a scene or study, say what will be simulated, run no step"),
+    ):
+        sub = commands.add_parser(name, help=words, description=words)
+        sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")
+        sub.add_argument("--quiet", action="store_true", help="print errors only")
+        sub.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+        words = "where check.png goes, the sheet in the mold" if name == "check" else "where the results go"
+        sub.add_argument("--out", metavar="DIR", required=name != "check", type=Path, help=words)
+        sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
+        if name == "optimize":
+            words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
+            sub.add_argument("--resume", action="store_true", help=words)
+        sub.set_defaults(command=command)
+    words = "compile beforehand what common scenes need, or the scenes that are named"
+    warm = commands.add_parser("warm", help=words, description=words)
+    warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
+    warm.add_argument("--quiet", action="store_true", help="print errors only")
+    warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    warm.set_defaults(command=_warm)
+    return parser
+
+
+def _scenes(_: argparse.Namespace) -> int:
+    uses: dict[catalog.Kind, str] = {"scene": "simulate", "study": "optimize"}
+    for kind, use in uses.items():
+        for name, words in catalog.descriptions(kind).items():
+            session.say(f"{name:20} {kind:6} jaxform {use} {name:18}  {words}")
+    return session.DONE
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    say, store = session.prepare(arguments)
+    from jaxform.cli import checking
+    from jaxform.io import files
+
+    if catalog.kind_of(arguments.source) == "study":
+        document, scene, lines = checking.read_study(arguments.source, store)
+    else:
+        document, lines = files.read_scene(arguments.source), []
+        scene = files.build(document, store)
+    files.read_reference(document)
+    if arguments.out is not None:
+        session.open_folder(arguments.out, arguments.force)
+    for line in [*lines, *checking.scene_lines(document, scene, store)]:
+        say(line)
+    if arguments.out is not None:
+        from jaxform.io import preview
+
+        preview.check_picture(arguments.out / "check.png", scene, arguments.warned)
+        say(f"picture in {arguments.out / 'check.png'}")
+    return session.DONE
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from jaxform.cli import simulating
+
+    return simulating.simulate(arguments)
+
+
+def _optimize(arguments: argparse.Namespace) -> int:
+    from jaxform.cli import designing
+
+    return designing.optimize_study(arguments)
+
+
+def _warm(arguments: argparse.Namespace) -> int:
+    from jaxform.cli import warming
+
+    return warming.warm(arguments)

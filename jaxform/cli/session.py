@@ -1,0 +1,164 @@
+"""What the commands share: precision, the cache, the output folder, the bar, and what is said on the two streams."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import gc
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxform.core import cachefolder, disk
+from jaxform.core.errors import InputError
+from jaxform.core.writing import PREFIX
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from jaxform.core.store import Store
+    from jaxform.model.scene import Scene
+    from jaxform.results.result import Result
+
+DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
+guard = contextlib.ExitStack()
+"""Of the compiled programs, while a command uses them."""
+
+
+def prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Store]:
+    """Sets the precision and what is kept between runs; returns what prints for people, and the store."""
+    import jax
+
+    from jaxform.core.store import Store
+
+    # Asked for on the command line, so the reminder that Python users get is not needed.
+    warnings.filterwarnings("ignore", message="jaxform computes in float32")
+    jax.config.update("jax_enable_x64", arguments.dtype == "float64")
+    # Lines of source in the programs help nobody here; without them they are a tenth smaller and sooner read back.
+    jax.config.update("jax_traceback_in_locations_limit", 0)
+    folder = cache_folder()
+    if folder is not None:
+        use_compile_cache(folder / cachefolder.COMPILED)
+    store = Store(None if folder is None else folder / cachefolder.MADE)
+    gc.freeze()
+    gc.enable()
+    return (lambda _: None) if arguments.quiet else say, store
+
+
+def cache_folder() -> Path | None:
+    """In the user's cache folder; None where that is not the user's alone, or cannot be written."""
+    return cachefolder.own_folder()
+
+
+def use_compile_cache(folder: Path) -> None:
+    """Keeps compiled programs between runs, in a folder or where the environment says."""
+    import warnings
+
+    import jax
+
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        guard.enter_context(cachefolder.guarded(folder))
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+    # Many small programs together take longer than one large one.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    # What cannot be kept, or read back, is compiled again: nothing that anybody must know, on a full disk for each one.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
+
+
+def open_folder(folder: Path, force: bool) -> None:
+    """Makes the output folder, or refuses before anything is computed."""
+    if disk.is_file(folder):
+        raise InputError("is a file", "name a folder", "--out", str(folder))
+    try:
+        # What was killed while it wrote may have left a file that is no result.
+        results = (file for file in folder.iterdir() if not file.name.startswith(PREFIX)) if folder.exists() else ()
+        if any(results) and not force:
+            raise InputError("exists and is not empty", "choose another folder or give --force", "--out", str(folder))
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f"{PREFIX}writes"
+        probe.touch()
+        probe.unlink()
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        problem = f"cannot be written ({disk.reason(error)})"
+        raise InputError(problem, "choose another folder", "--out", str(folder)) from None
+
+
+@contextlib.contextmanager
+def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | None]:
+    """A bar on a terminal, nothing in a pipe: what it gives takes the fraction done and a few words, or is None."""
+    if not (show and sys.stderr.isatty()):
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[note]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task(words, total=1.0, note="compiling")
+        yield lambda fraction, note: progress.update(task, completed=fraction, note=note)
+
+
+@contextlib.contextmanager
+def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
+    """Does something on another thread; much of a run, and of writing, is spent outside of Python."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(work)
+
+
+def write_part(
+    arguments: argparse.Namespace,
+    scene: Scene,
+    result: Result,
+    reference: dict[str, Any] | None,
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """Writes files and picture, the summary amended on request; warns of what was not told before."""
+    from jaxform.io import output, plots
+
+    folder, told = arguments.out, list(arguments.warned)
+    with meanwhile(lambda: output.write_result(scene, result, folder, told, amend)) as written:
+        plots.thickness_picture(folder / "thickness.png", scene, result, reference)
+    summary = written.result()
+    for sentence in summary["warnings"]:
+        if sentence not in told:
+            warn(sentence)
+    return summary
+
+
+def exit_status(result: Result) -> int:
+    """That of a run, with why it stopped on standard error."""
+    from jaxform.results.explanation import explain
+
+    if int(result.status):
+        print(f"jaxform: {explain(result)}", file=sys.stderr)
+        return STOPPED
+    return DONE
+
+
+def say(words: str) -> None:
+    """Prints a line for people; where nobody reads it any more, the work goes on in silence."""
+    try:
+        print(words, flush=True)
+    except UnicodeEncodeError:
+        print(words.encode("ascii", "backslashreplace").decode(), flush=True)
+    except BrokenPipeError:
+        # All that is still to come goes nowhere, what Python flushes at the end included.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def warn(sentence: str) -> None:
+    """On standard error, --quiet or not."""
+    print(f"jaxform: warning: {sentence}", file=sys.stderr)

@@ -1,0 +1,87 @@
+"""The command `jaxform simulate`: a run with a bar and frames, its files and its picture."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxform.cli import session
+
+if TYPE_CHECKING:
+    from jaxform.core.store import Store
+    from jaxform.model.scene import Scene
+    from jaxform.results.result import Result
+
+
+def simulate(arguments: argparse.Namespace) -> int:
+    """Runs `jaxform simulate` with its arguments and returns its exit status."""
+    say, store = session.prepare(arguments)
+    from jaxform.io import files
+    from jaxform.io.output import Frames
+
+    document = files.read_scene(arguments.source)
+    reference = files.read_reference(document)
+    scene = files.build(document, store)
+    session.open_folder(arguments.out, arguments.force)
+    frames = Frames(arguments.out, document.model.output.frames)
+    frames.begin(scene)
+    with session.meanwhile(_warm_up):
+        result = _run(scene, frames, not arguments.quiet, store)
+    summary = session.write_part(arguments, scene, result, reference)
+    frames.finish(scene, result)
+    _tell(say, summary, arguments.out)
+    return session.exit_status(result)
+
+
+def _warm_up() -> None:
+    """What writing the results needs."""
+    import meshio  # noqa: F401
+    import scipy.spatial  # noqa: F401
+
+    from jaxform.io import plots
+
+    plots.warm_up()
+
+
+def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
+    """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed."""
+    from jaxform.runs.host import Moment, run
+
+    interrupted = False
+
+    with session.progress(show, scene.name) as bar:
+
+        def on_window(moment: Moment) -> bool:
+            nonlocal interrupted
+            try:
+                if bar is not None:
+                    bar(moment.time / moment.end_time, f"{moment.steps} steps")
+                frames.offer(scene, moment)
+            except KeyboardInterrupt:
+                interrupted = True
+            return interrupted
+
+        watched = bar is not None or frames.count > 0
+        return run(scene, on_window=on_window if watched else None, store=store)
+
+
+def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
+    wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
+    say(
+        f"{summary['scene']}: {summary['elements_final']} elements, {summary['steps']} steps in "
+        f"{summary['run_seconds']:.2f} s (compiled in {summary['compile_seconds']:.1f} s)"
+    )
+    say(
+        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, variation "
+        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
+        f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
+    )
+    if summary["penetration_max"] > summary["thickness"]["mean"]:
+        place = ", ".join(f"{value:.4g}" for value in summary["penetration_place"])
+        say(
+            f"an element cuts an edge of the mold, {1e3 * summary['penetration_max']:.3g} mm deep at ({place}) m: "
+            "smaller elements would follow it"
+        )
+    say(f"status: {summary['status']}; results in {folder}")

@@ -1,0 +1,152 @@
+"""Which of the listed pairs are tested in a step: the watch over the nodes between two borders.
+
+Every few steps a look at all nodes says whether any can touch the mold, or leave its ball, before the next look. While
+none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from where
+the window began, and the window halts where a node is about to leave its ball. A look trusts the velocities; where one
+was wrong, so that a node may have touched unseen, the next one sees that it was, or the window's end does, and the
+window is taken anew without trust in any look.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact.candidates import TEST_BLOCK, Near
+from jaxform.kernels.blocks import cut, over_blocks, put
+from jaxform.mechanics.membrane import dot, gather, minus
+
+LOOK_EVERY = 4  # steps
+_AHEAD = 2.0  # times as far as a node goes at its speed until the next look: where it may be before that
+
+
+class Seen(NamedTuple):
+    """What a look at the nodes finds.
+
+    Whether any can touch a listed triangle, or leave its ball, before the next look, so that every step watches till
+    then; and whether one may have touched unseen before this one.
+    """
+
+    close: jax.Array
+    missed: jax.Array
+
+
+class Due(NamedTuple):
+    """Blocks of listed pairs that are tested: their numbers (n_block,), and how many they are."""
+
+    block: jax.Array
+    count: jax.Array
+
+
+class Watched(NamedTuple):
+    """What is found in a step that watches: the pairs that are tested, and whether a node may soon leave its ball."""
+
+    due: Due
+    leaving: jax.Array
+
+
+def unseen() -> Seen:
+    """Before the first look at the nodes: every step watches."""
+    return Seen(jnp.asarray(True), jnp.asarray(False))
+
+
+def unwatched(near: Near) -> Watched:
+    """Of a step that does not watch: nothing."""
+    return Watched(every_block(near)._replace(count=jnp.int32(0)), jnp.asarray(False))
+
+
+def look(
+    positions: Any,
+    velocities: jax.Array,
+    stuck: jax.Array,
+    till_next: jax.Array,
+    near: Near,
+    last: Seen,
+    node_block_count: jax.Array,
+) -> Seen:
+    """Looks at every node in use, and ahead.
+
+    Args:
+        positions: (3, n_node) or three times (n_node,) [m].
+        velocities: (3, n_node) [m/s].
+        stuck: Nodes (n_node,) that do not move any more.
+        till_next: Time until the next look [s].
+        near: The window's list.
+        last: What the last look found.
+        node_block_count: How many blocks of nodes are in use.
+    """
+
+    def work(stuck: Any, positions: Any, velocities: Any, balls: Any) -> Any:
+        start, clear_square, near_square, center, alarm_square = balls
+        there, beyond = (
+            [x + ahead * till_next * v for x, v in zip(positions, velocities, strict=True)] for ahead in (1.0, _AHEAD)
+        )
+        close = _gone(positions, start, near_square) | _gone(beyond, start, near_square)
+        close |= _gone(positions, center, alarm_square) | _gone(there, center, alarm_square)
+        return [], [~stuck & close, ~stuck & _gone(positions, start, clear_square)]
+
+    balls = near.start, near.clear_square, near.near_square, near.center, near.alarm_square
+    inputs = stuck, positions, velocities, balls
+    _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)
+    return Seen(close > 0, (touching > 0) & ~last.close)
+
+
+def balls(near: Near) -> tuple[jax.Array, ...]:
+    """What `missed` needs of the window's list, node by node."""
+    return near.start, near.clear_square, near.center, near.limit_square
+
+
+def missed(positions: Any, stuck: jax.Array, balls: Any, last: Seen) -> jax.Array:
+    """Which nodes (n,) may have missed the mold: out of their balls, or so far that they may have touched unseen.
+
+    Args:
+        positions: (3, n) [m].
+        stuck: Nodes (n,) that do not move any more.
+        balls: What are `balls` of the window's list at these nodes.
+        last: What the last look found.
+    """
+    start, clear_square, center, limit_square = balls
+    return ~stuck & (~last.close & _gone(positions, start, clear_square) | _gone(positions, center, limit_square))
+
+
+def every_block(near: Near) -> Due:
+    """All listed pairs."""
+    return Due(jnp.arange(near.lists.node.size // TEST_BLOCK, dtype=jnp.int32), -(-near.count // TEST_BLOCK))
+
+
+def watch(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Array) -> Watched:
+    """Which free nodes have gone far enough from where the window began to touch, and whether one is about to leave.
+
+    Args:
+        positions: After the step, (3, n_node) or three times (n_node,) [m].
+        stuck: Nodes (n_node,) that do not move any more.
+        near: The window's list.
+        node_block_count: How many blocks of nodes are in use.
+    """
+
+    def work(stuck: Any, positions: Any, balls: Any) -> Any:
+        start, clear_square, center, alarm_square = balls
+        touching = ~stuck & _gone(positions, start, clear_square)
+        return [[touching]], [touching, ~stuck & _gone(positions, center, alarm_square)]
+
+    def add(block: jax.Array, due: Due) -> Due:
+        first = block * TEST_BLOCK
+        node = cut(near.lists.node, first, TEST_BLOCK)
+        used = first + jnp.arange(TEST_BLOCK) < near.count
+        # What is not due is written over by the next one.
+        blocks = put(due.block, block[None], due.count)
+        return Due(blocks, due.count + jnp.any(used & gather(touching[0], node)))
+
+    inputs = stuck, positions, (near.start, near.clear_square, near.center, near.alarm_square)
+    into = [jnp.zeros((1, stuck.size), bool)]
+    (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
+    blocks, none = jnp.where(count > 0, every_block(near).count, 0), unwatched(near).due
+    return Watched(jax.lax.fori_loop(0, blocks, add, none), leaving > 0)
+
+
+def _gone(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:
+    """Which nodes (n,) are as far from a place (3, n) [m] as the root of these squares (n,) [m^2], or farther."""
+    gap = minus(positions, place)
+    return dot(gap, gap) >= square

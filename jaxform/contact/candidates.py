@@ -1,0 +1,361 @@
+"""Which nodes can meet which triangles of the mold within a window, found at its border.
+
+Each node gets a ball in which it is expected to stay: about the middle of its expected path. The pairs of node and
+triangle that can meet in such a ball are listed, and with each node how far it can go before it touches anything. A
+node that is about to leave its ball halts the window: the next border gives it another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact.cells import cell_of, distance, distance_bound, looked_up, rows_of_table, touch_distance
+from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, over_blocks, put
+from jaxform.mechanics.membrane import dot, gather
+from jaxform.tools.search import CLASSES, FarCells, SearchGrid
+
+# Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
+# the room for them, and nothing is compiled twice. No derivative goes through these loops.
+TEST_BLOCK = 128
+_LANES, _DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
+PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a window can hold, where nothing else is asked for
+_CANDIDATES = 8  # for each of these pairs, from which they are chosen: where a mold is flat, many planes are near
+_MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
+# How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
+_GLANCE, _ALARM = 0.05, 0.1
+_MOST_HALVINGS = 10  # of the balls, until the pairs find room
+
+
+@pytree
+class Lists:
+    """What a list is written into: all of it is written before it is read.
+
+    Attributes:
+        node, triangle: The pairs (room,) that can meet.
+        planes: Geometry of the pairs' triangles (12, room).
+        candidates: The pairs (room,) that these were chosen from, and others.
+        balls: Of nodes, as `_Balls` has them: three components, radius and bound (5, n_node), the cells (1, n_node),
+            and whether the mold may be in them (1, n_node).
+        clear: The distance (n_node,) [m] that a node can go without touching.
+        squares: The four squares of `Near`, in its order (4, n_node).
+    """
+
+    node: jax.Array
+    triangle: jax.Array
+    planes: jax.Array
+    candidates: tuple[jax.Array, jax.Array]
+    balls: tuple[jax.Array, jax.Array, jax.Array]
+    clear: jax.Array
+    squares: jax.Array
+
+
+@pytree
+class Near:
+    """What a window knows of the mold; of nodes beyond the blocks in use it knows nothing.
+
+    Attributes:
+        lists: The pairs of node and triangle that can meet.
+        count: How many they are.
+        start: Positions (3, n_node) [m] at the border.
+        center: Of the balls (3, n_node) [m].
+        clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
+        near_square: The same less what any node goes between two looks.
+        limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
+        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
+        overflow: Whether pairs were lost, so that the window must not be trusted.
+    """
+
+    lists: Lists
+    count: jax.Array
+    start: jax.Array
+    center: jax.Array
+    clear_square: jax.Array
+    near_square: jax.Array
+    limit_square: jax.Array
+    alarm_square: jax.Array
+    overflow: jax.Array
+
+
+@pytree
+class _Balls:
+    """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
+
+    Each with its cell, a lower bound on its center's distance to the mold [m], and whether the mold may be in it.
+    """
+
+    center: jax.Array
+    radius: jax.Array
+    cell: jax.Array
+    bound: jax.Array
+    near: jax.Array
+
+
+class _Pairs(NamedTuple):
+    """Pairs of node and triangle, each (room + block,), and how many; beyond the room they are only counted."""
+
+    node: jax.Array
+    triangle: jax.Array
+    count: jax.Array
+
+
+def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) -> _Pairs:
+    """With a block of pairs (n,) after those found, of which the first `more` count; what finds no room is lost."""
+    return _Pairs(put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more)
+
+
+def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> Lists:
+    """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
+    least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
+    room = -(-least // TEST_BLOCK) * TEST_BLOCK
+    candidates = jnp.zeros(_CANDIDATES * room + _LANES * _DEPTH, jnp.int32)
+    pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
+    return Lists(
+        node=pairs,
+        triangle=pairs,
+        planes=jnp.zeros((12, room + TEST_BLOCK), real),
+        candidates=(candidates, candidates),
+        balls=(
+            jnp.zeros((5, node_count), real),
+            jnp.zeros((1, node_count), jnp.int32),
+            jnp.zeros((1, node_count), bool),
+        ),
+        clear=jnp.zeros(node_count, real),
+        squares=jnp.zeros((4, node_count), real),
+    )
+
+
+class _Found(NamedTuple):
+    """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance.
+
+    And the balls, as `Lists` has them.
+    """
+
+    attempts: jax.Array
+    candidates: _Pairs
+    kept: _Pairs
+    planes: jax.Array
+    clear: jax.Array
+    balls: tuple[jax.Array, jax.Array, jax.Array]
+
+
+def list_near(
+    positions: jax.Array,
+    velocities: jax.Array,
+    free: jax.Array,
+    duration: jax.Array,
+    till_look: jax.Array,
+    grid: SearchGrid,
+    skip_far: bool = True,
+    into: Lists | None = None,
+    blocks: jax.Array | None = None,
+) -> Near:
+    """Lists the pairs of free nodes and triangles that may meet.
+
+    Args:
+        positions: (3, n_node) [m]; whole blocks of nodes.
+        velocities: (3, n_node) [m/s].
+        free: Nodes (n_node,) that can still move.
+        duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
+        till_look: Time between two looks at the nodes [s].
+        grid: Its search structure.
+        skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
+        into: What is written over, such as an old list's; a new one by default.
+        blocks: How many blocks of nodes are in use; all by default.
+    """
+    into = into or no_lists(free.size, positions.dtype)
+    blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
+    room, most = into.node.size - TEST_BLOCK, into.candidates[0].size - _LANES * _DEPTH
+
+    # Where there are too many pairs the balls shrink, and the window will halt the sooner.
+    def too_many(found: _Found) -> jax.Array:
+        full = (found.candidates.count > most) | (found.kept.count > room)
+        return (found.attempts == 0) | full & (found.attempts < _MOST_HALVINGS)
+
+    def attempt(found: _Found) -> _Found:
+        moving = positions, velocities, free, duration, half
+        arrays, clear = _balls(moving, 0.5**found.attempts, grid, skip_far, blocks, (*found.balls, found.clear[None]))
+        balls = _Balls(arrays[0][:3], arrays[0][3], arrays[1][0], arrays[0][4], arrays[2][0])
+        candidates = _candidates(balls, grid, found.candidates, blocks)
+        last = jnp.minimum(candidates.count, most)
+        kept, planes, clear = _examined(candidates, last, positions, balls, grid, found.kept, found.planes, clear)
+        return _Found(found.attempts + 1, candidates, kept, planes, clear, arrays)
+
+    square = _fastest_square(velocities, blocks)
+    half = 0.5 * duration * jnp.sqrt(square)
+    candidates, kept = _Pairs(*into.candidates, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
+    begun = _Found(jnp.int32(0), candidates, kept, into.planes, into.clear, into.balls)
+    _, candidates, kept, planes, clear, balls = jax.lax.while_loop(too_many, attempt, begun)
+    way = _slip(square, till_look)
+
+    def work(velocities: jax.Array, free: jax.Array, ball: Any, near: jax.Array, clear: jax.Array) -> Any:
+        radius, bound = ball[3], ball[4]
+        limit = jnp.where(free, jnp.where(near[0], radius, bound), jnp.inf)
+        path = duration * jnp.sqrt(dot(velocities, velocities))
+        alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * radius), 0.0)
+        there = jnp.where(near[0], jnp.square(clear), jnp.inf)
+        soon = jnp.where(near[0], jnp.square(jnp.maximum(clear - way, 0.0)), jnp.inf)
+        return [[there, soon, jnp.square(limit), jnp.square(alarm)]], []
+
+    (squares,), _ = over_blocks(work, blocks, (velocities, free, balls[0], balls[2], clear), [into.squares])
+    return Near(
+        lists=Lists(
+            node=kept.node,
+            triangle=kept.triangle,
+            planes=planes,
+            candidates=(candidates.node, candidates.triangle),
+            balls=balls,
+            clear=clear,
+            squares=squares,
+        ),
+        count=jnp.minimum(kept.count, room),
+        start=positions,
+        center=balls[0][:3],
+        clear_square=squares[0],
+        near_square=squares[1],
+        limit_square=squares[2],
+        alarm_square=squares[3],
+        overflow=(candidates.count > most) | (kept.count > room),
+    )
+
+
+def _slip(square: jax.Array, till_look: jax.Array) -> jax.Array:
+    """How far [m] the fastest node goes between two looks: a slow one may become so fast meanwhile."""
+    return till_look * jnp.sqrt(square)
+
+
+def _fastest_square(velocities: jax.Array, blocks: jax.Array) -> jax.Array:
+    """Square of the highest speed [m^2/s^2]."""
+    _, (square,) = over_blocks(lambda v: ([], [dot(v, v)]), blocks, (velocities,), [], most=1)
+    return square
+
+
+def _balls(
+    moving: tuple[jax.Array, ...],
+    scale: jax.Array,
+    grid: SearchGrid,
+    skip_far: bool,
+    blocks: jax.Array,
+    into: Sequence[jax.Array],
+) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]:
+    """The balls, as `Lists` has them, and the clear distance (n_node,) before any triangle is looked at.
+
+    Args:
+        moving: Positions, velocities and whether nodes are free, as in `list_near`; the window's duration, and half
+            the longest path in it [m].
+        scale: Of the balls, so that the pairs find room.
+        grid: The mold's search structure.
+        skip_far: As in `list_near`.
+        blocks: How many blocks of nodes are in use.
+        into: What is written over.
+    """
+    positions, velocities, free, duration, longest = moving
+
+    def work(positions: jax.Array, velocities: jax.Array, free: jax.Array) -> Any:
+        path = duration * velocities
+        half = 0.5 * jnp.sqrt(dot(path, path))
+        # The longest path covers what neighbours hand on, the reach's share the start from rest.
+        radius = half + _MARGIN * (half + 2 * longest + grid.reach)
+        if not skip_far:
+            radius = jnp.maximum(radius, grid.reach)
+        own = scale * jnp.minimum(1.0, grid.farthest / radius)
+        center, radius = positions + 0.5 * own * path, own * radius
+        cell, bound = looked_up(center, grid)
+        x, y, z = center
+        return [[x, y, z, radius, bound], [cell], [free & (bound < radius)], [jnp.full_like(x, jnp.inf)]], []
+
+    (real, cell, near, clear), _ = over_blocks(work, blocks, (positions, velocities, free), list(into))
+    return (real, cell, near), clear[0]
+
+
+def _listed_near(
+    center: jax.Array, radius: jax.Array, cell: jax.Array, grid: SearchGrid
+) -> tuple[jax.Array, jax.Array]:
+    """Where the triangles that balls (n,) may meet begin in the lists, and where they end."""
+
+    def within(level: SearchGrid | FarCells, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
+        kind = jnp.clip(jnp.ceil(CLASSES * radius / level.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
+        return level.start[cell], level.ends[CLASSES * cell + kind]
+
+    begin, end = within(grid, cell)
+    if grid.far is None:
+        return begin, end
+    beyond, (far_begin, far_end) = radius > grid.reach, within(grid.far, cell_of(center, grid.far))
+    return jnp.where(beyond, far_begin, begin), jnp.where(beyond, far_end, end)
+
+
+def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs, blocks: jax.Array) -> _Pairs:
+    """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
+    member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES, BLOCK * blocks)
+
+    def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+        return carry[0] < total
+
+    def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+        first, found = carry
+        node = cut(member, first, _LANES)
+        center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
+        begin, end = _listed_near(center, radius, cell, grid)
+        length = jnp.where(first + jnp.arange(_LANES) < total, end - begin, 0)
+        nodes = jnp.broadcast_to(node[:, None], (_LANES, _DEPTH)).ravel()
+
+        def more_triangles(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+            return carry[0] < jnp.max(length)
+
+        def list_triangles(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+            level, found = carry
+            slot = level + jnp.arange(_DEPTH, dtype=jnp.int32)
+            used = slot < length[:, None]
+            triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot, 0))
+            keep = used & (distance_bound(center, triangle, grid) <= radius[:, None])
+            # The barrier keeps the distances from being worked out again for each use of what they decide.
+            keep, triangle = once((keep.ravel(), triangle.ravel()))
+            place, more = listed(keep, keep.size)
+            return level + _DEPTH, _with(found, gather(nodes, place), gather(triangle, place), more)
+
+        _, found = jax.lax.while_loop(more_triangles, list_triangles, (jnp.int32(0), found))
+        return first + _LANES, found
+
+    return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), into._replace(count=jnp.int32(0))))[1]
+
+
+def _examined(
+    candidates: _Pairs,
+    last: jax.Array,
+    start: jax.Array,
+    balls: _Balls,
+    grid: SearchGrid,
+    into: _Pairs,
+    planes: jax.Array,
+    clear: jax.Array,
+) -> tuple[_Pairs, jax.Array, jax.Array]:
+    """Those of the candidates, up to the last, that truly cut the balls, their planes (12, room), and the clear way."""
+    touch = touch_distance(grid)
+
+    def more(carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]) -> jax.Array:
+        return carry[0] < last
+
+    def examine(
+        carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]],
+    ) -> tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]:
+        first, (kept, planes, clear) = carry
+        node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (candidates.node, candidates.triangle))
+        # The barriers keep things from being worked out, and fetched from afar, again for each use.
+        frame = once(rows_of_table(grid.frames, triangle))
+        used = first + jnp.arange(TEST_BLOCK) < last
+        keep = used & (distance(gather(balls.center, node), frame) <= balls.radius[node] + touch)
+        # A node touches a plane from as far as the contact's tolerance.
+        free_way = distance(gather(start, node), frame) - 2 * touch
+        keep, free_way = once((keep, free_way))
+        place, more = listed(keep, keep.size)
+        planes = put(planes, frame[place, :12].T, kept.count)
+        clear = lowered(clear, node[place], jnp.maximum(free_way, 0.0)[place], more)
+        kept = _with(kept, gather(node, place), gather(grid.number, gather(triangle, place)), more)
+        return first + TEST_BLOCK, (kept, planes, clear)
+
+    nothing = into._replace(count=jnp.int32(0)), planes, clear
+    return jax.lax.while_loop(more, examine, (jnp.int32(0), nothing))[1]

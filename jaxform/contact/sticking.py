@@ -1,0 +1,292 @@
+"""Sticking contact: which nodes cross which triangle of the mold in a step, and where they land (paper, 3.2).
+
+Only those of the pairs that the border listed are tested that the watch says. The choice of the triangle carries no
+gradient; the landing point is then computed differentiably from it, and since it is the point where the path meets the
+triangle, its gradient is that of the time of impact.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact.broad_phase import Due
+from jaxform.contact.candidates import TEST_BLOCK, Near
+from jaxform.contact.cells import touch_distance
+from jaxform.kernels.blocks import cut, entry, once, only_if, put, rows_read
+from jaxform.mechanics.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
+from jaxform.mechanics.nodes import Nodes
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid
+
+_SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
+
+
+def _meet(before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
+
+    A node within `touch` of the plane touches it, whichever way it goes; the triangle's edges are inclusive, so that
+    no path leaks between two triangles.
+    """
+    d, normal, dual1, dual2 = ((planes[k], planes[k + 1], planes[k + 2]) for k in range(0, 12, 3))
+    away = minus(before, d)
+    height = dot(away, normal)
+    fall = height - dot(minus(after, d), normal)
+    level = fall == 0.0
+    beta = jnp.clip(height / jnp.where(level, 1.0, fall), 0.0, 1.0)
+    touches = jnp.abs(height) <= touch
+    crosses = ~level & (height * (height - fall) <= 0.0)
+    x, y, z = (beta * way for way in minus(after, before))
+    point = plus(away, (x, y, z))
+    gamma, delta = dot(point, dual1), dot(point, dual2)
+    tolerance = 1e3 * jnp.finfo(beta.dtype).eps
+    inside = (gamma >= -tolerance) & (delta >= -tolerance) & (gamma + delta <= 1.0 + tolerance)
+    return beta, (touches | crosses) & inside
+
+
+class Landing(NamedTuple):
+    """Where the nodes are after contact.
+
+    The number of the step in which each landed (n_node,); the kinetic energy lost so far [J]. Where it is kept, the
+    impact (6, n_node): where each node that landed was before that step [m], and the velocity that it came with [m/s].
+    """
+
+    nodes: Nodes
+    step: jax.Array
+    loss: jax.Array
+    impact: jax.Array | None = None
+
+
+class Step(NamedTuple):
+    """One step: its length [s], the time at its end [s], and its number in the window."""
+
+    length: jax.Array
+    end: jax.Array
+    number: jax.Array
+
+
+def land(
+    landing: Landing,
+    now: Step,
+    due: Due,
+    mass: jax.Array,
+    near: Near,
+    mold: Mold,
+    grid: SearchGrid,
+    room: Met | None = None,
+) -> tuple[Landing, Met | None]:
+    """Puts the nodes that crossed the mold in this step where they met it; they stay there.
+
+    Args:
+        landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
+        now: The step. Before it, a node was its length at its velocity away. Kept nowhere, the positions before
+            need not be copied.
+        due: The blocks of the window's list with nodes that can touch in this step.
+        mass: (n_node,) [kg].
+        near: The window's list.
+        mold: The mold.
+        grid: Its search structure.
+        room: From `nothing_met`, for nodes' meetings: then no derivative can be taken. It is given back as it was.
+    """
+    touch = touch_distance(grid)
+
+    if room is not None:
+        return only_if(
+            due.count > 0, lambda both: _landed_in_place(*both, now, mass, near, due, mold, touch), (landing, room)
+        )
+
+    def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
+        paths, stuck = _paths(landing, now), landing.nodes.stuck
+        none = nothing_met(stuck.size, landing.nodes.velocities.dtype)
+        return landed(landing, now, mass, mold, _first_met(paths, stuck, near, due, touch, none).triangle)
+
+    met = _any_meets(_paths(landing, now), landing.nodes.stuck, near, due, touch)
+    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold), None
+
+
+class _Paths(NamedTuple):
+    """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s]."""
+
+    after: Any
+    velocities: jax.Array
+    length: jax.Array
+
+    def ends(self, node: jax.Array) -> tuple[Vector, Vector]:
+        """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
+        # The barriers keep what is looked up, and worked out from it, for all its uses.
+        looked_up = columns(self.after, node), columns(self.velocities, node)
+        after, velocities = once(looked_up)
+        x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
+        return once((x, y, z)), after
+
+
+def _paths(landing: Landing, now: Step) -> _Paths:
+    return jax.lax.stop_gradient(_Paths(landing.nodes.positions, landing.nodes.velocities, now.length))
+
+
+def _block(
+    number: jax.Array, paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
+    # Once: else every loop over the block looks the number up for every entry.
+    first = once(number * TEST_BLOCK)
+
+    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (near.lists.node, near.lists.triangle))
+    planes = rows_read(near.lists.planes.reshape(-1), len(near.lists.planes), first, TEST_BLOCK)
+    beta, meets = _meet(*paths.ends(node), planes, touch)
+    used = first + jnp.arange(TEST_BLOCK) < near.count
+    return node, triangle, beta, meets & used & ~gather(stuck, node)
+
+
+def _any_meets(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array) -> jax.Array:
+    """Whether any pair that is due meets in this step; looks no further than the first block where one does."""
+
+    def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return (carry[0] < due.count) & ~carry[1]
+
+    def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        return carry[0] + 1, jnp.any(_block(entry(due.block, carry[0]), paths, stuck, near, touch)[3])
+
+    return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
+
+
+class Met(NamedTuple):
+    """What nodes meet in a step.
+
+    The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, in a list,
+    and how many they are.
+    """
+
+    beta: jax.Array
+    triangle: jax.Array
+    listed: jax.Array
+    count: jax.Array
+
+
+def nothing_met(node_count: int, real: jnp.dtype) -> Met:
+    """Before a step: nothing is met yet. One step leaves it to the next as it was, so that it is made once."""
+    number, listed = jnp.full(node_count, -1, jnp.int32), jnp.zeros(node_count + 1, jnp.int32)
+    return Met(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
+
+
+def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array, none: Met) -> Met:
+    """The triangle that each node meets first in this step.
+
+    Of two that are met at once the one with the higher number counts, every time.
+    """
+
+    def more(carry: tuple[jax.Array, Met]) -> jax.Array:
+        return carry[0] < due.count
+
+    def choose(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
+        k, found = carry
+        block = _block(entry(due.block, k), paths, stuck, near, touch)
+        return k + 1, _taken_up(found, once(block))
+
+    return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
+
+
+def _taken_up(found: Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> Met:
+    """What was met so far, with a block's pairs that meet: one by one, since they are few.
+
+    A scatter would keep XLA from compiling the window's steps into one function.
+    """
+    node, triangle, beta, meets = block
+    index = jnp.arange(TEST_BLOCK)
+
+    def next_one(after: jax.Array) -> jax.Array:
+        return jnp.min(jnp.where(meets & (index > after), index, TEST_BLOCK))
+
+    def more(carry: tuple[jax.Array, Met]) -> jax.Array:
+        return carry[0] < TEST_BLOCK
+
+    def take(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
+        k, (best, chosen, nodes, count) = carry
+        here = entry(node, k)
+        # All is read before anything is written, or XLA would copy the lists for every pair.
+        pair = k, here, entry(beta, k), entry(triangle, k), entry(best, here), entry(chosen, here)
+        k, here, own, number, least, last = once(pair)
+        better = (own < least) | (own == least) & (number > last)
+        # What is listed already is written over by the next one.
+        nodes = put(nodes, here[None], count)
+        best = put(best, jnp.where(better, own, least)[None], here)
+        chosen = put(chosen, jnp.where(better, number, last)[None], here)
+        return next_one(k), Met(best, chosen, nodes, count + (last < 0))
+
+    return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
+
+
+def _landed_in_place(
+    landing: Landing, room: Met, now: Step, mass: jax.Array, near: Near, due: Due, mold: Mold, touch: jax.Array
+) -> tuple[Landing, Met]:
+    """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
+    paths = _Paths(landing.nodes.positions, landing.nodes.velocities, now.length)
+    met = _first_met(paths, landing.nodes.stuck, near, due, touch, room)
+
+    def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
+        landing, beta, chosen = carry
+        node = entry(met.listed, k)
+
+        def own(values: jax.Array) -> jax.Array:
+            return values if values.ndim == 0 else cut(values, node, 1)
+
+        def put_back(values: jax.Array, new: jax.Array) -> jax.Array:
+            return new if values.ndim == 0 else put(values, new, node)
+
+        # All is read before anything is written, or XLA would copy the arrays.
+        old, triangle = once((jax.tree.map(own, landing), own(chosen)))
+        new = landed(old, now, own(mass), mold, triangle)
+        nodes = dataclasses.replace(new.nodes, positions=rows_of(new.nodes.positions))
+        landing = jax.tree.map(put_back, landing, new._replace(nodes=nodes))
+        beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
+        return landing, beta, chosen
+
+    landing, beta, chosen = jax.lax.fori_loop(0, met.count, one, (landing, met.beta, met.triangle))
+    return landing, Met(beta, chosen, met.listed, jnp.int32(0))
+
+
+def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
+    """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
+    lands, nodes = chosen >= 0, landing.nodes
+    after, velocities = jnp.asarray(nodes.positions), nodes.velocities
+    before = after - now.length * velocities
+    point, fall, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
+    # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
+    wall = jnp.where(fall < 0, -1, 1) * (chosen + 1)
+    kinetic = 0.5 * mass * dot(velocities, velocities)
+    impact = landing.impact
+    if impact is not None:
+        impact = jnp.where(lands, jnp.concatenate([before, velocities]), impact)
+    time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
+    return Landing(
+        nodes=dataclasses.replace(
+            nodes,
+            positions=jnp.where(lands, point, after),
+            velocities=jnp.where(lands, 0.0, velocities),
+            stuck=nodes.stuck | lands,
+            contact_time=jnp.where(lands, time, nodes.contact_time),
+            wall=jnp.where(lands, wall, nodes.wall),
+        ),
+        step=jnp.where(lands, now.number, landing.step),
+        loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
+        impact=impact,
+    )
+
+
+def _landing_point(
+    before: jax.Array, after: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """M of the paper's Eq. 9, (3, n_node) [m], differentiable in the path and the mold; fall [m], beta (n_node,)."""
+    d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
+    edge1, edge2 = e - d, f - d
+    normal = cross(edge1, edge2)
+    height = dot(before - d, normal)
+    fall = -dot(after - before, normal)
+    # A path within the plane touches it where it begins; both `where` keep its gradient finite.
+    crosses = lands & (fall != 0.0)
+    ratio = height / jnp.where(crosses, fall, 1.0)
+    beta = jnp.where(crosses, jnp.clip(ratio, 0.0, 1.0), 0.0)
+    return before + beta * (after - before), fall, beta

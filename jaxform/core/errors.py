@@ -1,0 +1,84 @@
+"""The one error that bad input raises, and the warning that doubtful input gives: file, key, value and remedy."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+_HERE = os.path.dirname(os.path.dirname(__file__))  # the package: warnings name the line that called it
+
+
+@dataclass(eq=False)
+class InputError(ValueError):
+    """Input that cannot be simulated.
+
+    Its text is one line: ``FILE: KEY = VALUE: PROBLEM; MEND``, with the parts that are known.
+
+    Attributes:
+        problem: What is wrong, in words.
+        mend: What to do about it, in words.
+        key: Dotted key in the scene or study file, or the name of the argument.
+        value: The offending value.
+        file: The file it was read from.
+    """
+
+    problem: str
+    mend: str = ""
+    key: str = ""
+    value: Any = None
+    file: str = ""
+
+    def within(self, *, file: str = "", key: str = "") -> InputError:
+        """The same error told from outside: fills in the file and the key where they are not known yet."""
+        return replace(self, file=self.file or file, key=self.key or key)
+
+    def __str__(self) -> str:
+        """The one line for people."""
+        key, value = cut(self.key), None if self.value is None else _short(self.value)
+        named = key if value is None else f"{key} = {value}" if key else value
+        head = ": ".join(part for part in (cut(self.file), named, cut(self.problem)) if part)
+        line = f"{head}; {self.mend}" if self.mend else head
+        return " ".join(line.split())
+
+
+class InputWarning(UserWarning):
+    """Input that can be simulated, but is hardly what its author wants; the command writes it into summary.json too."""
+
+
+def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
+    """Warns of doubtful input, in the words of an `InputError`; it names the line of the user's code."""
+    text = str(InputError(problem, remedy, key, value, file))
+    warnings.warn(text, InputWarning, stacklevel=2, skip_file_prefixes=(_HERE,))
+
+
+@contextlib.contextmanager
+def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
+    """The texts of the `InputWarning`s raised inside, each once and told at once; others go their usual way."""
+    texts: list[str] = []
+    with warnings.catch_warnings():
+        otherwise = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if not issubclass(category, InputWarning):
+                otherwise(message, category, *place, **more)
+            elif str(message) not in texts:
+                texts.append(str(message))
+                tell(texts[-1])
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", InputWarning)
+        yield texts
+
+
+def _short(value: Any, limit: int = 160) -> str:
+    """The value as it would be typed, cut to the limit."""
+    return cut(repr(value), limit)
+
+
+def cut(text: str, limit: int = 1000) -> str:
+    """The text for people; of a long one the begin and the end, where a path has its name."""
+    return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"

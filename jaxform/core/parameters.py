@@ -1,0 +1,87 @@
+"""Parts of a scene that declare their numbers: laws, loadings and fields, jaxform's own and a user's.
+
+A number is declared once, with its unit and range; `replace`, designs, traced checks and messages follow from that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import field
+from typing import Any
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import pytree
+from jaxform.core.ranges import Range, check, declare
+
+
+def parameter(
+    unit: str = "",
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    nodal: bool = False,
+) -> Any:
+    """A number of a law, a loading or a field, with its range; by default any finite one.
+
+    Args:
+        unit: Of the number, empty where it has none.
+        above: It is greater than this.
+        least: It is not less than this.
+        most: It is not greater than this.
+        nodal: Whether it has a value at each node of the parison, (n_node,).
+    """
+    return within(Range(unit, above=above, least=least, most=most), nodal=nodal)
+
+
+def within(allowed: Range, *, nodal: bool = False) -> Any:
+    """A number with a range that is declared elsewhere."""
+    return field(metadata={"range": allowed, "nodal": nodal})
+
+
+def declared_part[T](cls: type[T], section: str, needed: Sequence[str] = ()) -> type[T]:
+    """Makes a class a frozen dataclass and a pytree whose numbers are known to `replace` and to designs.
+
+    Args:
+        cls: The class.
+        section: What the path of its numbers begins with.
+        needed: Numbers that it must have.
+
+    Raises:
+        InputError: A number is not declared, or is missing.
+    """
+    made = pytree(cls)
+    declared = {part.name: part.metadata.get("range") for part in _numbers(made)}
+    missing = sorted(key for key, allowed in {**dict.fromkeys(needed), **declared}.items() if allowed is None)
+    if missing:
+        text = ", ".join(missing)
+        raise InputError(f"does not declare {text}", "declare them with jaxform.parameter", value=cls.__name__)
+    for key, allowed in ranges_of(made).items():
+        declare(f"{section}.{key}", allowed)
+    return made
+
+
+def is_declared(part: Any, base: type) -> bool:
+    """Whether a part is of a declared class of a kind: one that derives from such a class is none by itself."""
+    return isinstance(part, base) and "__dataclass_fields__" in vars(type(part))
+
+
+def ranges_of(part: Any) -> dict[str, Range]:
+    """The range of each number of a declared part, or of its class, by name."""
+    return {each.name: each.metadata["range"] for each in _numbers(part)}
+
+
+def nodal_numbers(part: Any) -> list[str]:
+    """The names of its numbers that have a value at each node."""
+    return [each.name for each in _numbers(part) if each.metadata["nodal"]]
+
+
+def check_part(part: Any, section: str) -> None:
+    """Raises InputError unless every number of a part, none of them traced, is in its range."""
+    for name, allowed in ranges_of(part).items():
+        check(f"{section}.{name}", getattr(part, name), allowed)
+
+
+def _numbers(part: Any) -> list[dataclasses.Field[Any]]:
+    return [each for each in dataclasses.fields(part) if not each.metadata.get("static")]

@@ -1,0 +1,176 @@
+"""The range of every number of a scene: declared once, for files, constructors, `replace` and traced values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from jaxform.core.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+DEEPEST = 14  # level of refinement
+MOST, LEAST = 1e30, 1e-30  # of any number, and of one that must be positive: with others they can be computed with
+MOST_STEPS = 20_000_000
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a number may be; always finite.
+
+    Attributes:
+        unit: Of the number; empty where it has none.
+        above: It is greater than this.
+        least, most: It is not less than the one and not greater than the other.
+        increasing: Whether several must increase.
+        count: Whether it is whole.
+    """
+
+    unit: str = ""
+    above: float | None = None
+    least: float | None = None
+    most: float | None = None
+    increasing: bool = False
+    count: bool = False
+
+    def holds(self, values: Any) -> Any:
+        """Which values are in the range: of a number, or of an array of NumPy or JAX its shape."""
+        good = abs(values) <= MOST
+        if self.above is not None:
+            good = good & (values > self.above)
+        if self.above == 0.0:
+            good = good & (values >= LEAST)
+        if self.least is not None:
+            good = good & (values >= self.least)
+        return good if self.most is None else good & (values <= self.most)
+
+    @property
+    def rule(self) -> str:
+        """What is asked of the number, in words."""
+        if self.most is not None:
+            low = f"({self.above:g}" if self.above is not None else f"[{self.least:g}"
+            return f"must be in {low}, {self.most:g}]"
+        if self.above == 0.0:
+            return "must be positive"
+        if self.least is not None:
+            return "must not be negative" if self.least == 0.0 else f"must be at least {self.least:g}"
+        return "must increase" if self.increasing else "must be finite"
+
+    @property
+    def remedy(self) -> str:
+        """What to give instead."""
+        kind = "whole numbers" if self.count else "finite numbers"
+        limits = [f"> {self.above:g}"] if self.above is not None else []
+        limits += [f">= {self.least:g}"] if self.least is not None else []
+        limits += [f"<= {self.most:g}"] if self.most is not None else []
+        text = " and ".join(limits)
+        return " ".join(part for part in (f"give {kind}", text, f"[{self.unit}]" if self.unit else "") if part)
+
+
+RANGES: dict[str, Range] = {
+    "parison.thickness": Range("m", above=0.0),
+    "pressure.time": Range("s", increasing=True),
+    "pressure.value": Range("Pa"),
+    "material.c": Range("Pa", above=0.0),
+    "material.alpha": Range(least=0.0),
+    "material.a01": Range("Pa", above=0.0),
+    "material.a02": Range("Pa", least=0.0),
+    "material.density": Range("kg/m^3", above=0.0),
+    "solver.end_time": Range("s", above=0.0),
+    "solver.damping": Range("1/s", least=0.0),
+    "solver.safety": Range(above=0.0, most=1.0),
+    "solver.max_steps": Range("steps", least=1, most=MOST_STEPS, count=True),
+    "refinement.angle": Range("degrees", above=0.0, most=180.0),
+    "refinement.min_area": Range("m^2", least=0.0),
+    "refinement.interval": Range("steps", least=1, most=MOST_STEPS, count=True),
+    "refinement.max_level": Range(least=0, most=DEEPEST, count=True),
+    "refinement.base_level": Range(least=0, most=DEEPEST, count=True),
+    "refinement.base_reach": Range(above=0.0),
+    "refinement.scaled_levels": Range(least=0, most=DEEPEST, count=True),
+    "refinement.jump": Range(above=0.0),
+    "refinement.elements": Range(least=1, count=True),
+}
+
+DESIGNABLE = [
+    "parison.thickness",
+    "pressure.time",
+    "pressure.value",
+    "material.c",
+    "material.alpha",
+    "material.a01",
+    "material.a02",
+    "material.density",
+    "solver.end_time",
+    "solver.damping",
+]
+"""What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
+_MOST_DESIGNABLE = 31  # bits of a whole number
+_declared: dict[str, list[Range]] = {}
+
+
+def declare(key: str, allowed: Range) -> None:
+    """Makes a number designable; laws may have numbers of one name with ranges of their own.
+
+    Raises:
+        InputError: There are as many as can be told apart.
+    """
+    if key not in DESIGNABLE:
+        if len(DESIGNABLE) == _MOST_DESIGNABLE:
+            raise InputError("is one number too many", "give the laws' numbers names that others have too", key)
+        DESIGNABLE.append(key)
+    _declared.setdefault(key, []).append(allowed)
+
+
+def declared(key: str) -> list[Range]:
+    """The different ranges that numbers of one name have."""
+    return list(dict.fromkeys(_declared.get(key) or [RANGES[key]]))
+
+
+def check(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
+    """Raises InputError unless a number of a scene, or each of several, is in its range; `given` is not traced."""
+    import numpy as np  # not needed where files are refused
+
+    values, allowed = as_numbers(key, given), allowed or RANGES[key]
+    shown = values.tolist() if values.ndim else None
+    if not np.all(np.isfinite(values)):
+        raise InputError("is not finite", allowed.remedy, key, _first(values, ~np.isfinite(values)))
+    if allowed.count and values.dtype.kind == "f" and np.any(values != np.floor(values)):
+        raise InputError("is not a whole number", allowed.remedy, key, _first(values, values != np.floor(values)))
+    good = np.asarray(allowed.holds(values))
+    if not np.all(good):
+        raise InputError(allowed.rule, allowed.remedy, key, _first(values, ~good))
+    if allowed.increasing and np.any(np.diff(values) <= 0):
+        raise InputError("the knots do not increase", "sort the times and drop repeats", key, shown)
+
+
+def check_one(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
+    """As `check`, of what must be one number."""
+    if as_numbers(key, given).ndim:
+        raise InputError("is not one number", (allowed or RANGES[key]).remedy, key, given)
+    check(key, given, allowed)
+
+
+def as_numbers(key: str, given: ArrayLike) -> Any:
+    """An array of whole or floating numbers (NumPy) of what was given for a key, or its rows.
+
+    Raises:
+        InputError: If it holds anything but real numbers, or rows of different lengths.
+    """
+    import numpy as np
+
+    remedy = "give real numbers, as many in one row as in another"
+    try:
+        values = np.asarray(given)
+    except (ValueError, TypeError) as error:
+        uneven = "inhomogeneous" in str(error)
+        problem = "has rows of different lengths" if uneven else "is no array of numbers"
+        raise InputError(problem, remedy, key, given) from None
+    if values.dtype.kind not in "iuf":
+        kinds = {"c": "is complex", "U": "is a text", "S": "is a text", "b": "is true or false, not a number"}
+        raise InputError(kinds.get(values.dtype.kind, "is no array of numbers"), remedy, key, given)
+    return values
+
+
+def _first(values: Any, bad: Any) -> float:
+    return float(values[bad].flat[0]) if values.ndim else float(values)

@@ -1,0 +1,200 @@
+"""What is expensive to make and the same every time, kept in files between runs: search grids and traced programs.
+
+The command line keeps one in the user's cache folder, beside JAX's own compiled programs. Names of files are digests
+of everything the content depends on, this package's source included, so that nothing in it can be out of date; what
+cannot be read or written is made anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import io
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxform.core import disk
+from jaxform.core.compiling import compiling_soon, crowded
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import is_own
+
+Arrays = Mapping[str, np.ndarray]
+_MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
+_SEAL = hashlib.sha256().digest_size
+_MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
+
+PACKAGE = Path(__file__).parents[1]
+
+
+class Soon(NamedTuple):
+    """A function that is being compiled, or has been.
+
+    Attributes:
+        shapes: Of its results: a tree with shapes and types.
+        future: Gives the compiled function.
+    """
+
+    shapes: Any
+    future: Future[Callable[..., Any]]
+
+    def ready(self) -> Callable[..., Any]:
+        """The compiled function; waits for it."""
+        return self.future.result()
+
+
+class Store:
+    """A folder of things kept; without a folder compiled programs alone are, in memory.
+
+    Attributes:
+        folder: Where; made when the first thing is written.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self.folder = folder
+        self._programs: dict[tuple[Any, ...], Soon] = {}
+
+    def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
+        """Named arrays.
+
+        Args:
+            name: What they are, in a word.
+            key: What they depend on: arrays, numbers, texts.
+            make: Makes them where they are not kept.
+        """
+        path = self._path(name, key)
+        if path is None:
+            return make()
+        kept = _kept(path)
+        if kept is not None:
+            with np.load(io.BytesIO(kept), allow_pickle=False) as found:
+                return {key: found[key] for key in found.files}
+        arrays, file = make(), io.BytesIO()
+        np.savez(file, allow_pickle=False, **arrays)
+        self._write(path, file.getbuffer())
+        return arrays
+
+    def program(self, function: Any, *arguments: Any) -> Callable[..., Any]:
+        """A function compiled for arguments like these: once; where it is kept in a file, it need not be traced.
+
+        Args:
+            function: Jitted; it depends on its arguments only.
+            arguments: Pytrees of arrays; the structure, shapes and types count, not the values.
+        """
+        return self.soon(function, *arguments).ready()
+
+    def holds(self, function: Any, *arguments: Any) -> bool:
+        """Whether a program is there already, in memory or in a file."""
+        key, path = self._key(function, arguments)
+        return key in self._programs or (path is not None and path.exists())
+
+    def forget(self) -> None:
+        """Lets go of the programs in memory; those in files stay."""
+        self._programs.clear()
+
+    def _key(self, function: Any, arguments: Any) -> tuple[tuple[Any, ...], Path | None]:
+        """What a program is known by in memory, and its file; None where it is kept in none."""
+        leaves, tree = jax.tree.flatten(arguments)
+        kinds = tuple((np.shape(leaf), str(getattr(leaf, "dtype", type(leaf)))) for leaf in leaves)
+        key = function, tree, kinds, jax.default_backend()
+        return key, self._path(function.__name__, tuple(str(part) for part in key[1:])) if is_own(tree) else None
+
+    def soon(self, function: Any, *arguments: Any) -> Soon:
+        """As `program`; it is compiled while others are traced and compiled."""
+        key, path = self._key(function, arguments)
+        if key not in self._programs:
+            made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
+            if crowded():
+                self._programs.clear()
+            while len(self._programs) >= _MOST_PROGRAMS:
+                self._programs.pop(next(iter(self._programs)), None)
+            self._programs[key] = Soon(*compiling_soon(made, *arguments))
+        return self._programs[key]
+
+    def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:
+        from jax import export
+
+        kept = _kept(path)
+        if kept is not None:
+            return export.deserialize(bytearray(kept))
+        made = export.export(function)(*arguments)
+        self._write(path, made.serialize())
+        return made
+
+    def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
+        if self.folder is None:
+            return None
+        digest = hashlib.sha256(_origin())
+        for part in key:
+            if isinstance(part, np.ndarray):
+                digest.update(f"{part.dtype}{part.shape}".encode())
+                digest.update(np.ascontiguousarray(part).tobytes())
+            else:
+                digest.update(repr(part).encode())
+        return self.folder / f"{name.strip('_')}-{digest.hexdigest()[:32]}"
+
+    def _write(self, path: Path, content: Any) -> None:
+        """All or nothing, since another run may read at any moment; the content behind its seal."""
+        with contextlib.suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+                try:
+                    file.write(_seal(path, content))
+                    file.write(content)
+                except BaseException:
+                    Path(file.name).unlink()
+                    raise
+            Path(file.name).replace(path)
+            self._trim()
+
+    def _trim(self) -> None:
+        assert self.folder is not None
+        files = sorted(((file.stat(), file) for file in self.folder.iterdir()), key=lambda pair: -pair[0].st_mtime)
+        used = 0
+        for status, file in files:
+            used += status.st_size
+            if used > _MOST_BYTES:
+                file.unlink(missing_ok=True)
+
+
+def _seal(path: Path, content: Any) -> bytes:
+    """A digest of a file's name and its content: what is damaged, or has another's name, does not have it."""
+    digest = hashlib.sha256(path.name.encode())
+    digest.update(content)
+    return digest.digest()
+
+
+def _kept(path: Path) -> memoryview | None:
+    """The content of a file that is what was written under its name; None where there is none."""
+    try:
+        whole = memoryview(disk.read_bytes(path, _MOST_BYTES))
+        seal, content = whole[:_SEAL], whole[_SEAL:]
+        if seal != _seal(path, content):
+            return None
+        os.utime(path)
+    except (OSError, InputError):
+        return None
+    return content
+
+
+@functools.cache
+def _origin() -> bytes:
+    """A digest of what makes the things: this package's source, JAX, the precision."""
+    precision = jax.config.read("jax_enable_x64")
+    return hashlib.sha256(f"{jax.__version__} {precision}".encode() + _sources(PACKAGE)).digest()
+
+
+def _sources(package: Path) -> bytes:
+    """A digest of the source of a package, its sub-packages included: names and contents."""
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        name, content = source.relative_to(package).as_posix().encode(), source.read_bytes()
+        digest.update(b"%d %d " % (len(name), len(content)) + name + content)
+    return digest.digest()

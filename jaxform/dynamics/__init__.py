@@ -1,0 +1,1 @@
+"""Time: the step, the window of steps, and how long both are."""

@@ -1,0 +1,175 @@
+"""The end of a window: its account of energy, whether it is taken or rejected, and how long the next one is."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact.broad_phase import (
+    balls,
+    missed,
+)
+from jaxform.dynamics.step import FAR, Moving, Window
+from jaxform.kernels.blocks import only_if, over_blocks
+from jaxform.mechanics import membrane
+from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
+from jaxform.mechanics.force import Load, corner_forces
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.account import account, energy_rounding, last_work
+from jaxform.sheet.active_set import Working
+from jaxform.sheet.scheme import kicked
+from jaxform.sheet.state import PackedState, Replay, State, Status
+
+_MOST_RETRIES = 12
+SLACK = 1e-3  # of a step: less is rounding
+_ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
+_FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
+_STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
+_QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
+_JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then taken anew at most so often
+
+
+def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Window) -> PackedState:
+    """The state at the window's end, with its health checked; a state that is not finite is not taken."""
+    near, work = now.near, jax.lax.stop_gradient(moving.account.external_work)
+    new = dataclasses.replace(
+        state,
+        nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
+        account=dataclasses.replace(
+            moving.account,
+            peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
+            kinetic_peak=jnp.maximum(state.account.kinetic_peak, end.kinetic),
+            kinetic_excess=end.behind - end.kinetic,
+        ),
+        control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
+        time=state.time + moving.count * now.length,
+        steps=state.steps + moving.count,
+        windows=state.windows + 1,
+        shortened=state.shortened + (moving.count < now.most),
+    )
+    rounding = energy_rounding(scene, now.working.substance)
+    status, imbalance = _health(new, end, rounding, scene, now.working)
+    new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
+    # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
+    jump = jnp.abs(imbalance - state.account.imbalance) - rounding
+    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
+    # What blew up, and what may have missed the mold since a node flew out of its ball or faster than it looked, is
+    # taken anew with half the step: the sheet may have stiffened within the window.
+    status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
+    bad = (status != 0) | unsure
+    status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
+    if near is not None:
+        # Pairs were lost: the state is left as it was, for a run with more room.
+        bad |= near.overflow
+        status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
+    status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
+    retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
+    if now.row is not None:
+        spent = moving.count * now.length
+        whole = now.row.left - spent <= SLACK * now.length
+        row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
+        new = dataclasses.replace(new, replay=Replay(now.row.number + whole, row_time))
+    # Chosen as a whole: leaf by leaf it would be a kernel for each.
+    kept = only_if(bad, lambda _: state, new, differentiable=moving.room is None)
+    shortened = jnp.where(bad, state.shortened + 1, new.shortened)
+    return dataclasses.replace(
+        kept,
+        status=status.astype(jnp.int32),
+        control=dataclasses.replace(
+            kept.control,
+            span=_next_span(state, bad | (moving.count < now.most), jump <= _QUIET * new.account.peak_work, scene, now),
+            retries=retries,
+            last_length=now.length,
+            last_count=jnp.where(bad, 0, moving.count),
+            last_duration=now.duration,
+        ),
+        windows=new.windows,
+        shortened=shortened,
+    )
+
+
+def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scene, now: Window) -> jax.Array:
+    """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
+
+    A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
+    stiffness.
+    """
+    if scene.tables.window_room <= SHORT_WINDOW:
+        return state.control.span
+    longer = quiet & (jnp.abs(now.bound - state.control.bound) <= _STEADY * state.control.bound)
+    if now.near is not None:
+        counts = scene.tables.counts
+        nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
+        longer &= now.near.count <= _FEW_PAIRS * nodes
+    longest = jnp.int32(scene.tables.longest_window)
+    twice, half = (
+        jnp.minimum(2 * state.control.span, longest),
+        jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
+    )
+    return jnp.where(cut_short, jnp.minimum(SHORT_WINDOW, longest), jnp.where(longer, twice, half))
+
+
+class End(NamedTuple):
+    """What a window's end comes to.
+
+    Kinetic energy [J], and that of the velocities, which are half a step behind; the largest coordinate [m], not finite
+    where any position is not; whether a node may have missed the mold.
+    """
+
+    kinetic: jax.Array
+    behind: jax.Array
+    largest: jax.Array
+    missed: jax.Array | bool
+
+
+def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners]:
+    """In one pass over the elements and one over the nodes; no derivative is taken of it. With the corners' room.
+
+    Velocities are half a step behind, which shows at the begin and in fast modes: the half step that follows counts as
+    well. The product of both is what a linear mode keeps.
+    """
+    moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
+    working, elements = now.working, now.working.packed.elements
+    positions = moving.nodes.positions
+    volume = None if moving.account.pressure is None else working.volume(positions) + working.idle_volume
+    pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
+    load = Load(positions, working.thickness, pressure, scene.material)
+    room = no_corners(positions, elements) if moving.room is None else moving.room
+    corners, _ = corner_forces(load, elements, room)
+
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, ball: Any) -> Any:
+        ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
+        half = 0.5 * nodes[1]
+        energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
+        size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
+        if moving.seen is None:
+            return [], [*energies, size]
+        return [], [*energies, size, missed(positions, nodes[0], ball, moving.seen)]
+
+    nodes = moving.nodes.stuck, working.mass, working.compliance
+    ball = None if now.near is None else balls(now.near)
+    inputs = shares(elements), nodes, positions, moving.nodes.velocities, ball
+    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
+    missing = False if moving.seen is None else moving.seen.missed | (found[3] > 0.0)
+    return End(*found[:3], missed=missing), corners
+
+
+def _health(
+    state: PackedState, end: End, rounding: jax.Array, scene: Scene, working: Working
+) -> tuple[jax.Array, jax.Array]:
+    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
+    state, scene, working = jax.lax.stop_gradient((state, scene, working))
+    strain, volume = account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
+    strain, volume = strain + working.idle_energy, volume + working.idle_volume
+    held = strain + end.kinetic + sum(state.account.losses().values())
+    excess = held - state.account.external_work - last_work(state, scene, volume)
+    # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
+    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
+    finite = jnp.isfinite(end.largest + end.kinetic)
+    status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    return status, excess

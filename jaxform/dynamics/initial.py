@@ -1,0 +1,62 @@
+"""The state in which a run begins: the sheet at rest, with what lies on the mold held there."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jaxform.adapt.remeshing import started_mesh
+from jaxform.core.pytree import as_real
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.account import enclosed_volume
+from jaxform.sheet.state import Account, AtStart, Control, Replay, State, any_mode, at_start
+
+
+def initial_state(scene: Scene) -> State:
+    """The sheet at rest in its initial shape."""
+    forest = scene.tables.forest
+    mesh = None if forest is None else started_mesh(scene)
+    positions, sheet = scene.parison.positions.T, scene.tables.sheet
+    start = at_start(scene)
+    fields = {name: own.start(scene.parison.positions) for name, own in scene.fields.items()}
+    if mesh is not None and forest is not None:
+        # Nodes that do not exist yet are held where the first node is.
+        there = jnp.arange(mesh.node.size) < mesh.node_count
+        start = at_start(scene, mesh.node)
+        start = AtStart(
+            start.stuck | ~there, jnp.where(there, start.contact_time, 0.0), jnp.where(there, start.wall, 0)
+        )
+        positions, fields = positions[:, mesh.node], {name: values[mesh.node] for name, values in fields.items()}
+    zero, none = as_real(0.0), jnp.int32(0)
+    volume = enclosed_volume(positions, sheet)
+    pressure = scene.pressure.at(zero, volume) if scene.pressure.follows_volume else None
+    return State(
+        nodes=Nodes(
+            positions=positions,
+            velocities=jnp.zeros_like(positions),
+            stuck=start.stuck,
+            contact_time=start.contact_time,
+            wall=start.wall,
+            mode=any_mode(positions) if scene.solver.sharp_step else None,
+            fields=fields,
+        ),
+        account=Account(volume, pressure, *[zero] * 8),
+        control=Control(
+            step_length=zero,
+            span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
+            retries=none,
+            bound=zero,
+            sharpness=zero,
+            last_length=zero,
+            last_count=none,
+            last_duration=zero,
+        ),
+        replay=Replay(none, zero),
+        mesh=mesh,
+        time=zero,
+        steps=none,
+        windows=none,
+        shortened=none,
+        status=none,
+    )

@@ -1,0 +1,271 @@
+"""One step of the scheme: forces, velocities, positions, contact, and the scene's own fields.
+
+Every loop uses this step. Inside a window all shapes are fixed and the continuous state flows through.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact import sticking
+from jaxform.contact.broad_phase import (
+    LOOK_EVERY,
+    Seen,
+    Watched,
+    every_block,
+    look,
+    unwatched,
+    watch,
+)
+from jaxform.contact.candidates import Near
+from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import once, only_if, over_blocks, total
+from jaxform.mechanics import membrane
+from jaxform.mechanics.elements import Corners, assembled, shares
+from jaxform.mechanics.force import Load, corner_forces, force
+from jaxform.mechanics.membrane import vector
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.field import Surroundings, stepped
+from jaxform.model.scene import Scene
+from jaxform.sheet.active_set import Working
+from jaxform.sheet.scheme import kicked
+from jaxform.sheet.state import Account
+
+FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
+
+
+@pytree
+class Moving:
+    """What changes from step to step inside a window, in packed order.
+
+    Positions (3, place) [m] are three rows where no derivative is taken: else they would be taken apart in every step.
+    `landed` is the step in which a node landed, NEVER where it has not in this window, and the impact that of
+    `sticking.Landing`, None where it is not kept. What was seen last of the mold is None where there is none, the room
+    where derivatives are taken, and that for meetings in either case.
+    """
+
+    nodes: Nodes
+    fields: dict[str, jax.Array]
+    account: Account
+    landed: jax.Array
+    impact: jax.Array | None
+    count: jax.Array
+    halted: jax.Array
+    seen: Seen | None
+    room: Corners | None
+    met: sticking.Met | None
+
+
+@pytree
+class Window:
+    """What stays the same within a window, in packed order.
+
+    Attributes:
+        working: The elements and nodes that are worked through.
+        begin: Its begin [s].
+        length: The step [s].
+        bound: The elements' bound on it [s].
+        most: How many steps it takes, unless it is cut short.
+        row: Of a schedule that is followed; None where none is.
+        duration: What it is to last [s].
+        near: The list of nodes near the mold; None where there is no mold.
+        wary: Whether no look at the nodes is trusted, since the last window was not taken.
+    """
+
+    working: Working
+    begin: jax.Array
+    length: jax.Array
+    bound: jax.Array
+    most: jax.Array
+    row: Row | None
+    duration: jax.Array
+    near: Near | None
+    wary: jax.Array
+
+
+def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Window) -> Moving:
+    """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
+
+    Args:
+        moving: Before the step.
+        pressures: At the step's begin, averaged since the begin of the step before [Pa], and the step that the
+            velocity takes [s].
+        scene: The scene.
+        now: The window.
+    """
+    pressure, mean_pressure, kick = pressures
+    length = now.length
+    if now.near is not None:
+        moving = _looked(moving, now)
+    if moving.room is None:
+        # A halted window runs on without moving: a step of length zero changes nothing.
+        length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
+    if moving.account.pressure is not None:
+        pressure = _pressure_inside(moving, scene, now)
+        mean_pressure = 0.5 * (moving.account.pressure + pressure)
+    load = Load(moving.nodes.positions, now.working.thickness, pressure, scene.material)
+    taken = (_taken if moving.room is None else _taken_in_blocks)(load, moving, kick, length, scene, now)
+    volume, account = taken.volume + now.working.idle_volume, moving.account
+    if moving.room is None:
+        # So that the account is that of a loop which ends with the last step.
+        volume = jnp.where(moving.halted, account.volume, volume)
+    moved = dataclasses.replace(
+        moving,
+        nodes=dataclasses.replace(moving.nodes, positions=taken.positions, velocities=taken.velocities),
+        account=dataclasses.replace(
+            account,
+            volume=volume,
+            pressure=None if account.pressure is None else jnp.where(moving.halted, account.pressure, pressure),
+            external_work=account.external_work + mean_pressure * (volume - account.volume),
+            damping_loss=account.damping_loss + taken.loss,
+        ),
+        count=moving.count + jnp.where(moving.halted, 0, 1),
+        room=taken.room,
+    )
+    if now.near is not None:
+        moved = _touch(moved, length, scene, now)
+    elif moving.room is None:
+        moved = dataclasses.replace(moved, halted=_flown(moved, scene, now))
+    return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+
+
+def _pressure_inside(moving: Moving, scene: Scene, now: Window) -> jax.Array:
+    """The pressure [Pa] that goes with the volume enclosed as the step begins."""
+    volume = now.working.volume(jnp.asarray(moving.nodes.positions)) + now.working.idle_volume
+    return scene.pressure.at(now.begin + moving.count * now.length, volume)
+
+
+def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Scene, now: Window) -> Moving:
+    """With what the step made of the scene's own fields, unless the window was halted before it."""
+    nodes = moved.nodes
+    step = Surroundings(
+        time=now.begin + moved.count * now.length,
+        length=length,
+        positions=jnp.asarray(nodes.positions),
+        velocities=nodes.velocities,
+        stuck=nodes.stuck,
+        contact_time=nodes.contact_time,
+    )
+    new = stepped(scene.fields, moved.fields, step)
+    kept = jax.tree.map(lambda own, old: jnp.where(halted, old, own), new, moved.fields)
+    return dataclasses.replace(moved, fields=kept)
+
+
+def _watched(moved: Moving, scene: Scene, now: Window) -> Watched:
+    """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
+    assert now.near is not None and moved.seen is not None
+    state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, now.near))
+    blocks = now.working.packed.elements.node_block_count
+    found = only_if(
+        moved.seen.close,
+        lambda _: watch(*state, blocks),
+        unwatched(now.near),
+        differentiable=moved.room is None,
+    )
+    return found if scene.solver.skip_far else found._replace(due=every_block(now.near))
+
+
+def _flown(moved: Moving, scene: Scene, now: Window) -> jax.Array:
+    """Whether a window without contact halts: a sheet that flies off must not overflow where derivatives are taken."""
+    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.nodes.positions))) > FAR * scene.tables.size
+    return moved.halted | far | (moved.count >= now.most)
+
+
+class _Taken(NamedTuple):
+    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J]."""
+
+    positions: jax.Array | membrane.Vector
+    velocities: jax.Array
+    volume: jax.Array
+    loss: jax.Array | float
+    room: Corners | None
+
+
+def _taken(load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window) -> _Taken:
+    nodal, volume = force(load, now.working.packed.elements)
+    nodes = moving.nodes.stuck, now.working.mass, now.working.compliance
+    velocities, losses = kicked(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
+    positions = moving.nodes.positions + length * jnp.stack(velocities)
+    loss = total(losses) if losses is not None else 0.0
+    return _Taken(positions, jnp.stack(velocities), volume, loss, None)
+
+
+def _taken_in_blocks(
+    load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window
+) -> _Taken:
+    """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
+    elements, room = now.working.packed.elements, moving.room
+    assert room is not None
+    corners, volume = corner_forces(load, elements, room)
+    nodes = moving.nodes.stuck, now.working.mass, now.working.compliance
+
+    def work(old: Any, own: Any, nodes: Any) -> Any:
+        (x,), (y,), (z,), velocities = old
+        nodal = assembled(corners, own)
+        velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
+        new = once(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
+        return [*([x] for x in new), velocities], [] if losses is None else [losses]
+
+    inputs = shares(elements), nodes
+    into = [*(x[None] for x in moving.nodes.positions), moving.nodes.velocities]
+    damped = scene.solver.damping is not None
+    # Positions and velocities are each read by what is written there alone, so that neither need be copied.
+    new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4, kept=False)
+    positions = vector(row for (row,) in new[:3])
+    return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners)
+
+
+def _looked(moving: Moving, now: Window) -> Moving:
+    """Every few steps a look at where the nodes are, and where they will be at the next one.
+
+    What it says of the mold holds until then, unless a node has become so much faster that it may have touched unseen:
+    that shows in the next look, or at the window's end.
+    """
+    nodes = moving.nodes
+
+    def again(last: Seen) -> Seen:
+        assert now.near is not None
+        till_next = jnp.minimum(LOOK_EVERY, now.most - moving.count) * now.length
+        state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, now.near))
+        new = look(*state, last, now.working.packed.elements.node_block_count)
+        return new._replace(close=new.close | now.wary)
+
+    assert moving.seen is not None
+    due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
+    seen = only_if(due, again, moving.seen, differentiable=moving.room is None)
+    # In this order, or XLA would keep a copy of the positions for the look, at every step.
+    seen, positions, velocities = once((seen, nodes.positions, nodes.velocities))
+    return dataclasses.replace(
+        moving, seen=seen, nodes=dataclasses.replace(nodes, positions=positions, velocities=velocities)
+    )
+
+
+def _touch(moved: Moving, length: jax.Array, scene: Scene, now: Window) -> Moving:
+    """Contact of one step; halts the window when a node is about to leave the range of its list."""
+    assert scene.mold is not None and scene.tables.grid is not None and now.near is not None and moved.seen is not None
+    flying = sticking.Landing(moved.nodes, moved.landed, moved.account.contact_loss, moved.impact)
+    due, leaving = _watched(moved, scene, now)
+    this = sticking.Step(length, now.begin + moved.count * now.length, moved.count - 1)
+    landing, met = sticking.land(
+        flying, this, due, now.working.mass, now.near, scene.mold, scene.tables.grid, moved.met
+    )
+    return dataclasses.replace(
+        moved,
+        nodes=landing.nodes,
+        landed=landing.step,
+        impact=landing.impact,
+        account=dataclasses.replace(moved.account, contact_loss=landing.loss),
+        met=met,
+        halted=moved.halted | leaving | moved.seen.missed | (moved.count >= now.most),
+    )
+
+
+class Row(NamedTuple):
+    """The row of a schedule whose steps are taken, and the time that is left of it [s]."""
+
+    number: jax.Array
+    left: jax.Array

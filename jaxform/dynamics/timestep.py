@@ -1,0 +1,321 @@
+"""The length of the steps of a window: piecewise constant in the design, so it carries no gradient.
+
+The limit of the central difference is 2 over the square root of the largest eigenvalue of the inverse mass times the
+tangent stiffness. Element by element it is bounded from below, by a half on the meshes of the built-in scenes; Lanczos'
+method with the force's own tangent measures it to a percent. The mode is kept from window to window, so that few
+products with the tangent do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.kernels.blocks import Part, once, only_if, over_blocks
+from jaxform.mechanics import membrane
+from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
+from jaxform.mechanics.force import Load, corner_changes
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.active_set import Room, Working
+from jaxform.sheet.state import PackedState, any_mode, can_move
+
+RUNGS_PER_OCTAVE = 16
+_RANGE_PER_STEP = 0.1  # of the search grid's reach
+_FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
+_NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
+_MARGIN = 0.98  # for a mode that was missed all the same: what it does not bear (docs/stability.md), the safety does
+_ROUNDING = 1e-3  # of the elements' bound: it is exact where there is one element
+_SQUARINGS = 30  # of a small matrix: eigenvalues a billionth apart are then told apart
+_MOST_SHARPENING = 4.0  # how far beyond the elements' bound the step may go
+_RISE = 1.02  # of that from one window to the next: where it seems to be more, the mode may have been lost
+_UNDAMPED = 0.9  # of the step, where nothing damps: near the limit the fast modes win energy over 100 000 steps
+_REGAIN = 2.0  # how many times as long the step must be to rise again where nothing damps
+LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could not be found again
+_MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
+
+
+class Limit(NamedTuple):
+    """How the longest stable step was found, kept for the next window; as in `State`."""
+
+    mode: jax.Array | None
+    bound: jax.Array
+    sharpness: jax.Array
+
+
+class Chosen(NamedTuple):
+    """The step of a window [s], how many there are at most, and what the next window needs to know of the limit.
+
+    And the room that was written in, where there is some that is kept.
+    """
+
+    length: jax.Array
+    most: jax.Array
+    limit: Limit
+    room: Room | None = None
+
+
+def choose_step(state: PackedState, scene: Scene, working: Working) -> Chosen:
+    """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
+
+    The state is in packed order.
+    """
+    state, scene, working = jax.lax.stop_gradient((state, scene, working))
+    longest, limit, room = _limit(state, scene, working)
+    longest = scene.solver.safety * longest
+    if scene.solver.damping is None:
+        longest = _UNDAMPED * longest
+    if scene.tables.grid is not None:
+        # No node passes more of the range of its list in one step than can be watched.
+        range_per_step = _RANGE_PER_STEP * scene.tables.grid.farthest
+        longest = jnp.minimum(longest, range_per_step / jnp.maximum(_fastest(state, working), 1e-30))
+    rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
+    if scene.solver.damping is None:
+        # Every change of the step changes the energy of the fast modes, which nothing takes away.
+        held = (state.control.step_length <= rung) & (rung < _REGAIN * state.control.step_length)
+        rung = jnp.where(held, state.control.step_length, rung)
+    rung = rung * jnp.exp2(-state.control.retries)
+    rest = scene.solver.end_time - state.time
+    most = jnp.minimum(state.control.span, most_steps(rung, scene))
+    most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
+    return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit, room))
+
+
+def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
+    """How many steps of a length [s] a window may take: no more, beyond a short one, than can be taken back."""
+    longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
+    if damping is None or scene.tables.window_room <= SHORT_WINDOW:
+        return longest
+    half = 0.5 * jax.lax.stop_gradient(damping) * length
+    taken = jnp.log1p(half) - jnp.log1p(-jnp.minimum(half, 0.5))  # of a velocity's logarithm, in a step
+    most = -math.log(LEAST_LEFT) / jnp.maximum(taken, jnp.finfo(taken.dtype).eps)
+    return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
+
+
+def _fastest(state: PackedState, working: Working) -> jax.Array:
+    """The highest speed [m/s]."""
+
+    def work(velocities: jax.Array) -> Any:
+        return [], [membrane.dot(velocities, velocities)]
+
+    _, (square,) = over_blocks(work, working.packed.elements.node_block_count, (state.nodes.velocities,), [], most=1)
+    return jnp.sqrt(square)
+
+
+def _limit(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Array, Limit, Room | None]:
+    """The longest stable step [s], how it was found, and the room that was written in.
+
+    How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
+    begins with the last window's mode may miss another that has become the highest, and finds a step that is too long:
+    where it seems to rise, the search is done once more and thoroughly, as it is where no mode is known, or else the
+    rise is not believed.
+    """
+    bound = elements_bound(state, scene, working)
+    if state.nodes.mode is None:
+        return bound, Limit(None, bound, state.control.sharpness), working.room
+
+    def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
+        thorough = found[2]
+        mode, (least, square), own = _highest(state, scene, working, thorough, found[4])
+        sharpness = _MARGIN * 2.0 / (bound * jnp.sqrt(square))
+        # The elements' bound counts as well, unless there is a mode that proves it wrong.
+        wrong = bound * jnp.sqrt(jnp.maximum(least, 0.0)) > 2.0 * (1.0 + _ROUNDING)
+        sharpness = jnp.where(wrong, sharpness, jnp.clip(sharpness, 1.0, _MOST_SHARPENING))
+        lost = ~thorough & (sharpness > _RISE * state.control.sharpness)
+        sharpness = jnp.where(thorough, sharpness, jnp.minimum(sharpness, state.control.sharpness))
+        return mode, sharpness, lost, lost, own
+
+    known = state.control.sharpness > 0.0
+    room, elements = working.room, working.packed.elements
+    if room is None or room.basis is None:
+        own = no_corners(state.nodes.positions, elements), no_basis(state.nodes.mode.shape[1], state.nodes.mode.dtype)
+    else:
+        own = room.corners, room.basis
+    begun = state.nodes.mode, state.control.sharpness, ~known, jnp.asarray(True), own
+    mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, begun)
+    # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
+    before, windows = (
+        state.control.sharpness * state.control.bound,
+        state.control.span / jnp.maximum(state.control.last_count, 1),
+    )
+    growth = (sharpness * bound / before) ** jnp.where(state.control.last_count > 0, windows, 1.0)
+    growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
+    room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
+    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, Limit(mode, bound, sharpness), room
+
+
+def elements_bound(state: PackedState, scene: Scene, working: Working) -> jax.Array:
+    """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
+    rows, elements = membrane.rows_of(state.nodes.positions), working.packed.elements
+
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
+        # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
+        moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
+        return [], [membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material)]
+
+    inputs = elements.triangles, elements.inverse_metric, elements.area, working.bound
+    _, (stiffness,) = over_blocks(work, elements.block_count, inputs, [], most=1)
+    step = membrane.stable_step(stiffness, scene.material)
+    if not scene.pressure.follows_volume:
+        return step
+    # The largest eigenvalue of a sum is at most the sum of the largest ones.
+    slope, rise, compliance = _falling(state, scene, working)
+    more = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise))
+    return 2.0 / jnp.sqrt(jnp.square(2.0 / step) + more)
+
+
+def _falling(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
+    volume, rise = jax.value_and_grad(working.volume)(state.nodes.positions)
+    slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume + working.idle_volume)
+    return slope, rise, jnp.where(state.nodes.stuck, 0.0, working.compliance)
+
+
+class _Lanczos(NamedTuple):
+    """What goes from product to product.
+
+    Attributes:
+        vector: The next one (3, place), and `size`, the norm by which it is to be divided.
+        last: The one before, a unit vector (3, place).
+        basis: All so far, unit vectors, one after the other (3, several places).
+        diagonal, beside: Of the small matrix.
+        new: Room (3, place), and `corners` for the elements' corners.
+    """
+
+    vector: jax.Array
+    size: jax.Array
+    last: jax.Array
+    basis: jax.Array
+    diagonal: jax.Array
+    beside: jax.Array
+    new: jax.Array
+    corners: list[jax.Array]
+
+
+def no_basis(places: int, real: jnp.dtype) -> jax.Array:
+    """Room for the vectors of a search, one after the other (3, several places)."""
+    return jnp.zeros((3, _MANY * places), real)
+
+
+def _highest(
+    state: PackedState, scene: Scene, working: Working, thorough: jax.Array, room: tuple[Corners, jax.Array]
+) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
+    """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
+
+    The residual makes up for what is missing: the frequency is approached from below. The room is for corners and
+    vectors, and is given back.
+    """
+    assert state.nodes.mode is not None
+    elements, places = working.packed.elements, working.mass.size
+    compliance = jnp.where(state.nodes.stuck, 0.0, working.compliance)
+    volume, falling = None, None
+    if scene.pressure.follows_volume:
+        volume, falling = working.volume(state.nodes.positions) + working.idle_volume, _falling(state, scene, working)
+    pressure = scene.pressure.at(state.time, volume)
+    load = Load(state.nodes.positions, working.thickness, pressure, scene.material)
+
+    def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
+        return over_blocks(work, elements.node_block_count, inputs, into, **kinds)
+
+    def norm(vector: jax.Array) -> jax.Array:
+        _, (square,) = over_nodes(lambda m, v: ([], [m * membrane.dot(v, v)]), (working.mass, vector), [], sums=1)
+        return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
+
+    def with_noise(mode: jax.Array) -> jax.Array:
+        there = jnp.zeros((3, working.packed.place.size), mode.dtype)
+        noise = jnp.sqrt(compliance) * working.packed.taken(any_mode(there))
+        return mode / norm(mode) + _NOISE / norm(noise) * noise
+
+    def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
+        corners, scale = corner_changes(load, elements, now.vector, now.corners), 1.0 / now.size
+
+        inputs = shares(elements), working.mass, compliance, now.vector
+        if falling is not None:
+            # The pressure that falls as all nodes move is one product more.
+            inputs = *inputs, falling[0] * jnp.sum(falling[1] * now.vector) * falling[1]
+
+        def multiplied(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
+            forces = membrane.vector(assembled(corners, own))
+            for other in more:
+                forces = membrane.plus(forces, other)
+            new = membrane.vector(-scale * c * f for c, f in zip(compliance, forces, strict=True))
+            return [new], [scale * mass * membrane.dot(vector, new)]
+
+        (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
+        before = jnp.where(k > 0, now.beside[k - 1], 0.0)
+
+        def orthogonal(old: Any, mass: jax.Array, new: jax.Array) -> Any:
+            unit = [scale * v for v in old[0]]
+            vector = membrane.vector(x - rate * v - before * w for x, v, w in zip(new, unit, old[1], strict=True))
+            # Both are worked out before either is written, or XLA would copy the arrays for every block.
+            vector, unit = once((vector, unit))
+            return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
+
+        into = [now.vector, now.last, Part(now.basis, k * places, places)]
+        (vector, unit, basis), (square,) = over_nodes(orthogonal, (working.mass, new), into, sums=1, update=2)
+        size = jnp.sqrt(square)
+        return _Lanczos(
+            vector=vector,
+            size=jnp.where(size > 0.0, size, 1.0),
+            last=unit,
+            basis=basis,
+            diagonal=now.diagonal.at[k].set(rate),
+            beside=now.beside.at[k].set(size),
+            new=new,
+            corners=corners,
+        )
+
+    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, state.nodes.mode, 0.0))
+    none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
+    count = jnp.where(thorough, _MANY, _FEW)
+    corners, basis = room
+    begun = _Lanczos(start, norm(start), nowhere, basis, none, none, nowhere, corners)
+    done = jax.lax.fori_loop(0, count, multiply, begun)
+    off = jnp.where(jnp.arange(1, _MANY) < count, done.beside[:-1], 0.0)
+    square, share = _largest_of_few(done.diagonal, off)
+    square, share = only_if(thorough, lambda _: _largest_of_many(done.diagonal, off), (square, share))
+
+    def add(k: jax.Array, mode: jax.Array) -> jax.Array:
+        def work(old: Any, unit: jax.Array) -> Any:
+            return [[x + share[k] * v for x, v in zip(old[0], unit, strict=True)]], []
+
+        return over_nodes(work, (Part(done.basis, k * places, places),), [mode], update=1)[0][0]
+
+    mode = jax.lax.fori_loop(0, count, add, nowhere)
+    missing = jnp.abs(done.beside[count - 1] * share[count - 1])
+    return mode, (square, square + missing), (done.corners, done.basis)
+
+
+def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Largest eigenvalue of a symmetric matrix of three diagonals, and its vector (n,).
+
+    The matrix, shifted so that none of its eigenvalues is negative, is squared until nothing else is left in it. A call
+    of a library would keep XLA from compiling the search into one function.
+    """
+    diagonal, off = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (diagonal, off))
+    small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
+    bound = jnp.maximum(jnp.max(jnp.sum(jnp.abs(small), axis=1)), jnp.finfo(small.dtype).tiny)
+
+    def squared(_: jax.Array, power: jax.Array) -> jax.Array:
+        power = power / jnp.max(jnp.abs(power))
+        return jnp.sum(power[:, :, None] * power, axis=1)
+
+    power = jax.lax.fori_loop(0, _SQUARINGS, squared, small / bound + jnp.eye(len(small), dtype=small.dtype))
+    vector = power[:, jnp.argmax(jnp.diag(power))]
+    vector = vector / jnp.sqrt(jnp.sum(jnp.square(vector)))
+    return jnp.sum(vector * jnp.sum(small * vector, axis=1)), vector
+
+
+def _largest_of_few(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The same of the first two rows, without a call that takes longer than a product with a small sheet's tangent."""
+    assert _FEW == 2
+    first, second, beside = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (diagonal[0], diagonal[1], off[0]))
+    half = 0.5 * (first - second)
+    angle = 0.5 * jnp.arctan2(beside, half)
+    vector = jnp.zeros_like(diagonal).at[0].set(jnp.cos(angle)).at[1].set(jnp.sin(angle))
+    return 0.5 * (first + second) + jnp.hypot(half, beside), vector

@@ -1,0 +1,247 @@
+"""One step, and one window of steps.
+
+Every loop uses the same step and the same window. Discrete decisions (the length of the step, which elements are worked
+through, which nodes are tested against the mold) are taken at a window's border only, and are piecewise constant in the
+design; inside a window all shapes are fixed and the continuous state flows through.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact import sticking
+from jaxform.contact.broad_phase import (
+    LOOK_EVERY,
+    unseen,
+)
+from jaxform.contact.candidates import Lists, Near, list_near, no_lists
+from jaxform.dynamics.closing import SLACK, close, looked_over
+from jaxform.dynamics.step import Moving, Row, Window, step
+from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
+from jaxform.kernels.blocks import as_one, entry
+from jaxform.mechanics import membrane
+from jaxform.mechanics.elements import Corners, no_corners
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.active_set import Room, Working, worked_through
+from jaxform.sheet.discretization import NEVER, Body
+from jaxform.sheet.scheme import Timing, kicks, pressures
+from jaxform.sheet.state import PackedState, Schedule, State
+
+_STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
+
+
+def window(
+    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
+) -> State:
+    """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
+
+    A design may move faster than the one whose schedule it follows: contact then cuts its window short, and the next
+    one goes on with the steps that are left; or it is taken anew with shorter ones, as any other. Where no derivative
+    is asked for, a halted window ends at once; else its remaining steps change nothing.
+    """
+    working = worked_through(state, scene, sheet_body, differentiable=differentiable)
+    packed = working.taken(state)
+    decisions = _decided(packed, scene, working, schedule)
+    return working.put_back(_stepped(packed, scene, working, decisions, differentiable=differentiable)[0])
+
+
+def window_in_place(state: PackedState, scene: Scene, working: Working) -> tuple[PackedState, Working]:
+    """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
+    decisions = _decided_freely(state, scene, working)
+
+    def whole(now: tuple[PackedState, Room | None]) -> tuple[PackedState, Room | None]:
+        own = decisions._replace(chosen=decisions.chosen._replace(room=now[1]))
+        state, _, room = _stepped(now[0], scene, working, own, differentiable=False)
+        return state, room
+
+    state, room = as_one(whole, (state, decisions.chosen.room), state.windows)
+    return state, dataclasses.replace(working, room=room)
+
+
+def with_room(working: Working, scene: Scene) -> Working:
+    """With room for what is worked out in every window."""
+    places, elements = working.compliance, working.packed.elements
+    basis = no_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
+    lists = _no_lists(scene, places)
+    return dataclasses.replace(working, room=Room(no_corners(places, elements), basis, lists))
+
+
+def window_and_impacts(
+    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None
+) -> tuple[State, jax.Array, jax.Array | None]:
+    """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
+
+    And its impact (6, n_node), as in `sticking.Landing`; None where there is no mold.
+    """
+    working = worked_through(state, scene, sheet_body)
+    impacts, packed = scene.mold is not None, working.packed
+    begin = working.taken(state)
+    decisions = _decided(begin, scene, working, schedule)
+    end, moving, _ = _stepped(begin, scene, working, decisions, differentiable=False, impacts=impacts)
+    # Of a window that is not taken nothing landed.
+    landed = jnp.where(end.control.last_count > 0, packed.put_back(moving.landed), NEVER)
+    return working.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
+
+
+def _stepped(
+    state: PackedState,
+    scene: Scene,
+    working: Working,
+    decisions: _Decisions,
+    *,
+    differentiable: bool,
+    impacts: bool = False,
+) -> tuple[PackedState, Moving, Room | None]:
+    (length, most, limit, room), duration, row = decisions
+    now = Window(
+        working=working,
+        begin=state.time,
+        length=length,
+        bound=limit.bound,
+        most=most,
+        row=row,
+        duration=duration,
+        near=_list_near(state, scene, working, duration, length, room),
+        wary=state.control.last_count == 0,
+    )
+    nodes = state.nodes
+    corners = None if differentiable else no_corners(nodes.positions, working.packed.elements)
+    moving = _begun(state, now, corners if room is None else room.corners, impacts)
+
+    def advance(moving: Moving, pressures: tuple[jax.Array, ...]) -> tuple[Moving, None]:
+        return step(moving, pressures, scene, now), None
+
+    timing = Timing(state.time, state.control.step_length, length)
+    longest = scene.tables.window_room
+    steps = *pressures(scene.pressure, timing, longest), kicks(timing, longest)
+    if differentiable:
+        moving = _in_short_ones(advance, moving, steps)
+    else:
+        moving = _with_positions(moving, membrane.rows_of(nodes.positions))
+        moving = _until_halted(
+            lambda moving, taken: advance(moving, jax.tree.map(lambda x: entry(x, taken), steps))[0], moving, now.most
+        )
+        moving = _with_positions(moving, jnp.stack(moving.nodes.positions))
+    found = dataclasses.replace(
+        state,
+        nodes=dataclasses.replace(nodes, mode=limit.mode),
+        control=dataclasses.replace(state.control, sharpness=limit.sharpness),
+    )
+    end, corners = looked_over(moving, scene, now)
+    if room is not None:
+        room = Room(corners, room.basis, None if now.near is None else now.near.lists)
+    return close(found, moving, end, scene, now), moving, room
+
+
+def _with_positions(moving: Moving, positions: Any) -> Moving:
+    return dataclasses.replace(moving, nodes=dataclasses.replace(moving.nodes, positions=positions))
+
+
+class _Decisions(NamedTuple):
+    """What is decided at a window's border.
+
+    The steps, and how long they or those of the schedule were to last [s]; the row they belong to, where one is
+    followed.
+    """
+
+    chosen: Chosen
+    duration: jax.Array
+    row: Row | None = None
+
+
+def _decided(state: PackedState, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
+    if schedule is None:
+        return _decided_freely(state, scene, working)
+    row = schedule.upcoming(state.replay.row)
+
+    def as_planned(state: PackedState, scene: Scene, working: Working) -> _Decisions:
+        length, count = schedule.lengths[row], schedule.counts[row]
+        left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
+        # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
+        bound = elements_bound(state, scene, working)
+        rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
+        finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.control.retries)
+        # As many as planned, if none of them is taken yet; else what is left is divided evenly.
+        steps = jnp.ceil(left / length * finer - SLACK).astype(count.dtype)
+        fresh = (steps == count) & (state.replay.row_time == 0.0)
+        even = left / jnp.maximum(steps, 1)
+        own = jnp.where(fresh, jnp.minimum(length, even), even)
+        most = jnp.clip(steps, 1, most_steps(own, scene))
+        limit = Limit(state.nodes.mode, bound, state.control.sharpness)
+        return _Decisions(Chosen(own, most, limit), schedule.durations[row], Row(row, left))
+
+    def beyond(*now: Any) -> _Decisions:
+        return _decided_freely(*now)._replace(row=Row(row, jnp.full_like(state.time, jnp.inf)))
+
+    now = jax.lax.stop_gradient((state, scene, working))
+    return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
+
+
+def _decided_freely(state: PackedState, scene: Scene, working: Working) -> _Decisions:
+    chosen = choose_step(state, scene, working)
+    return _Decisions(chosen, chosen.most * chosen.length)
+
+
+def _begun(state: PackedState, now: Window, room: Corners | None, impacts: bool) -> Moving:
+    working = now.working
+    places, positions = working.mass.size, state.nodes.positions
+    return Moving(
+        nodes=state.nodes.stepped(),
+        fields=state.nodes.fields,
+        account=state.account,
+        landed=jnp.full(places, NEVER, jnp.int32),
+        impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
+        count=jnp.int32(0),
+        halted=jnp.asarray(False),
+        seen=None if now.near is None else unseen(),
+        room=room,
+        met=None if now.near is None or room is None else sticking.nothing_met(places, positions.dtype),
+    )
+
+
+def _in_short_ones(advance: Callable[..., Any], moving: Moving, steps: tuple[jax.Array, ...]) -> Moving:
+    """Step by step, with a derivative; of a long window as many short ones as are not over when they begin."""
+
+    def take(moving: Moving, steps: tuple[jax.Array, ...]) -> Moving:
+        return jax.lax.scan(advance, moving, steps)[0]
+
+    def unless_halted(moving: Moving, steps: tuple[jax.Array, ...]) -> tuple[Moving, None]:
+        return jax.lax.cond(moving.halted, lambda moving, _: moving, take, moving, steps), None
+
+    if len(steps[0]) <= SHORT_WINDOW:
+        return take(moving, steps)
+    short = jax.tree.map(lambda values: values.reshape(-1, SHORT_WINDOW), steps)
+    return jax.lax.scan(unless_halted, moving, short)[0]
+
+
+def _until_halted(advance: Callable[[Moving, jax.Array], Moving], moving: Moving, most: jax.Array) -> Moving:
+    def going(moving: Moving) -> jax.Array:
+        return (moving.count < most) & ~moving.halted
+
+    return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
+
+
+def _list_near(
+    state: PackedState, scene: Scene, working: Working, duration: jax.Array, length: jax.Array, room: Room | None
+) -> Near | None:
+    if scene.mold is None or scene.tables.grid is None:
+        return None
+    positions, velocities, grid, duration = jax.lax.stop_gradient(
+        (state.nodes.positions, state.nodes.velocities, scene.tables.grid, duration)
+    )
+    into = _no_lists(scene, positions) if room is None or room.lists is None else room.lists
+    till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
+    blocks = working.packed.elements.node_block_count
+    return list_near(positions, velocities, ~state.nodes.stuck, duration, till_look, grid, skip_far, into, blocks)
+
+
+def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:
+    if scene.mold is None:
+        return None
+    return no_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)

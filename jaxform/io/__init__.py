@@ -1,0 +1,1 @@
+"""Scene and study files, results and pictures on disk. It alone knows pydantic and matplotlib."""

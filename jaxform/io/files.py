@@ -1,0 +1,289 @@
+"""Scene and study files to objects and back."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform import materials
+from jaxform.core import disk
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_real
+from jaxform.core.store import Store
+from jaxform.io import catalog, fields, schema
+from jaxform.io.survey import warn_of_scene
+from jaxform.io.validation import validate
+from jaxform.loads import make_pressure
+from jaxform.mesh import bisection, meshes, shapes
+from jaxform.mesh.profiles import Profile
+from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
+from jaxform.prepare.building import build_scene
+from jaxform.prepare.growing import grown_parison
+from jaxform.tools import molds
+from jaxform.tools.mold import Mold, make_mold
+
+REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
+
+
+@dataclass(frozen=True)
+class SceneDocument:
+    """A validated scene file.
+
+    Attributes:
+        file: What to call it in messages.
+        folder: What its relative paths are relative to.
+        data: Its tables, as they stand in the file.
+        model: The same, validated, with defaults filled in.
+    """
+
+    file: str
+    folder: Path
+    data: dict[str, Any]
+    model: schema.SceneFile
+
+    @property
+    def name(self) -> str:
+        """The scene's name; that of the file where it gives none."""
+        return self.model.name or Path(self.file).stem
+
+
+@dataclass(frozen=True)
+class StudyDocument:
+    """A validated study file.
+
+    Attributes:
+        file: What to call it in messages.
+        folder: What its relative paths are relative to.
+        data: Its tables, as they stand in the file.
+        model: The same, validated, with defaults filled in.
+        scene: The scene that it varies.
+    """
+
+    file: str
+    folder: Path
+    data: dict[str, Any]
+    model: schema.StudyFile
+    scene: SceneDocument
+
+
+def load(name_or_path: str | Path) -> Scene:
+    """A scene, built from a built-in name or a TOML file, with all host work done.
+
+    Raises:
+        InputError: There is no such scene, or something in it cannot be simulated.
+    """
+    return build(read_scene(name_or_path))
+
+
+def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDocument:
+    """A scene file, validated but not built.
+
+    Args:
+        name_or_path: A built-in name or the path of a TOML file.
+        folder: What a relative path is relative to; by default the working directory.
+
+    Raises:
+        InputError: There is no such scene, or a key or value in it is wrong.
+    """
+    source = catalog.read(name_or_path, "scene", folder)
+    model = validate(schema.SceneFile, source.data, source.file)
+    return SceneDocument(source.file, source.path.resolve().parent, source.data, model)
+
+
+def read_study(name_or_path: str | Path) -> StudyDocument:
+    """A study file and the scene that it names (a built-in name, or a path relative to the study), validated.
+
+    Raises:
+        InputError: There is no such study or scene, or a key or value in one of them is wrong.
+    """
+    source = catalog.read(name_or_path, "study")
+    model = validate(schema.StudyFile, source.data, source.file)
+    folder = source.path.resolve().parent
+    with _told_of(source.file, "scene"):
+        scene = read_scene(model.scene, folder)
+    return StudyDocument(source.file, folder, source.data, model, scene)
+
+
+def build(document: SceneDocument, store: Store | None = None) -> Scene:
+    """The scene of a document; host work.
+
+    Args:
+        document: The scene.
+        store: Where expensive host work is kept between runs; nowhere by default.
+
+    Raises:
+        InputError: A mesh cannot be read or simulated, or values do not fit together.
+
+    Warns:
+        InputWarning: What can be simulated is hardly meant: units, a mold on the wrong side, open seams.
+    """
+    model = document.model
+    with _told_of(document.file):
+        pressure, solver = model.pressure, model.solver
+        sheet = _sheet(document)
+        refinement, forest = _refinement(document, sheet)
+        scene = build_scene(
+            parison=_parison(document, sheet, forest),
+            refinement=refinement,
+            forest=forest,
+            material=_material(model.material),
+            pressure=make_pressure(pressure.time, pressure.value, pressure.interpolation),
+            solver=make_solver(
+                end_time=solver.end_time,
+                damping=solver.damping,
+                safety=solver.safety,
+                quasi_static=solver.quasi_static,
+                max_steps=solver.max_steps,
+            ),
+            mold=_mold(document),
+            name=document.name,
+            frames=model.output.frames,
+            store=store,
+        )
+    warn_of_scene(scene, document.file, model)
+    return scene
+
+
+def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | None:
+    """The exact solution that [output] names: initial_radius [m], arc [m], thickness_ratio, each (n,); or None.
+
+    Raises:
+        InputError: The file cannot be read, or a column or number is missing.
+    """
+    name = document.model.output.reference
+    if name is None:
+        return None
+    with _told_of(document.file, "output.reference"):
+        path = disk.located(name, document.folder)
+        text = disk.read_text(path)
+        try:
+            rows = list(csv.DictReader(io.StringIO(text, newline="")))
+            columns = {key: np.array([float(row[key]) for row in rows]) for key in REFERENCE_COLUMNS}
+        except (KeyError, TypeError, ValueError, csv.Error):
+            columns = {}
+        if not columns or not all(len(x) and np.isfinite(x).all() for x in columns.values()):
+            mend = f"give the columns {', '.join(REFERENCE_COLUMNS)}"
+            raise InputError("is not a table of numbers with a header", mend, value=str(path))
+        return columns
+
+
+@contextlib.contextmanager
+def _told_of(file: str, key: str = "") -> Iterator[None]:
+    try:
+        yield
+    except InputError as error:
+        raise error.within(file=file, key=key) from None
+
+
+def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Forest | None) -> Parison:
+    if forest is None:
+        thickness = _thickness(document, sheet)
+        return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
+    given = {name: bisection.extended(values, forest.ends, forest.depth) for name, values in sheet.fields.items()}
+    return grown_parison(forest, _thickness(document, replace(sheet, positions=forest.positions, fields=given)))
+
+
+def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinement | None, bisection.Forest | None]:
+    table = document.model.refinement
+    if table is None:
+        return None, None
+    roots, deepest = len(sheet.triangles), bisection.even_depth(max(table.max_level, table.base_level))
+    elements = min(table.elements or usual_room(roots), roots << deepest)
+    refinement = make_refinement(**table.model_dump(exclude={"elements"}), elements=elements)
+    made = bisection.build_forest(
+        sheet.positions, sheet.triangles, deepest, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap
+    )
+    return refinement, made
+
+
+def usual_room(roots: int) -> int:
+    """Room for elements where none is asked for: for as many as the paper's scenes end with, and not much more.
+
+    A run with too little takes more, but compiles again; room that is not used takes time, so large meshes get less.
+    """
+    return max(16 * roots, min(max(2300, 32 * roots), 8192))
+
+
+def _sheet(document: SceneDocument) -> shapes.Sheet:
+    table = document.model.parison
+    if isinstance(table, schema.FileParison):
+        with _told_of("", "parison.path"):
+            mesh = meshes.read_mesh(disk.located(table.path, document.folder), scale=table.scale)
+            return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
+    if isinstance(table, schema.Rectangle):
+        return shapes.rectangle(
+            size=table.size,
+            element_size=table.element_size,
+            elements=table.elements,
+            symmetry=table.symmetry,
+        )
+    if isinstance(table, schema.Sphere):
+        return shapes.sphere(
+            radius=table.radius,
+            element_size=table.element_size,
+            elements=table.elements,
+            symmetry=table.symmetry,
+        )
+    if isinstance(table, schema.BottleHalfParison):
+        return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness"}))
+    size = table.element_size
+    local = _profile(size, "parison.element_size") if isinstance(size, schema.Profile) else size
+    return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
+
+
+def _profile(table: schema.Profile, key: str) -> Profile:
+    return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
+
+
+def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
+    table, key = document.model.parison.thickness, "parison.thickness"
+    if isinstance(table, schema.Profile):
+        return _profile(table, key)(sheet.positions)
+    if isinstance(table, schema.FieldReference):
+        with _told_of("", f"{key}.file"):
+            path = disk.located(table.file, document.folder)
+        return fields.nodal_field(path, table.field, sheet.positions, key)
+    if isinstance(table, str):
+        name = table.removeprefix("field:")
+        if name not in sheet.fields:
+            known = ", ".join(sorted(sheet.fields)) or "none"
+            raise InputError("the mesh has no such field", f"its fields: {known}", key, table)
+        return sheet.fields[name]
+    return table
+
+
+def _material(
+    table: schema.NeoHookean | schema.MooneyRivlin | schema.ModifiedMooneyRivlin,
+) -> materials.Law:
+    if isinstance(table, schema.NeoHookean):
+        return materials.NeoHookean(as_real(table.c), as_real(table.density))
+    if isinstance(table, schema.MooneyRivlin):
+        return materials.MooneyRivlin(as_real(table.c), as_real(table.alpha), as_real(table.density))
+    return materials.ModifiedMooneyRivlin(as_real(table.a01), as_real(table.a02), as_real(table.density))
+
+
+def _mold(document: SceneDocument) -> Mold | None:
+    table = document.model.mold
+    if table is None:
+        return None
+    if isinstance(table, schema.RevolvedMold):
+        shape = molds.revolved(profile=table.profile, segments=table.segments)
+    elif isinstance(table, schema.BoxInsertMold):
+        shape = molds.box_insert(**table.model_dump(exclude={"shape"}))
+    elif isinstance(table, schema.BottleHalfMold):
+        shape = molds.bottle_half(**table.model_dump(exclude={"shape"}))
+    else:
+        with _told_of("", "mold.path"):
+            names = [table.path] if isinstance(table.path, str) else table.path
+            parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
+            mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
+            shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
+    return make_mold(shape.vertices, shape.triangles, shape.dropped)

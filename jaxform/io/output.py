@@ -1,0 +1,179 @@
+"""Results to disk: summary.json, final.vtu, frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.core.writing import whole
+from jaxform.mesh import meshes
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result, only_used
+from jaxform.results.summary import summarize
+from jaxform.runs.host import Moment
+
+
+def write_result(
+    scene: Scene,
+    result: Result,
+    folder: str | Path,
+    warned: Sequence[str] = (),
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl and, with a mold, mold.vtu.
+
+    Args:
+        scene: What was simulated.
+        result: The part.
+        folder: Where to write.
+        warned: Warnings that were given before; they come first in the summary's.
+        amend: Makes the summary that is written of that of the part; the same by default.
+
+    Returns:
+        The summary.
+    """
+    folder = Path(folder)
+    summary = summarize(result, scene)
+    summary["warnings"] = [*warned, *summary["warnings"]]
+    if amend is not None:
+        summary = amend(summary)
+    summary["warnings"] = list(dict.fromkeys(summary["warnings"]))
+    write_json(folder / "summary.json", summary)
+    write_part(scene, result, folder / "final.vtu")
+    shown, part = only_used(scene, result)
+    with whole(folder / "formed.stl") as fresh:
+        meshes.write_stl(fresh, np.asarray(part.positions), np.asarray(shown.parison.triangles))
+    if scene.mold is not None:
+        with whole(folder / "mold.vtu") as fresh:
+            meshes.write_vtu(fresh, np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles))
+    return summary
+
+
+def write_json(path: Path, facts: dict[str, Any]) -> None:
+    """Writes plain numbers, words, lists and tables; null for numbers that are not finite."""
+    text = json.dumps(_valid(facts), indent=2, allow_nan=False)
+    with whole(path) as fresh:
+        fresh.write_text(text + "\n", encoding="utf-8")
+
+
+def write_part(scene: Scene, result: Result, path: str | Path) -> None:
+    """Writes the part as a mesh with data: initial position, thicknesses, time of contact, stretches, level."""
+    scene, result = only_used(scene, result)
+    stretches = np.asarray(result.stretches, float)
+    point_data = {
+        "reference": np.asarray(scene.parison.positions, float),
+        "thickness": np.asarray(result.thickness, float),
+        "initial_thickness": np.asarray(scene.parison.thickness, float),
+        "contact_time": np.asarray(result.contact_time, float),
+        **{name: np.asarray(values, float) for name, values in result.fields.items()},
+    }
+    cell_data = {
+        "thickness": np.asarray(result.element_thickness, float),
+        "stretch_1": stretches[:, 0],
+        "stretch_2": stretches[:, 1],
+        "level": np.asarray(result.level, np.int32),
+    }
+    with whole(path) as fresh:
+        meshes.write_vtu(
+            fresh, np.asarray(result.positions), np.asarray(scene.parison.triangles), point_data, cell_data
+        )
+
+
+def write_sheet(scene: Scene, path: str | Path) -> None:
+    """Writes the sheet before the first step, with the same data as `write_part`."""
+    parison = scene.parison
+    first, triangles = scene.first_nodes, np.asarray(parison.triangles)
+    positions, thickness = np.asarray(parison.positions, float)[:first], np.asarray(parison.thickness, float)[:first]
+    one = np.ones(len(triangles))
+    meshes.write_vtu(
+        path,
+        positions,
+        triangles,
+        point_data={
+            "reference": positions,
+            "thickness": thickness,
+            "initial_thickness": thickness,
+            "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
+            **{name: np.asarray(own.start(parison.positions), float)[:first] for name, own in scene.fields.items()},
+        },
+        cell_data={
+            "thickness": thickness[triangles].mean(1),
+            "stretch_1": one,
+            "stretch_2": one,
+            "level": np.zeros(len(triangles), np.int32),
+        },
+    )
+
+
+@dataclass
+class Frames:
+    """Writes the part every so often: so many frames, evenly from the sheet before the first step to the end.
+
+    A single frame is that of the end.
+
+    Attributes:
+        folder: Where frames.pvd goes, and the folder of the frames.
+        count: How many.
+        times: Of the frames written so far [s].
+        failure: Why no more can be written; told at the end, when the results are safe.
+    """
+
+    folder: Path
+    count: int
+    times: list[float] = field(default_factory=list)
+    failure: OSError | InputError | None = None
+
+    def begin(self, scene: Scene) -> None:
+        """Writes the sheet before the first step, where there is more than one frame."""
+        if self.count > 1:
+            write_sheet(scene, self._next(0.0))
+
+    def offer(self, scene: Scene, moment: Moment) -> None:
+        """Writes a frame if one is due; the last one is left to `finish`."""
+        written = len(self.times)
+        if written < self.count - 1 and moment.time >= written * moment.end_time / (self.count - 1):
+            try:
+                write_part(scene, moment.result(), self._next(moment.time))
+            except (OSError, InputError) as error:
+                self.count, self.failure = 0, error
+
+    def finish(self, scene: Scene, result: Result) -> None:
+        """Writes the last frame, where frames are wanted and it is not there yet, and the list of all.
+
+        Raises:
+            OSError: A frame could not be written, now or before.
+            InputError: The same.
+        """
+        if self.failure is not None:
+            raise self.failure
+        if not self.count:
+            return
+        if not self.times or self.times[-1] < float(result.time):
+            write_part(scene, result, self._next(float(result.time)))
+        names = [f"frames/{_frame_name(index)}" for index in range(len(self.times))]
+        with whole(self.folder / "frames.pvd") as fresh:
+            meshes.write_pvd(fresh, list(zip(self.times, names, strict=True)))
+
+    def _next(self, time: float) -> Path:
+        """Where the frame of a time [s] goes."""
+        (self.folder / "frames").mkdir(exist_ok=True)
+        self.times.append(time)
+        return self.folder / "frames" / _frame_name(len(self.times) - 1)
+
+
+def _frame_name(index: int) -> str:
+    return f"frame_{index:04d}.vtu"
+
+
+def _valid(value: Any) -> Any:
+    """The same with null for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _valid(item) for key, item in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value

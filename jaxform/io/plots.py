@@ -1,0 +1,310 @@
+"""Pictures: the formed part with its wall, the search, and a design before and after. The only user of matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.pytree import as_real
+from jaxform.core.writing import whole
+from jaxform.io.views import draw_part
+from jaxform.model.scene import Scene
+from jaxform.results import sections
+from jaxform.results.explanation import explain
+from jaxform.results.result import Result, only_used
+from jaxform.results.review import thinnest
+from jaxform.results.summary import formed_areas, wall_statistics
+
+Array = NDArray[np.float64]
+Part = tuple[Scene, Result]
+
+_BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
+_DPI = 100
+MINIMUM = "#d00000"
+_FINENESS = 500  # points that the eye tells apart along a side of a diagram
+_KEPT = 5e-3  # of a limit, by which it may be broken
+_MOVED = 0.02  # of the farthest way an element went: one that went less was not formed
+_MOST = 0.98  # of the formed area, the colours tell apart; the thickest have one colour
+
+
+def thickness_picture(
+    path: str | Path, scene: Scene, result: Result, reference: Mapping[str, Any] | None = None
+) -> None:
+    """The formed part in colours of its wall, and the wall along a meridian or section.
+
+    Args:
+        path: Where the PNG goes.
+        scene: What was simulated.
+        result: The part.
+        reference: An exact solution to dot over it: `initial_radius` [m], `arc` [m] from the axis, `thickness_ratio`.
+    """
+    scene, result = only_used(scene, result)
+    figure = new_figure(16, 7, _title(scene, result))
+    view = figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d")
+    colors = draw_part(view, scene, result, _scale([(scene, result)]), mark=thinnest(result, scene)["formed"])
+    bar = figure.add_axes((0.475, 0.2, 0.012, 0.5))
+    _draw_bar(figure, colors, bar, "wall thickness [mm]", [result])
+    axes = figure.add_axes((0.58, 0.12, 0.39, 0.74))
+    _draw_wall(axes, scene, result, reference)
+    save(figure, path)
+
+
+def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
+    """Deviation from the target (the objective where there is none), and the wall, over what a search took.
+
+    Args:
+        path: Where the PNG goes.
+        history: Rows of the search, with the columns of history.csv.
+    """
+    figure = new_figure(14, 5.5, "")
+    left, right = figure.subplots(1, 2)
+    spent = _column(history, "simulations")
+    error, words = 100 * _column(history, "thickness_rms_error"), "deviation from the target, rms [%]"
+    if not np.isfinite(error).any():
+        error, words = _column(history, "objective"), "objective"
+    left.plot(spent, error, "o", color=_BEFORE, markersize=4, label="each simulation")
+    if "violation" in history[0]:
+        kept = _column(history, "violation") <= _KEPT
+        left.plot(spent[kept], error[kept], "o", color=AFTER, markersize=5, label="limits kept")
+    else:
+        left.plot(spent, np.fmin.accumulate(error), "-", color=AFTER, label="best so far")
+    left.set(yscale="log", xlabel="cost in simulations", ylabel=words)
+    left.legend(frameon=False)
+    right.plot(spent, 1e3 * _column(history, "wall_mean"), "-", color=AFTER, label="mean wall [mm]")
+    right.plot(spent, 1e3 * _column(history, "wall_min"), "--", color=AFTER, label="minimum of the wall [mm]")
+    right.set(xlabel="cost in simulations", ylabel="wall thickness [mm]")
+    twin = right.twinx()
+    twin.plot(spent, 100 * _column(history, "wall_cv"), "-", color=_EXACT, label="variation [%]")
+    twin.set(ylabel="variation of the wall [%]")
+    twin.spines["top"].set_visible(False)
+    right.legend(handles=[*right.lines, *twin.lines], frameon=False, loc="center right")
+    figure.tight_layout()
+    save(figure, path)
+
+
+def design_picture(path: str | Path, before: Part, after: Part, target: float | None = None) -> None:
+    """A design before and after: parts, initial thickness, wall and pressure.
+
+    Args:
+        path: Where the PNG goes.
+        before: Scene and part to begin with.
+        after: Scene and part of the design.
+        target: Wall thickness that is wanted everywhere [m], or None.
+    """
+    before, after = only_used(*before), only_used(*after)
+    figure = new_figure(16, 12, "")
+    scale = _scale([before, after])
+    for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
+        view = figure.add_axes((place, 0.46, 0.45, 0.47), projection="3d")
+        colors = draw_part(view, *part, scale)
+        figure.text(place + 0.225, 0.955, _part_words(words, part), ha="center", fontsize=13)
+    bar = figure.add_axes((0.925, 0.52, 0.012, 0.34))
+    _draw_bar(figure, colors, bar, "wall thickness [mm]", [before[1], after[1]])
+    same = np.array_equal(before[0].pressure.value, after[0].pressure.value)
+    count = 2 if same else 3
+    width = 0.93 / count
+    places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
+    _draw_initial(figure.add_axes(places[0]), before[0], after[0])
+    _draw_walls(figure.add_axes(places[1]), before, after, target)
+    if not same:
+        _draw_pressures(figure.add_axes(places[2]), before[0], after[0])
+    save(figure, path)
+
+
+def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) -> None:
+    """The part at several times, side by side, in colours of its wall.
+
+    Args:
+        path: Where the PNG goes.
+        scene: What was simulated.
+        results: The part at each time.
+    """
+    parts = [only_used(scene, result) for result in results]
+    figure, scale = new_figure(5.5 * len(parts), 5.5, scene.name), _scale(parts[-1:])
+    for k, (shown, part) in enumerate(parts):
+        view = figure.add_axes((0.95 * k / len(parts), 0.02, 0.95 / len(parts), 0.84), projection="3d")
+        colors = draw_part(view, shown, part, scale, edges=True)
+        words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
+        figure.text(0.95 * (k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
+    bar = figure.add_axes((0.96, 0.25, 0.005, 0.45))
+    _draw_bar(figure, colors, bar, "wall [mm]", [part for _, part in parts])
+    save(figure, path)
+
+
+def warm_up() -> None:
+    """Imports and sets up what a picture needs, half of what a first one takes."""
+    new_figure(1, 1, "").add_axes((0, 0, 1, 1), projection="3d")
+
+
+def new_figure(width: float, height: float, title: str) -> Any:
+    """A figure of some width and height, in hundreds of pixels, which needs no display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=14)
+    return figure
+
+
+def save(figure: Any, path: str | Path) -> None:
+    """Writes a figure as PNG, its diagrams with a grid, from 0 where all is positive."""
+    for axes in figure.axes:
+        if axes.name != "3d" and axes.lines:  # neither a view nor a colour bar
+            axes.grid(alpha=0.25)
+            if axes.get_yscale() == "linear" and axes.get_aspect() == "auto" and axes.dataLim.y0 >= 0:
+                axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
+            axes.spines["top"].set_visible(False)
+    with whole(path) as fresh:
+        figure.savefig(fresh, dpi=_DPI, metadata={"Software": None})
+
+
+def _title(scene: Scene, result: Result) -> str:
+    wall = wall_statistics(result)
+    numbers = ", ".join(f"{words} {1e3 * wall[key]:.3g}" for key, words in _STATISTICS)
+    text = f"{scene.name}: wall {numbers} mm (variation {100 * wall['cv']:.3g} %)"
+    status = explain(result)
+    return text if status == "ok" else f"{text}\nnot finished: {status.split(';')[0]}"
+
+
+_STATISTICS = (("min", "minimum"), ("mean", "mean"), ("max", "maximum"))
+
+
+def _part_words(words: str, part: Part) -> str:
+    result = part[1]
+    wall = wall_statistics(result)
+    return (
+        f"{words}: variation {100 * wall['cv']:.3g} %, wall minimum {1e3 * wall['min']:.3g}, maximum "
+        f"{1e3 * wall['max']:.3g} mm, "
+        f"{1e3 * float(result.mass):.3g} g"
+    )
+
+
+def _draw_bar(figure: Any, colors: Any, axes: Any, label: str, results: Sequence[Result]) -> None:
+    """The colour bar, which says where walls are thinner or thicker than its range."""
+    walls = 1e3 * np.concatenate([np.asarray(result.element_thickness, float) for result in results])
+    below, above = walls.min() < 0.999 * colors.norm.vmin, walls.max() > 1.001 * colors.norm.vmax
+    extend = "both" if below and above else "min" if below else "max" if above else "neither"
+    figure.colorbar(colors, cax=axes, label=label, extend=extend)
+
+
+def _scale(parts: Sequence[Part]) -> tuple[float, float]:
+    """Range of the colours [mm], shared by all that are drawn: of what was formed, not of flanges that stayed flat."""
+    walls, areas = [], []
+    for scene, result in parts:
+        triangles = np.asarray(result.triangles)
+        moved = np.asarray(result.positions, float) - np.asarray(scene.parison.positions, float)
+        way = np.linalg.norm(moved[triangles].mean(1), axis=1)
+        formed = way >= _MOVED * way.max(initial=0.0)
+        formed |= not formed.any()
+        walls.append(np.asarray(result.element_thickness, float)[formed])
+        areas.append(formed_areas(result)[formed])
+    wall, area = 1e3 * np.concatenate(walls), np.concatenate(areas)
+    order = np.argsort(wall)
+    share = np.cumsum(area[order]) / area.sum()
+    most = min(int(np.searchsorted(share, _MOST)), len(wall) - 1)
+    low, high = float(wall.min()), float(wall[order[most]])
+    return (low, high) if high > 1.001 * low else (0.95 * low, 1.05 * high)
+
+
+def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> None:
+    """Wall thickness over arc length, or over the initial radius with the exact solution in dots.
+
+    With an exact solution the place is that in the initial sheet: flat elements cut a sharp corner short, and beyond
+    it the arc lengths of the two would no longer name the same place.
+    """
+    disc = sections.is_disc(scene)
+    if reference is not None and disc:
+        _draw_exact(axes, scene, result, reference)
+        return
+    thin = thinnest(result, scene)
+    for curve, color in zip(sections.curves(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
+        style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
+        shown = _seen_apart(curve.arc, curve.thickness) if disc else slice(None)
+        axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], color=color, label=curve.label, **style)
+        if curve.marked is not None:
+            _mark(axes, 1e3 * curve.marked, thin)
+    where = "arc length from the axis" if disc else "arc length along the section"
+    axes.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]")
+    if axes.lines:
+        axes.legend(frameon=False)
+
+
+def _mark(axes: Any, arc: float, thin: Mapping[str, Any]) -> None:
+    """The thinnest place, named once."""
+    where = ", ".join(f"{1e3 * x + 0.0:.3g}" for x in thin["formed"])
+    named = any(line.get_label().startswith("minimum") for line in axes.lines)
+    label = "_" if named else f"minimum {1e3 * thin['thickness']:.3g} mm, at ({where}) mm"
+    wall = 1e3 * thin["thickness"]
+    axes.plot([arc], [wall], "o", color=MINIMUM, mec="white", mew=1.2, ms=9, zorder=5, label=label)
+
+
+def _seen_apart(across: Array, up: Array) -> NDArray[np.int64]:
+    """Which of many points (n,) are drawn: one in each place that the eye tells from others."""
+    cells = [np.round(_FINENESS * (x - x.min()) / (np.ptp(x) or 1.0)).astype(np.int64) for x in (across, up)]
+    return np.unique(cells[0] * (_FINENESS + 1) + cells[1], return_index=True)[1]
+
+
+def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any]) -> None:
+    place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
+    shown = _seen_apart(place, wall)
+    place, wall = place[shown], wall[shown]
+    axes.plot(place, wall, "o", color=AFTER, markersize=4, alpha=0.6, label="simulated, all nodes")
+    initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
+    thin = thinnest(result, scene)
+    _mark(axes, 1e3 * float(np.hypot(*thin["initial"][:2])), thin)
+    order = np.argsort(np.asarray(reference["initial_radius"]))
+    radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
+    axes.plot(1e3 * radius, initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
+    axes.set(
+        xlabel="place along the meridian: radius in the initial sheet [mm]",
+        ylabel="wall thickness [mm]",
+    )
+    axes.legend(frameon=False)
+
+
+def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
+    disc = sections.is_disc(before)
+    along = int(np.argmax(np.ptp(np.asarray(before.parison.positions, float), axis=0)))
+    for scene, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
+        place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, along]
+        order = np.argsort(place)
+        thickness = np.asarray(scene.parison.thickness, float)[order]
+        shown = np.sort(_seen_apart(place[order], thickness))
+        line: dict[str, Any] = {"linewidth": 2} if disc else {"linestyle": "none", "marker": ".", "markersize": 4}
+        axes.plot(1e3 * place[order][shown], 1e3 * thickness[shown], color=color, label=words, **line)
+    where = "initial radius" if disc else f"initial {'xyz'[along]}"
+    axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]")
+    axes.legend(frameon=False)
+
+
+def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> None:
+    through = thinnest(after[1], after[0])["initial"]
+    for (scene, result), color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
+        for curve in sections.curves(scene, result, through)[:1]:
+            shown = _seen_apart(curve.arc, curve.thickness)
+            axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], ".", color=color, markersize=4, label=words)
+    if target is not None:
+        axes.axhline(1e3 * target, color=_EXACT, linestyle="--", label="target")
+    axes.set(xlabel="arc length in the part [mm]", ylabel="wall thickness [mm]")
+    axes.legend(frameon=False)
+
+
+def _draw_pressures(axes: Any, before: Scene, after: Scene) -> None:
+    for scene, color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
+        time = np.linspace(0.0, float(scene.solver.end_time), 400)
+        axes.plot(time, np.asarray(scene.pressure.at(as_real(time))) / 1e3, color=color, label=words, linewidth=2)
+    axes.set(xlabel="time [s]", ylabel="pressure [kPa]")
+    axes.legend(frameon=False)
+
+
+def _column(history: Sequence[Mapping[str, Any]], name: str) -> Array:
+    """A column as numbers, NaN where it is empty or infinite."""
+    values = [row.get(name) for row in history]
+    numbers = np.array([np.nan if value in (None, "") else float(value) for value in values])
+    return np.where(np.isfinite(numbers), numbers, np.nan)

@@ -1,0 +1,93 @@
+"""Tables of what a study wants."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, Tag
+
+from jaxform.io.schema.quantities import TargetThickness
+from jaxform.io.validation import Positive, Table, choice, form
+
+
+class Wanted(Table):
+    """What all objectives share.
+
+    Attributes:
+        weight: By how much it counts where there are several.
+    """
+
+    weight: Positive = 1.0
+
+
+class Target(Wanted):
+    """Come close to a final thickness [m]; with `limit`, keep a deviation (relative, rms) instead.
+
+    Attributes:
+        kind: The kind of objective.
+        thickness: The wanted wall [m].
+        limit: Relative deviation (rms) to be kept, instead of the least one.
+    """
+
+    kind: Literal["target"]
+    thickness: TargetThickness
+    limit: Positive | None = None
+
+
+class Uniform(Wanted):
+    """Make the wall even.
+
+    Attributes:
+        kind: The kind of objective.
+    """
+
+    kind: Literal["uniform"]
+
+
+class LeastMass(Wanted):
+    """Use as little material as a minimum of the wall [m] allows.
+
+    Attributes:
+        kind: The kind of objective.
+        minimum: Of the wall [m].
+    """
+
+    kind: Literal["least-mass"]
+    minimum: Positive
+
+
+class FormingTime(Wanted):
+    """Form quickly; the higher the power of the mean, the more the last contact counts.
+
+    Attributes:
+        kind: The kind of objective.
+        power: Of the mean of contact times: the higher, the more the last contact counts.
+    """
+
+    kind: Literal["forming-time"]
+    power: Annotated[float, Field(ge=1, le=100)] = 8.0
+
+
+class KineticEnergy(Wanted):
+    """Form gently.
+
+    Attributes:
+        kind: The kind of objective.
+    """
+
+    kind: Literal["kinetic-energy"]
+
+
+_OBJECTIVES = ["target", "uniform", "least-mass", "forming-time", "kinetic-energy"]
+Objective = Annotated[
+    Annotated[Target, Tag("<target>")]
+    | Annotated[Uniform, Tag("<uniform>")]
+    | Annotated[LeastMass, Tag("<least-mass>")]
+    | Annotated[FormingTime, Tag("<forming-time>")]
+    | Annotated[KineticEnergy, Tag("<kinetic-energy>")],
+    *choice("kind", _OBJECTIVES),
+]
+Objectives = Annotated[
+    Annotated[Objective, Tag("<one>")] | Annotated[Annotated[list[Objective], Field(min_length=1)], Tag("<several>")],
+    form(lambda value: "several" if isinstance(value, list) else "one"),
+]

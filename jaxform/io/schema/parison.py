@@ -1,0 +1,143 @@
+"""Tables of the sheet."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Tag, field_validator
+
+from jaxform.io.schema.quantities import Count, ElementSize, Profile, Thickness
+from jaxform.io.validation import Length, Positive, Table, choice, wrong
+
+
+class _BuiltIn(Table):
+    """What the built-in parisons share: exactly one of element_size and elements, cut planes, thickness.
+
+    Attributes:
+        elements: About how many triangles; this or `element_size`.
+        symmetry: Which part of the sheet is simulated.
+        thickness: Initial thickness [m].
+    """
+
+    elements: Count | None = None
+    symmetry: Literal["none", "half", "quarter"] = "none"
+    thickness: Thickness
+
+    @field_validator("thickness")
+    @classmethod
+    def _no_own_field(cls, thickness: Any) -> Any:
+        if isinstance(thickness, str):
+            problem = "only a parison from a file has fields of its own"
+            raise wrong(problem, "give {file, field}, a number or a profile", value=thickness)
+        return thickness
+
+
+class Disc(_BuiltIn):
+    """A round sheet about the origin in z = 0 with a clamped rim.
+
+    Attributes:
+        shape: The kind of sheet.
+        radius: Of the sheet [m].
+        element_size: Side of a triangle [m], or a profile of it along the radius.
+        symmetry: Which part of the sheet is simulated; the cut planes are x = 0, and y = 0 of a quarter.
+    """
+
+    shape: Literal["disc"]
+    radius: Length
+    element_size: ElementSize | None = None
+
+    @field_validator("element_size")
+    @classmethod
+    def _along_radius(cls, size: Any) -> Any:
+        if isinstance(size, Profile) and size.along != "radius":
+            raise wrong("is not possible for a disc", "use radius", "along", size.along)
+        return size
+
+
+class Rectangle(_BuiltIn):
+    """A sheet over [0, a] x [0, b] in z = 0 with clamped edges.
+
+    Attributes:
+        shape: The kind of sheet.
+        size: Sides along x and y [m].
+        element_size: Side of a triangle [m].
+    """
+
+    shape: Literal["rectangle"]
+    size: Annotated[list[Length], Field(min_length=2, max_length=2)]
+    element_size: Length | None = None
+
+
+class Sphere(_BuiltIn):
+    """A closed sphere about the origin, nothing clamped.
+
+    Attributes:
+        shape: The kind of sheet.
+        radius: Of the sphere [m].
+        element_size: Side of a triangle [m].
+    """
+
+    shape: Literal["sphere"]
+    radius: Length
+    element_size: Length | None = None
+
+
+class BottleHalfParison(Table):
+    """Half of a flattened parison, pinched along the outline of a bottle with a handle.
+
+    Attributes:
+        shape: The kind of sheet.
+        height: Of the bottle [m].
+        radius: Of the bottle's body [m].
+        neck_radius: Of its neck [m].
+        hole: Half width and half height of the hole of the handle [m].
+        element_size: Side of a triangle [m].
+        swell: How far it is blown up already: 0 is flat, 1 the bottle.
+        neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
+        inset: How far inside the bottle's outline it is pinched [m].
+        thickness: Initial thickness [m].
+    """
+
+    shape: Literal["bottle-half"]
+    height: Length = 0.23
+    radius: Length = 0.04
+    neck_radius: Length = 0.014
+    hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
+    element_size: Length = 0.0071
+    swell: Annotated[float, Field(gt=0, lt=1)] = 0.3
+    neck_swell: Annotated[float, Field(gt=0, lt=1)] | None = None
+    inset: Length = 1.0e-3
+    thickness: Thickness
+
+
+class FileParison(Table):
+    """A user's mesh; pressure acts along its triangles' normals.
+
+    Attributes:
+        shape: The kind of sheet.
+        path: A mesh file, relative to the scene file.
+        scale: Factor on its coordinates: 0.001 of a mesh in millimetres.
+        flip: Turns all triangles, and so the side that the pressure pushes to.
+        clamp: What never moves: `boundary` (open edges off the symmetry planes), `none`, or `field:NAME`, where that
+            nodal field is not zero.
+        planes: Symmetry planes: `x` where the mesh is cut at x = 0.
+        thickness: Initial thickness [m]; `field:NAME` is a field of the mesh itself.
+    """
+
+    shape: Literal["file"]
+    path: str
+    scale: Positive = 1.0
+    flip: bool = False
+    clamp: str = "boundary"
+    planes: list[Literal["x", "y", "z"]] = Field(default_factory=list)
+    thickness: Thickness
+
+
+Parison = Annotated[
+    Annotated[Disc, Tag("<disc>")]
+    | Annotated[Rectangle, Tag("<rectangle>")]
+    | Annotated[Sphere, Tag("<sphere>")]
+    | Annotated[BottleHalfParison, Tag("<bottle-half>")]
+    | Annotated[FileParison, Tag("<file>")],
+    *choice("shape", ["disc", "rectangle", "sphere", "bottle-half", "file"], later=["tube"]),
+]

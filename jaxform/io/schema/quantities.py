@@ -1,0 +1,133 @@
+"""Numbers, profiles and fields that several tables have."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, Tag, model_validator
+
+from jaxform.io.validation import Coordinate, Number, Positive, Table, check_increasing, form, within, wrong
+
+Triple = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+"""Of what no memory is taken for beforehand."""
+Place = Literal["radius", "x", "y", "z"]
+
+_THICKNESS_FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
+
+
+class Profile(Table):
+    """A positive quantity, piecewise linear along a place in the initial sheet.
+
+    Attributes:
+        along: Place in the initial sheet: distance from the z axis, or a coordinate.
+        at: Knots [m], increasing; the value is held beyond the first and the last.
+        value: One per knot, in the unit of the quantity.
+    """
+
+    along: Place
+    at: Annotated[list[Coordinate], Field(min_length=1)]
+    value: list[Positive]
+
+    @model_validator(mode="after")
+    def _check(self) -> Profile:
+        _check_knots(self.at, self.value)
+        return self
+
+
+class TargetProfile(Table):
+    """A wanted thickness, piecewise linear along a place in the initial sheet or in the formed part.
+
+    Attributes:
+        along: Place in the initial sheet (`initial-...`) or in the formed part.
+        at: Knots [m], increasing.
+        value: Wanted thickness [m], one per knot.
+    """
+
+    along: Literal["initial-radius", "initial-x", "initial-y", "initial-z", "radius", "x", "y", "z"]
+    at: Annotated[list[Coordinate], Field(min_length=1)]
+    value: list[Positive]
+
+    @model_validator(mode="after")
+    def _check(self) -> TargetProfile:
+        _check_knots(self.at, self.value)
+        return self
+
+
+class FieldReference(Table):
+    """A nodal field in a mesh file, found by initial position [m].
+
+    Attributes:
+        file: A mesh file, relative to the scene file.
+        field: Name of its point data. A mesh that has point data `reference` is matched by it.
+    """
+
+    file: str
+    field: str
+
+
+class SceneReference(Table):
+    """The wall that another scene makes, at the same initial places.
+
+    Attributes:
+        scene: A built-in scene, or a scene file.
+    """
+
+    scene: str
+
+
+def _check_knots(at: list[float], value: list[float]) -> None:
+    check_increasing(at)
+    if len(at) != len(value):
+        problem = f"has {len(value)} values for {len(at)} knots"
+        raise wrong(problem, "give one value per knot", "value", value)
+
+
+def _own_field(text: str) -> str:
+    if not text.startswith("field:") or text == "field:":
+        raise wrong("is not a number", _THICKNESS_FORMS, value=text)
+    return text
+
+
+def _quantity_form(value: Any) -> str:
+    if isinstance(value, dict):
+        return "reference" if {"file", "field"} & set(value) else "profile"
+    return "own field" if isinstance(value, str) else "number"
+
+
+_Number = Annotated[Positive, Tag("<number>")]
+_Wall = Annotated[float, within("parison.thickness")]
+_Reference = Annotated[FieldReference, Tag("<reference>")]
+Thickness = Annotated[
+    Annotated[_Wall, Tag("<number>")]
+    | Annotated[Profile, Tag("<profile>")]
+    | _Reference
+    | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
+    form(_quantity_form),
+]
+ElementSize = Annotated[
+    _Number | Annotated[Profile, Tag("<profile>")],
+    form(lambda value: "profile" if isinstance(value, dict) else "number"),
+]
+TargetThickness = Annotated[
+    _Number | Annotated[TargetProfile, Tag("<profile>")] | _Reference | Annotated[SceneReference, Tag("<scene>")],
+    form(lambda value: _target_form(value)),
+]
+
+
+def _target_form(value: Any) -> str:
+    if isinstance(value, dict) and "scene" in value:
+        return "scene"
+    return "number" if isinstance(value, str) else _quantity_form(value)
+
+
+def check_bounds(bounds: list[float]) -> list[float]:
+    """The bounds; raises unless there is room between them."""
+    if bounds[0] >= bounds[1]:
+        raise wrong("leaves no room", "give the lower bound first, then the upper one", value=bounds)
+    return bounds
+
+
+Limits = Annotated[list[Positive], Field(min_length=2, max_length=2), AfterValidator(check_bounds)]

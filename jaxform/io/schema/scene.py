@@ -1,0 +1,111 @@
+"""The scene file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from jaxform.core.ranges import MOST_STEPS
+from jaxform.io.schema.material import Material
+from jaxform.io.schema.mold import Mold
+from jaxform.io.schema.parison import Parison
+from jaxform.io.validation import Number, Table, within
+
+
+class Pressure(Table):
+    """Pressure difference over time, held before the first and after the last knot.
+
+    Attributes:
+        time: Knots [s], increasing.
+        value: Pressure difference [Pa], one per knot; it pushes to +z, or outwards.
+        interpolation: Straight between the knots, or with zero slope at each.
+    """
+
+    time: Annotated[list[Number], Field(min_length=1)]
+    value: Annotated[list[Number], Field(min_length=1)]
+    interpolation: Literal["linear", "cubic-ramp"] = "linear"
+
+
+class Refinement(Table):
+    """Where the mesh becomes finer; see `jaxform.scene.Refinement`.
+
+    Attributes:
+        angle: Largest angle of an element's and its neighbours' normals to their mean [degrees].
+        interval: Steps from one look at the mesh to the next, rounded up to whole windows.
+        max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
+        min_area: Smallest initial area of a part [m^2].
+        base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
+        base_reach: What is near: so many times the element's longest side.
+        scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
+        at_rest: Whether new nodes close to the mold begin at rest.
+        jump: Largest ratio, less 1, of neighbours' thicknesses; without it they may differ.
+        elements: Room for so many elements at first; the run makes more by itself.
+    """
+
+    angle: Annotated[float, within("refinement.angle")] = 4.0
+    interval: Annotated[int, within("refinement.interval")] = 100
+    max_level: Annotated[int, within("refinement.max_level")] = 6
+    min_area: Annotated[float, within("refinement.min_area")] = 0.0
+    base_level: Annotated[int, within("refinement.base_level")] = 0
+    base_reach: Annotated[float, within("refinement.base_reach")] = 1.0
+    scaled_levels: Annotated[int, within("refinement.scaled_levels")] = 0
+    at_rest: bool = True
+    jump: Annotated[float, within("refinement.jump")] | None = None
+    elements: Annotated[int, within("refinement.elements")] | None = None
+
+
+class Solver(Table):
+    """Time integration; `quasi_static` says that the process is meant to be slow, so that haste is warned of.
+
+    Attributes:
+        end_time: When the simulation ends [s]; it ends earlier when nothing can move any more.
+        damping: Proportional to the mass [1/s]; without it, none.
+        safety: Factor on the longest stable step.
+        quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
+        max_steps: Where a run stops at the latest.
+    """
+
+    end_time: Annotated[float, within("solver.end_time")]
+    damping: Annotated[float, within("solver.damping")] | None = None
+    safety: Annotated[float, within("solver.safety")] = 0.9
+    quasi_static: bool = False
+    max_steps: Annotated[int, within("solver.max_steps")] = MOST_STEPS
+
+
+class Output(Table):
+    """What to write beyond the result; `reference` is an exact solution to dot over the thickness picture.
+
+    Attributes:
+        frames: How many moments are written as VTU, beside the last.
+        reference: A table (CSV) of an exact wall, drawn over the picture.
+    """
+
+    frames: Annotated[int, Field(ge=0, le=100_000)] = 0
+    reference: str | None = None
+
+
+class SceneFile(Table):
+    """A scene file.
+
+    Attributes:
+        name: Of the scene; by default that of the file.
+        description: One line for the list of scenes.
+        parison: The sheet.
+        material: Its law.
+        pressure: The pressure history.
+        mold: The mold; without it the sheet is inflated freely.
+        refinement: Where the mesh becomes finer; without it, nowhere.
+        solver: Time integration.
+        output: What to write beyond the result.
+    """
+
+    name: str | None = None
+    description: str = ""
+    parison: Parison
+    material: Material
+    pressure: Pressure
+    mold: Mold | None = None
+    refinement: Refinement | None = None
+    solver: Solver
+    output: Output = Output()

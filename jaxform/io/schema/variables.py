@@ -1,0 +1,104 @@
+"""Tables of what a study may change."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, Tag, model_validator
+
+from jaxform.io.schema.quantities import Limits, Pair, Place, check_bounds
+from jaxform.io.validation import Coordinate, NotNegative, Positive, Table, check_increasing, choice, wrong
+
+
+class ThicknessProfile(Table):
+    """Design the initial thickness [m] along a place in the initial sheet; `slope` limits its change [m/m].
+
+    Attributes:
+        kind: The kind of variable.
+        along: Place in the initial sheet.
+        knots: How many, evenly placed; this or `at`.
+        at: Places of the knots [m].
+        bounds: Least and largest thickness [m].
+        interpolation: Straight between knots, a cubic spline, or constant zones.
+        slope: Largest change along the place [m/m].
+    """
+
+    kind: Literal["thickness-profile"]
+    along: Place
+    knots: Annotated[int, Field(ge=2, le=10_000)] | None = None
+    at: Annotated[list[Coordinate], Field(min_length=2)] | None = None
+    bounds: Limits
+    interpolation: Literal["linear", "cubic", "zones"] = "linear"
+    slope: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> ThicknessProfile:
+        if (self.knots is None) == (self.at is None):
+            problem = "is missing" if self.at is None else "is given together with at"
+            raise wrong(problem, "give the number of knots or their places (at), one of them", "knots", self.knots)
+        check_increasing(self.at or [])
+        if self.interpolation == "cubic" and (self.knots or 0) < 4:
+            raise wrong("needs 4 evenly placed knots or more", "give knots, not at", "knots", self.knots)
+        if self.interpolation == "zones" and self.slope is not None:
+            raise wrong("does not go with zones, which jump", "leave it out", "slope", self.slope)
+        return self
+
+
+class ThicknessField(Table):
+    """Design the initial thickness [m] at the nodes of the mesh, no finer than a length `smoothness` [m].
+
+    Attributes:
+        kind: The kind of variable.
+        bounds: Least and largest thickness [m].
+        smoothness: Length below which the field does not vary [m].
+    """
+
+    kind: Literal["thickness-field"]
+    bounds: Limits
+    smoothness: NotNegative = 0.0
+
+
+class PressureKnots(Table):
+    """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
+
+    `held` keeps the first knot's value where there is a rate; else the history may begin with a jump.
+
+    Attributes:
+        kind: The kind of variable.
+        bounds: Least and largest pressure [Pa].
+        increasing: Whether the pressure may not fall.
+        rate: Largest change over time [Pa/s].
+        held: Whether the first knot keeps its value.
+        end_time: Least and largest time of the last knot [s]; all are stretched with it.
+    """
+
+    kind: Literal["pressure"]
+    bounds: Annotated[Pair, AfterValidator(check_bounds)]
+    increasing: bool = False
+    rate: Positive | None = None
+    held: bool = False
+    end_time: Limits | None = None
+
+
+class Scale(Table):
+    """Design a factor on a number of the scene, such as material.c.
+
+    Attributes:
+        kind: The kind of variable.
+        of: Key of the number: material.c, material.density, parison.thickness, pressure.value, solver.damping, ...
+        bounds: Least and largest factor.
+    """
+
+    kind: Literal["scale"]
+    of: str
+    bounds: Limits
+
+
+_VARIABLES = ["thickness-profile", "thickness-field", "pressure", "scale"]
+Variable = Annotated[
+    Annotated[ThicknessProfile, Tag("<thickness-profile>")]
+    | Annotated[ThicknessField, Tag("<thickness-field>")]
+    | Annotated[PressureKnots, Tag("<pressure>")]
+    | Annotated[Scale, Tag("<scale>")],
+    *choice("kind", _VARIABLES),
+]

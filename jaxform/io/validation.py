@@ -1,0 +1,194 @@
+"""How tables of a file are checked: strict types, known keys, and one clear line about the first thing wrong."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from jaxform.core.errors import InputError
+from jaxform.core.ranges import LEAST, MOST, RANGES
+
+MOST_LENGTH = 1e6
+
+
+def _finite(value: float) -> float:
+    if abs(value) > MOST:
+        raise wrong("is beyond what can be computed with", f"give a number of up to {MOST:g}", value=value)
+    return value
+
+
+def _not_lost(value: float) -> float:
+    if value < LEAST:
+        raise wrong("is beyond what can be computed with", f"give a number of at least {LEAST:g}", value=value)
+    return value
+
+
+def _short(value: float) -> float:
+    if abs(value) > MOST_LENGTH:
+        raise wrong("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
+    return value
+
+
+Number = Annotated[float, AfterValidator(_finite)]
+"""Any number whose products with others stay finite."""
+NotNegative = Annotated[Number, Field(ge=0)]
+Positive = Annotated[Number, Field(gt=0), AfterValidator(_not_lost)]
+Coordinate = Annotated[float, AfterValidator(_short)]
+"""A place along an axis [m]."""
+Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
+"""[m]"""
+
+
+def within(key: str) -> Any:
+    """The range that is declared for a number of a scene, for `Annotated`."""
+    allowed = RANGES[key]
+    positive = allowed.above == 0.0
+    return Field(
+        gt=None if positive else allowed.above,
+        ge=LEAST if positive else allowed.least,
+        le=MOST if allowed.most is None and not allowed.count else allowed.most,
+    )
+
+
+class Table(BaseModel):
+    """A table of a scene or study file: known keys only, no conversions, finite numbers.
+
+    Attributes:
+        later: Keys that a later version will know, and what to do without them.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    later: ClassVar[Mapping[str, str]] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_keys(cls, data: Any) -> Any:
+        """Before all else: a misspelt key explains the missing one."""
+        for key in data if isinstance(data, dict) else ():
+            if key in cls.later:
+                raise wrong("is not there yet", cls.later[key], key)
+            if key not in cls.model_fields:
+                free = [name for name in cls.model_fields if name not in data]
+                raise wrong("is no key here", _suggestion(key, free, list(cls.model_fields)), key)
+        return data
+
+
+def wrong(problem: str, mend: str, key: str = "", value: Any = None) -> PydanticCustomError:
+    """The error to raise in a validator.
+
+    Args:
+        problem: What is wrong, in words.
+        mend: What to do about it.
+        key: Where, below the table that is validated.
+        value: The offending value, where it is not the one that is validated.
+    """
+    return PydanticCustomError("wrong", "wrong", {"problem": problem, "mend": mend, "key": key, "value": value})
+
+
+def choice(key: str, known: Sequence[str], later: Sequence[str] = ()) -> tuple[Discriminator, BeforeValidator]:
+    """What makes a union of tables one that `key` chooses from; tag each table with `<value of key>`.
+
+    Args:
+        key: The key that names the kind of table.
+        known: Its values.
+        later: Values that a later version will know.
+    """
+    options = f"use {', '.join(known)}"
+
+    def check(table: Any) -> Any:
+        if not isinstance(table, dict):
+            raise wrong("is not a table", f"begin a section for it, with {key} = ...", value=table)
+        if key not in table:
+            raise wrong("is missing", options, key)
+        if table[key] in later:
+            raise wrong("is not there yet", options, key, table[key])
+        if table[key] not in known:
+            close = difflib.get_close_matches(str(table[key]), known, n=1)
+            raise wrong("is unknown", f"did you mean {close[0]}?" if close else options, key, table[key])
+        return table
+
+    return form(lambda table: table[key]), BeforeValidator(check)
+
+
+def form(name: Callable[[Any], str]) -> Discriminator:
+    """Chooses a member of a union by the form of the value; errors are then about that form alone."""
+    return Discriminator(lambda value: f"<{name(value)}>")
+
+
+def check_increasing(at: Sequence[float], key: str = "at") -> None:
+    """Raises unless the numbers increase."""
+    if any(right <= left for left, right in pairwise(at)):
+        raise wrong("does not increase", "sort the knots, no place twice", key, list(at))
+
+
+def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
+    """The data of a file as a model.
+
+    Raises:
+        InputError: For the first thing that is wrong with it.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    raise _input_error(first).within(file=file)
+
+
+def _input_error(error: ErrorDetails) -> InputError:
+    context = error.get("ctx", {})
+    if error["type"] == "wrong":
+        key = _dotted([*error["loc"], *([context["key"]] if context["key"] else [])])
+        return InputError(context["problem"], context["mend"], key, context["value"])
+    problem, mend = _WORDS.get(error["type"], (error["msg"], ""))
+    key = _dotted(error["loc"])
+    value = None if error["type"] == "missing" else error["input"]
+    return InputError(problem.format(**context), mend.format(**context), key, value)
+
+
+def _dotted(location: Sequence[int | str]) -> str:
+    """Such as parison.thickness.at[2]; the tags of unions left out."""
+    text = ""
+    for part in location:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif not part.startswith("<"):
+            text += f".{part}" if text else part
+    return text
+
+
+def _suggestion(key: str, free: list[str], known: list[str]) -> str:
+    close = difflib.get_close_matches(key, free, n=1)
+    return f"did you mean {close[0]}?" if close else f"the keys are {', '.join(known)}"
+
+
+_WORDS: dict[str, tuple[str, str]] = {
+    "missing": ("is missing", "add it"),
+    "finite_number": ("is not finite", "give a finite number"),
+    "float_type": ("is not a number", "give one number, without quotes"),
+    "int_type": ("is not a whole number", "give one whole number, without quotes"),
+    "int_from_float": ("is not a whole number", "give one whole number"),
+    "string_type": ("is not a text", "put it in quotes"),
+    "bool_type": ("is neither true nor false", "write true or false, without quotes"),
+    "list_type": ("is not a list", "put it in square brackets"),
+    "model_type": ("is not a table", "give its keys"),
+    "literal_error": ("is unknown", "use {expected}"),
+    "greater_than": ("is too small", "give a number above {gt:g}"),
+    "greater_than_equal": ("is too small", "give a number of at least {ge:g}"),
+    "less_than_equal": ("is too large", "give a number of at most {le:g}"),
+    "too_short": ("is too short", "give at least {min_length} entries, not {actual_length}"),
+    "too_long": ("is too long", "give {max_length} entries, not {actual_length}"),
+}

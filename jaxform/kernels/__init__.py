@@ -1,0 +1,1 @@
+"""All that is there because of XLA: loops over blocks, sealed operations, derivatives by hand, the ladder of sizes."""

@@ -1,0 +1,287 @@
+"""Functions that bring a reverse derivative of their own; the forward one is JAX's.
+
+A `custom_vjp` would shut out forward mode, which least-squares columns need. The rule of a primitive is asked for
+both: where JAX looks for what is linear in unknown tangents, a reverse derivative is on its way.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+from jax.interpreters import partial_eval as pe
+
+from jaxform.core.pytree import pytree, static
+from jaxform.kernels.sealed import lowered_apart, manual_axes, sealed, typed_as, varying
+
+
+class Cotangents:
+    """What a reverse derivative is to find, and has found: of some leaves of the arguments.
+
+    Attributes:
+        of: The arguments' tree with the number of each leaf in its place.
+        wanted: Of each leaf, whether it is wanted.
+        found: Of each leaf, what was found; None where nothing was, which stands for zero.
+    """
+
+    def __init__(self, structure: Any, wanted: tuple[bool, ...]) -> None:
+        """Nothing is found yet of arguments of such a structure."""
+        self.of = jax.tree.unflatten(structure, range(structure.num_leaves))
+        self.wanted = wanted
+        self.found: list[jax.Array | None] = [None] * len(wanted)
+
+    def want(self, part: Any) -> bool:
+        """Whether any leaf of a part of `of` is wanted."""
+        return any(self.wanted[k] for k in jax.tree.leaves(part))
+
+    def put(self, part: Any, values: Any) -> None:
+        """Cotangents for a part of `of`: a tree like it; those that are not wanted are left aside."""
+        for k, value in zip(jax.tree.leaves(part), jax.tree.leaves(values), strict=True):
+            if self.wanted[k]:
+                self.found[k] = value
+
+
+class Rule(NamedTuple):
+    """How a function is worked out and differentiated; called, it is that function.
+
+    Attributes:
+        value: From which of the arguments' leaves move, and the arguments: the result, and what the reverse derivative
+            keeps. Forward derivatives of it must be right as well: second ones are made of them.
+        plain: The result alone, by operations that JAX can differentiate.
+        pull: Takes what was kept, the `Cotangents` to be found, and the result's: its tree, with None for leaves that
+            carry no derivative.
+        like: From the arguments' shapes the result's.
+        smooth: Of the result's tree, whether each leaf carries a derivative.
+        lasting: Whether it is one of the few that last as long as the process: what is traced of them is kept.
+    """
+
+    value: Callable[..., tuple[Any, Any]]
+    plain: Callable[..., Any]
+    pull: Callable[[Any, Cotangents, Any], None]
+    like: Callable[..., Any]
+    smooth: Callable[[Any], Any]
+    lasting: bool = False
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's result."""
+        leaves, structure = jax.tree.flatten(arguments)
+        results = _reversed_p.bind(*varying(leaves), rule=self, structure=structure)
+        return jax.tree.unflatten(jax.tree.structure(self.like(*_shapes(arguments))), results)
+
+
+def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: Callable[[Any], Any]) -> Rule:
+    """A function of which nothing but the arguments is kept; as `jax.checkpoint`, which no `Rule` within sees."""
+
+    def value(_: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
+        return function(*arguments), arguments
+
+    def pull(arguments: Any, cotangents: Cotangents, end: Any) -> None:
+        leaves, structure = jax.tree.flatten(arguments)
+
+        def moved(*new: Any) -> list[Any]:
+            result = function(*jax.tree.unflatten(structure, _merged(cotangents.wanted, new, leaves)))
+            return _smooth_leaves(result, smooth)[0]
+
+        wanted = [leaf for leaf, here in zip(leaves, cotangents.wanted, strict=True) if here]
+        cotangents.found = _merged(cotangents.wanted, jax.vjp(moved, *wanted)[1](jax.tree.leaves(end)))
+
+    return Rule(value, jax.checkpoint(function), pull, like, smooth)
+
+
+@pytree
+class _Pullback:
+    """What JAX keeps for the reverse derivative, and of which leaves it is one."""
+
+    apply: Any
+    moving: tuple[bool, ...] = static()
+
+
+def apart(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The function's result as one operation, with JAX's own derivatives; nothing is worked out again."""
+    shapes = _shapes(arguments)
+    results = jax.eval_shape(function, *shapes)
+
+    def smooth(result: Any) -> Any:
+        return jax.tree.map(lambda leaf: jnp.issubdtype(leaf.dtype, jnp.floating), result)
+
+    def value(moving: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
+        if not any(moving):
+            return function(*arguments), None
+        leaves, structure = jax.tree.flatten(arguments)
+
+        def moved(*new: Any) -> tuple[list[Any], Any]:
+            result = function(*jax.tree.unflatten(structure, _merged(moving, new, leaves)))
+            return _smooth_leaves(result, smooth)[0], result
+
+        _, apply, result = jax.vjp(moved, *_only(leaves, moving), has_aux=True)
+        return result, _Pullback(apply, moving)
+
+    def pull(kept: _Pullback, cotangents: Cotangents, end: Any) -> None:
+        cotangents.found = _merged(kept.moving, kept.apply(jax.tree.leaves(end)))
+
+    return Rule(value, function, pull, lambda *_: results, smooth)(*arguments)
+
+
+def _only(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
+    return [value for value, own in zip(values, here, strict=True) if own]
+
+
+def _merged(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
+    """One after the other the next of `some` where it is here, else what is at its place in `others`."""
+    new = iter(some)
+    return [next(new) if own else other for own, other in zip(here, others, strict=False)]
+
+
+def _shapes(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: ShapedArray(leaf.shape, leaf.dtype), tree)
+
+
+def _smooth_leaves(result: Any, smooth: Callable[[Any], Any]) -> tuple[list[Any], tuple[bool, ...]]:
+    """The leaves that carry a derivative, and which of all they are."""
+    flags = tuple(jax.tree.leaves(smooth(result)))
+    return [leaf for leaf, here in zip(jax.tree.leaves(result), flags, strict=True) if here], flags
+
+
+def _value(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
+    still = (False,) * len(leaves)
+    return jax.tree.leaves(rule.value(still, *jax.tree.unflatten(structure, leaves))[0])
+
+
+def _like(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
+    results = jax.tree.leaves(rule.like(*jax.tree.unflatten(structure, _shapes(list(leaves)))))
+    return [typed_as(result.shape, result.dtype, leaves[0]) for result in results]
+
+
+def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
+    moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
+    given = _only(tangents, moving)
+    if any(isinstance(t, pe.JaxprTracer) for t in given):
+        name = (rule, moving) if rule.lasting else None
+        result, kept = sealed(partial(rule.value, moving), *jax.tree.unflatten(structure, primals), name=name)
+        carried, smooth = _smooth_leaves(result, rule.smooth)
+        leaves, kept_structure = jax.tree.flatten(kept)
+        changes = _change_p.bind(
+            *varying([*leaves, *given]),
+            rule=rule,
+            structure=structure,
+            moving=moving,
+            kept=kept_structure,
+            like=jax.tree.structure(result),
+            smooth=smooth,
+            shapes=tuple((leaf.shape, leaf.dtype) for leaf in carried),
+        )
+    else:
+        result, changes = _forward(rule, structure, moving, primals, given)
+        smooth = _smooth_leaves(result, rule.smooth)[1]
+    results = jax.tree.leaves(result)
+    none = [ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results]
+    return results, _merged(smooth, changes, none)
+
+
+def _forward(rule: Rule, structure: Any, moving: tuple[bool, ...], primals: Any, given: Any) -> tuple[Any, list[Any]]:
+    """The result, and the tangents of its leaves that carry one; reverse derivatives of these are JAX's own."""
+
+    def both(primals: Any, given: Any) -> tuple[Any, list[Any]]:
+        def plain(*moved: Any) -> tuple[list[Any], Any]:
+            result = rule.plain(*jax.tree.unflatten(structure, _merged(moving, moved, primals)))
+            return _smooth_leaves(result, rule.smooth)[0], result
+
+        _, changes, result = jax.jvp(plain, _only(primals, moving), given, has_aux=True)
+        return result, changes
+
+    if not manual_axes(primals):
+        return both(primals, given)
+
+    def like(primals: Any, _: Any) -> list[Any]:
+        return _smooth_leaves(rule.like(*jax.tree.unflatten(structure, primals)), rule.smooth)[0]
+
+    # Apart from the result, which must not depend on the tangents, or `jacfwd` would give one for each of them.
+    changes = recomputed(lambda *given: both(*given)[1], like, lambda changes: [True] * len(changes))
+    return rule(*jax.tree.unflatten(structure, primals)), changes(list(primals), given)
+
+
+def _transpose(
+    cotangents: Any,
+    *leaves: Any,
+    rule: Rule,
+    structure: Any,
+    moving: tuple[bool, ...],
+    kept: Any,
+    like: Any,
+    smooth: tuple[bool, ...],
+    shapes: Any,
+) -> list[Any]:
+    count = kept.num_leaves
+    end = jax.tree.unflatten(like, _merged(smooth, map(ad.instantiate_zeros, cotangents)))
+    change = map(ad.is_undefined_primal, leaves[count:])
+    wanted = tuple(_merged(moving, change, itertools.repeat(False)))
+
+    def pull(kept: Any, end: Any) -> list[Any]:
+        own = Cotangents(structure, wanted)
+        rule.pull(kept, own, end)
+        return own.found
+
+    name = (rule, structure, wanted) if rule.lasting else None
+    found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
+    return [None] * count + _only(found, moving)
+
+
+def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
+    """The same function of many arguments side by side, with its derivative."""
+    size = next(leaf.shape[axis] for leaf, axis in zip(leaves, axes, strict=True) if axis is not None)
+
+    def side_by_side(function: Callable[..., Any]) -> Callable[..., Any]:
+        together = jax.vmap(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)), axes)
+        return lambda *arguments: together(*jax.tree.leaves(arguments))
+
+    def value(moving: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
+        return side_by_side(partial(rule.value, moving))(*arguments)
+
+    def pull(kept: Any, cotangents: Cotangents, end: Any) -> None:
+        def one(kept: Any, end: Any) -> list[Any]:
+            own = Cotangents(structure, cotangents.wanted)
+            rule.pull(kept, own, end)
+            return own.found
+
+        for k, each in enumerate(jax.vmap(one)(kept, end)):
+            if each is not None:
+                cotangents.found[k] = jnp.sum(each, 0) if axes[k] is None else jnp.moveaxis(each, 0, axes[k])
+
+    def like(*arguments: Any) -> Any:
+        shapes = [
+            ShapedArray(leaf.shape if axis is None else (*leaf.shape[:axis], *leaf.shape[axis + 1 :]), leaf.dtype)
+            for leaf, axis in zip(jax.tree.leaves(arguments), axes, strict=True)
+        ]
+        one = rule.like(*jax.tree.unflatten(structure, shapes))
+        return jax.tree.map(lambda leaf: ShapedArray((size, *leaf.shape), leaf.dtype), one)
+
+    many = Rule(value, side_by_side(rule.plain), pull, like, rule.smooth)
+    results = _reversed_p.bind(*varying(leaves), rule=many, structure=structure)
+    return results, (0,) * len(results)
+
+
+def _no_change(*_: Any, **__: Any) -> Any:
+    raise NotImplementedError("a simulation cannot be linearized by itself: take jax.jvp or jax.vjp of it")
+
+
+_reversed_p = Primitive("with_own_reverse")
+_reversed_p.multiple_results = True
+_reversed_p.def_impl(lambda *leaves, **static: jax.jit(partial(_value, **static))(*leaves))
+_reversed_p.def_abstract_eval(_like)
+mlir.register_lowering(_reversed_p, lowered_apart(_value))
+ad.primitive_jvps[_reversed_p] = _jvp
+batching.primitive_batchers[_reversed_p] = _batched
+
+_change_p = Primitive("with_own_reverse_change")
+_change_p.multiple_results = True
+_change_p.def_impl(_no_change)
+_change_p.def_abstract_eval(lambda first, *_, shapes, **__: [typed_as(shape, dtype, first) for shape, dtype in shapes])
+ad.primitive_transposes[_change_p] = _transpose
+mlir.register_lowering(_change_p, mlir.lower_fun(_no_change, multiple_results=True))

@@ -1,0 +1,214 @@
+"""Elements as loops over blocks have them: their corners, looked up, and their shares, summed at nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import Halves, PerBlock, entry, halves, on_cpu, once, over_blocks, put
+from jaxform.mechanics.membrane import (
+    Vector,
+    cross,
+    gather,
+    looked_up,
+    minus,
+    summed_up,
+    vector,
+)
+
+_USUAL_ROWS, _USUAL_PAIR_ROWS = 6, 4  # of the shares of a node; all that are looked up without asking
+Corners = list[jax.Array]  # component by component, (3 corners, room); of pairs (2, room)
+
+
+@pytree
+class Elements:
+    """The elements that the force is worked out for; no derivative is taken with respect to them.
+
+    Arrays over elements have room for whole blocks; beyond the elements in use they hold others of area 0.
+
+    Attributes:
+        triangles: Places of the nodes (3, room).
+        inverse_metric: Inverse of the initial metric (3, room) [1/m^2].
+        area: Initial area (room,) [m^2].
+        turn: Where elements stand in pairs, the first in a block's first half and the second in its second: whether
+            the order of the nodes, which begins with the common edge, is that of the element's normal (room,), 1, or
+            is not, -1; 0 beyond them. None where they stand one by one.
+        origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
+        slots: Where the corners' shares of each node are (depth, place): corner times room plus element. Of a pair
+            both ends of the common edge share the first row, half by half, and the nodes apart have the second.
+        spill, spill_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares of
+            these nodes that they are added to.
+        spill_count: How many of them are in use.
+        block_count, node_block_count: Blocks of elements, and of nodes, in use.
+        row_count: Rows of `slots` in use, of each block of nodes (n_node_block,).
+    """
+
+    triangles: jax.Array
+    inverse_metric: jax.Array
+    area: jax.Array
+    turn: jax.Array | None
+    origin: jax.Array
+    slots: jax.Array
+    spill: jax.Array
+    spill_into: jax.Array
+    spill_count: jax.Array
+    block_count: jax.Array
+    node_block_count: jax.Array
+    row_count: jax.Array
+
+
+def usual_rows(paired: bool) -> int:
+    """How many shares a node has as a rule, of elements or of pairs of them."""
+    return _USUAL_PAIR_ROWS if paired else _USUAL_ROWS
+
+
+class Shares(NamedTuple):
+    """Where nodes find what is theirs of what corners get, for `over_blocks`; as in `Elements`."""
+
+    slots: jax.Array
+    row_count: Any
+
+
+def shares(elements: Elements) -> Shares:
+    """The nodes' shares of what corners get."""
+    return Shares(elements.slots, PerBlock(elements.row_count))
+
+
+def with_spill(corners: Corners, elements: Elements) -> Corners:
+    """What corners get, and with it the shares that `slots` has no room for: added to others of the same nodes."""
+    if elements.spill.size == 0:
+        return corners
+    flat = [corner.reshape(-1) for corner in corners]
+
+    def add(k: jax.Array, flat: Corners) -> Corners:
+        share, into = entry(elements.spill, k), entry(elements.spill_into, k)
+        # All is read before anything is written, or XLA would copy the arrays for every share.
+        sums = once([entry(corner, share) + entry(corner, into) for corner in flat])
+        return [put(corner, sum_[None], into) for corner, sum_ in zip(flat, sums, strict=True)]
+
+    if on_cpu():
+        flat = jax.lax.fori_loop(0, elements.spill_count, add, flat)
+    else:
+        used = jnp.arange(elements.spill.size) < elements.spill_count
+        flat = [corner.at[elements.spill_into].add(jnp.where(used, corner[elements.spill], 0.0)) for corner in flat]
+    return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
+
+
+def assembled(corners: Corners, own: Shares) -> list[jax.Array]:
+    """Sum (n,) at nodes of their `own` shares of what corners get, component by component."""
+    flat, slots = [corner.reshape(-1) for corner in corners], own.slots
+
+    def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
+        return [total + gather(corner, slots[k]) for total, corner in zip(totals, flat, strict=True)]
+
+    usual = usual_rows(len(corners[0]) == 2)
+    totals = summed_up(flat, slots[:usual])
+    if len(slots) > usual:
+        # Few nodes have more, and they are packed together.
+        totals = jax.lax.fori_loop(usual, own.row_count, add, totals)
+    return totals
+
+
+def nodal_sum(corners: Corners, elements: Elements) -> jax.Array:
+    """Sum of the corners' shares at the nodes in use (3, place), 0 at the others."""
+
+    def work(own: Shares) -> Any:
+        return [assembled(corners, own)], []
+
+    into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
+    (nodal,), _ = over_blocks(work, elements.node_block_count, (shares(elements),), into)
+    return nodal
+
+
+def over_elements(
+    work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array], sums: int = 1
+) -> Any:
+    """What a pass over the blocks of elements in use writes and sums; `work` gets their geometry and `more`."""
+    return over_blocks(work, elements.block_count, (own_of(elements), *more), into, sums=sums)
+
+
+def no_corners(positions: jax.Array, elements: Elements) -> Corners:
+    """Room for what the corners get, for elements whose nodes are at positions (3, place)."""
+    shape = 3 if elements.turn is None else 2, elements.area.size
+    return [jnp.zeros(shape, positions.dtype) for _ in range(3)]
+
+
+class Own(NamedTuple):
+    """Of the elements of a block; as in `Elements`."""
+
+    triangles: jax.Array
+    inverse_metric: jax.Array
+    area: jax.Array
+    turn: jax.Array | None
+
+
+def own_of(elements: Elements) -> Own:
+    """What a pass over elements reads of each."""
+    return Own(elements.triangles, elements.inverse_metric, elements.area, elements.turn)
+
+
+class Sides(NamedTuple):
+    """Of vectors at the nodes, at elements: the first node's, and along both edges from it; each three times (n,)."""
+
+    first: Vector
+    edge1: Vector
+    edge2: Vector
+
+
+def sides_of(own: Own, *nodal: Vector) -> list[Sides]:
+    """Of several at once, since they lie at the same nodes; kept for all their uses."""
+    rows = [row for values in nodal for row in values]
+    places = list(own.triangles)
+    if own.turn is not None:
+        # Both elements of a pair have the nodes of the common edge.
+        places[:2] = [halves(nodes).first for nodes in places[:2]]
+    corners = [looked_up(rows, nodes) for nodes in places]
+
+    def one(first: Vector, second: Vector, third: Vector) -> Sides:
+        edge1 = minus(second, first)
+        if own.turn is not None:
+            first, edge1 = (once(_doubled(v)) for v in once((first, edge1)))
+        return Sides(first, *once((edge1, minus(third, first))))
+
+    return [one(*(vector(corner[k : k + 3]) for corner in corners)) for k in range(0, len(rows), 3)]
+
+
+def _doubled(v: Vector) -> Vector:
+    """What both elements of a pair have, of a vector (n / 2,)."""
+    return vector(Halves(x, x).whole() for x in v)
+
+
+def together(corners: Sequence[Vector], own: Own) -> list[Any]:
+    """What corners get, component by component; of a pair's elements it is summed up at the common edge's ends."""
+    if own.turn is None:
+        return list(corners)
+
+    def summed(part: jax.Array) -> jax.Array:
+        both = halves(part)
+        return both.first + both.second
+
+    # Kept, for they are cut into halves.
+    ends = once([(first, second) for first, second, _ in corners])
+    return [(Halves(*map(summed, two)), third) for two, (_, _, third) in zip(ends, corners, strict=True)]
+
+
+def normal_of(sides: Sides, own: Own) -> Vector:
+    """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
+    normal = cross(sides.edge1, sides.edge2)
+    if own.turn is not None:
+        return once(vector(own.turn * x for x in normal))
+    return once(vector(jnp.where(own.area > 0.0, x, 0.0) for x in normal))
+
+
+def turned(v: Vector, own: Own) -> Vector:
+    """A change (n,) of what `normal_of` makes the normal of; it is masked elsewhere where the place is not in use."""
+    return v if own.turn is None else vector(own.turn * x for x in v)
+
+
+def used(area: jax.Array) -> jax.Array:
+    """1 where an element (n,) is in use, else 0."""
+    return jnp.where(area > 0.0, 1.0, 0.0).astype(area.dtype)

@@ -1,0 +1,336 @@
+"""The nodal force of the sheet and its hand-written derivative, forward and reverse.
+
+The force is a JAX primitive of its own. Plain automatic differentiation would store every intermediate of every
+element at every step; here the derivative needs the positions alone and works the rest out again. A `custom_vjp`
+would shut out forward mode, which least-squares columns and the search for the stable step need; the primitive has a
+tangent (linear in its perturbations), the transpose of that tangent, and batching.
+
+All three work through the elements in blocks and write what each corner gets; the nodes then gather it. The barriers
+keep XLA from working the element out anew for each of the nine components. `benchmarks/` times this against the
+formulations that lost.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.kernels.blocks import once, over_blocks
+from jaxform.kernels.differentiated import Differentiated
+from jaxform.materials import Law
+from jaxform.mechanics.elements import (
+    Corners,
+    Elements,
+    Own,
+    no_corners,
+    nodal_sum,
+    normal_of,
+    over_elements,
+    own_of,
+    sides_of,
+    together,
+    turned,
+    used,
+    with_spill,
+)
+from jaxform.mechanics.membrane import (
+    Metric,
+    Vector,
+    cross,
+    dot,
+    metric,
+    minus,
+    plus,
+    rows_of,
+    stress,
+    stress_factors,
+)
+
+
+class Load(NamedTuple):
+    """What the force depends on smoothly.
+
+    Attributes:
+        positions: (3, place) [m]; or its rows, where no derivative is taken.
+        thickness: Initial thickness (room,) [m].
+        pressure: A number [Pa].
+        material: The law with its parameters.
+    """
+
+    positions: Any
+    thickness: jax.Array
+    pressure: jax.Array
+    material: Law
+
+
+def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
+    """Nodal force (3, place) [N], internal and pressure together, and the enclosed volume [m^3].
+
+    The volume is what the pressure works on: its derivative with respect to the positions of nodes that can move,
+    times the pressure, is the nodal force of the pressure.
+    """
+    return _differentiated(load, elements)
+
+
+def corner_changes(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> Corners:
+    """Change of what each element's corners get of the force [N] as positions change by `moved` (3, place) [m].
+
+    Not differentiable; written `into` room as by `corner_forces`.
+    """
+    none = jax.tree.map(lambda _: None, load)
+    return _corner_changes(load, elements, none._replace(positions=moved), into)[0]
+
+
+def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
+    """What each element's corners get of the force [N], and the enclosed volume [m^3]; not differentiable.
+
+    It is written `into` room from `no_corners`: carried from step to step, it is neither cleared nor copied.
+    """
+    rows = rows_of(load.positions)
+
+    def work(own: Own, thickness: jax.Array) -> Any:
+        (sides,) = sides_of(own, rows)
+        (first, edge1, edge2), normal = sides, normal_of(sides, own)
+        inverse, area = own.inverse_metric, own.area
+        g = metric(edge1, edge2)
+        factors = stress_factors(g, inverse, load.material)
+        factors = once((area * thickness * factors[0], area * thickness * factors[1]))
+        s = once(stress(g, inverse, factors))
+        push = _scaled(load.pressure / 6.0, normal)
+        pull2, pull3 = _pulls(s, edge1, edge2)
+        arm = minus(first, elements.origin)
+        return together(_shares(push, pull2, pull3), own), [dot(arm, normal)]
+
+    corners, (volume,) = over_elements(work, elements, (load.thickness,), into)
+    return with_spill(corners, elements), volume / 6.0
+
+
+def _pressure_share(pressure: jax.Array, area: jax.Array) -> jax.Array:
+    """A node's share of the pressure on an element (n,) [Pa]: nothing where the place is not in use."""
+    return jnp.where(area > 0.0, pressure / 6.0, 0.0)
+
+
+def _scaled(factor: jax.Array | float, v: Vector) -> Vector:
+    return factor * v[0], factor * v[1], factor * v[2]
+
+
+def _shares(push: Vector, pull2: Vector, pull3: Vector) -> list[Vector]:
+    """What the three corners get, component by component."""
+    return [(p + a + b, p - a, p - b) for p, a, b in zip(push, pull2, pull3, strict=True)]
+
+
+def _pulls(s: Metric, edge1: Vector, edge2: Vector) -> tuple[Vector, Vector]:
+    """S^1b e_b and S^2b e_b."""
+    return (
+        plus(_scaled(s[0], edge1), _scaled(s[1], edge2)),
+        plus(_scaled(s[1], edge1), _scaled(s[2], edge2)),
+    )
+
+
+def _weighted_stress(g: Metric, inverse: jax.Array, weight: jax.Array, material: Law) -> Metric:
+    """A0 h0 S^ab (n,): what multiplies the edges in the nodal forces."""
+    a, b = stress_factors(g, inverse, material)
+    return stress(g, inverse, (weight * a, weight * b))
+
+
+def _stress_and_change(
+    g: Metric, change: Metric, inverse: jax.Array, weight: jax.Array, material: Law
+) -> tuple[Metric, Metric]:
+    """A0 h0 S^ab, and its change along that of the metric (n,)."""
+
+    def factors(g: Metric) -> tuple[jax.Array, jax.Array]:
+        a, b = stress_factors(g, inverse, material)
+        return weight * a, weight * b
+
+    # Both divide; kept, they are worked out once instead of for each of the six components.
+    own, rate = once(jax.jvp(factors, (g,), (change,)))
+    b = own[1]
+    s = stress(g, inverse, own)
+    ds = plus(stress(g, inverse, rate), (b * change[2], -b * change[1], b * change[0]))
+    return once((s, ds))
+
+
+def _force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
+    corners, volume = corner_forces(load, elements, no_corners(load.positions, elements))
+    return nodal_sum(corners, elements), volume
+
+
+def _metric_change(edge1: Vector, edge2: Vector, w1: Vector, w2: Vector) -> Metric:
+    return 2.0 * dot(edge1, w1), dot(edge1, w2) + dot(w1, edge2), 2.0 * dot(edge2, w2)
+
+
+def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, jax.Array]:
+    """Derivative of `_force` along `change`, linear in it; a missing part of `change` is None."""
+    corners, volume = _corner_changes(load, elements, change, no_corners(load.positions, elements))
+    return nodal_sum(corners, elements), volume
+
+
+def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners) -> tuple[Corners, jax.Array]:
+    """As `corner_forces`, of the derivative along `change`."""
+    moved = None if change.positions is None else rows_of(change.positions)
+    looked = [rows_of(load.positions)] + ([] if moved is None else [moved])
+    thickened = () if change.thickness is None else (change.thickness,)
+    parameters, structure = jax.tree.flatten(load.material)
+    varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
+
+    def work(own: Own, thickness: jax.Array, *more: jax.Array) -> Any:
+        (first, edge1, edge2), *changed = sides = sides_of(own, *looked)
+        normal, inverse, area = normal_of(sides[0], own), own.inverse_metric, own.area
+        g, weight, share = metric(edge1, edge2), area * thickness, _pressure_share(load.pressure, area)
+        changes: list[Metric] = []
+        pull2 = pull3 = push = _scaled(jnp.zeros_like(area), normal)
+        volume = jnp.zeros_like(area)
+        if moved is not None:
+            w0, w1, w2 = changed[0]
+            s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, load.material)
+            pull2, pull3 = _pulls(s, w1, w2)
+            changes.append(ds)
+            normal_change = turned(plus(cross(w1, edge2), cross(edge1, w2)), own)
+            push = _scaled(share, normal_change)
+            volume = used(area) * (dot(w0, normal) + dot(minus(first, elements.origin), normal_change))
+        for thicker in more:
+            changes.append(_weighted_stress(g, inverse, area * thicker, load.material))
+        for k, tangent in varied:
+            changes.append(_along_parameter(g, inverse, weight, parameters, structure, k, tangent))
+        if changes:
+            total = changes[0]
+            for part in changes[1:]:
+                total = plus(total, part)
+            more2, more3 = _pulls(once(total), edge1, edge2)
+            pull2, pull3 = plus(pull2, more2), plus(pull3, more3)
+        if change.pressure is not None:
+            push = plus(push, _scaled(change.pressure / 6.0, normal))
+        pull2, pull3, push = once((pull2, pull3, push))
+        return together(_shares(push, pull2, pull3), own), [volume]
+
+    corners, (volume,) = over_elements(work, elements, (load.thickness, *thickened), into)
+    return with_spill(corners, elements), volume / 6.0
+
+
+def _along_parameter(
+    g: Metric, inverse: jax.Array, weight: jax.Array, parameters: list[Any], structure: Any, k: int, tangent: jax.Array
+) -> Metric:
+    """Change of the weighted stress along one parameter of the material."""
+
+    def along(value: jax.Array) -> Metric:
+        material = jax.tree.unflatten(structure, [*parameters[:k], value, *parameters[k + 1 :]])
+        return _weighted_stress(g, inverse, weight, material)
+
+    return jax.jvp(along, (parameters[k],), (tangent,))[1]
+
+
+def corner_cotangents(
+    load: Load,
+    elements: Elements,
+    wanted: list[bool],
+    nodal: jax.Array | None,
+    volume: jax.Array | None,
+    into: Corners,
+    summed: list[jax.Array],
+    *,
+    forces: bool = False,
+) -> tuple[Corners, list[jax.Array], list[jax.Array]]:
+    """Transpose of `corner_forces`' derivative, from cotangents of the nodal force (3, place) and of the volume.
+
+    Args:
+        load: What the force is worked out for.
+        elements: Its elements.
+        wanted: Which leaves of the load.
+        nodal: Cotangent of the nodal force; None where there is none.
+        volume: That of the volume; None where there is none.
+        into: Room for what corners get, from `no_corners`; empty where the positions' cotangent is not wanted.
+        summed: Sums over steps that are added to: (1, room) of the cotangents of the thickness' logarithm where the
+            thickness is wanted.
+        forces: Whether `corner_forces` is worked out along with it, since most of it is at hand; `into` then has room
+            for what the corners get of the cotangent and, after it, of the force.
+
+    Returns:
+        What the corners get, the sums, and the cotangents of the pressure and of all the material's parameters, as
+        far as they are wanted; with the forces the enclosed volume [m^3] comes last.
+    """
+    pushed = None if nodal is None else rows_of(nodal)
+    looked = [rows_of(load.positions)] + ([] if pushed is None else [pushed])
+    parameters, structure = jax.tree.flatten(load.material)
+    moves, thickens, presses = wanted[:3]
+    varies = any(wanted[3:])
+
+    def work(*blocks: Any) -> Any:
+        old, (block, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
+        (first, edge1, edge2), *pushes = sides = sides_of(block, *looked)
+        normal, inverse, area = normal_of(sides[0], block), block.inverse_metric, block.area
+        weight, pressure = area * thickness, _pressure_share(load.pressure, area)
+        sums: list[jax.Array] = []
+        own_shares: list[Vector] = []
+        own = edge1_cotangent = edge2_cotangent = _scaled(jnp.zeros_like(area), normal)
+        turn = own
+        if pushed is not None:
+            w0, w1, w2 = pushes[0]
+            total = plus(_scaled(3.0, w0), plus(w1, w2))
+            g, g_change = metric(edge1, edge2), once(_metric_change(edge1, edge2, w1, w2))
+            s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)
+            if forces:
+                own_shares = _shares(_scaled(load.pressure / 6.0, normal), *_pulls(s, edge1, edge2))
+            if moves:
+                pull1, pull2 = _pulls(ds, edge1, edge2)
+                more1, more2 = _pulls(s, w1, w2)
+                edge1_cotangent = _scaled(-1.0, plus(pull1, more1))
+                edge2_cotangent = _scaled(-1.0, plus(pull2, more2))
+                turn = _scaled(pressure, total)
+            # Minus half the change of the metric, against the derivative of the stress.
+            half_change = (-0.5 * g_change[0], -g_change[1], -0.5 * g_change[2])
+            if thickens:
+                old[0] = [old[0][0] + dot(half_change, s)]
+            if presses:
+                sums.append(dot(normal, total) / 6.0)
+            if varies:
+                spread = [jnp.broadcast_to(p, area.shape) for p in parameters]
+                pull = jax.vjp(
+                    lambda p: _weighted_stress(g, inverse, weight, jax.tree.unflatten(structure, p)), spread
+                )[1]
+                sums.extend(pull(half_change)[0])
+        if volume is not None and moves:
+            share = used(area) * (volume / 6.0)
+            turn = plus(turn, _scaled(share, minus(first, elements.origin)))
+            own = _scaled(volume / 6.0, normal)
+        if forces:
+            sums.append(dot(minus(first, elements.origin), normal) / 6.0)
+        if not moves:
+            return old, sums
+        turn = once(turned(turn, block))
+        cotangent1 = once(plus(edge1_cotangent, cross(edge2, turn)))
+        cotangent2 = once(plus(edge2_cotangent, cross(turn, edge1)))
+        own = minus(minus(own, cotangent1), cotangent2)
+        corners = list(zip(own, cotangent1, cotangent2, strict=True)) + own_shares
+        return [*old, *together(corners, block)], sums
+
+    count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0) + int(forces)
+    inputs = own_of(elements), load.thickness
+    room = [*summed, *into]
+    arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
+    corners = [array for k in range(len(summed), len(arrays), 3) for array in with_spill(arrays[k : k + 3], elements)]
+    return corners, arrays[: len(summed)], sums
+
+
+def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
+    """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
+    into = no_corners(load.positions, elements) if wanted[0] else []
+    if nodal is None:
+        wanted = [wanted[0], *(False for _ in wanted[1:])]
+    thickens, presses = wanted[1:3]
+    none = [jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)] if thickens else []
+    corners, summed, sums = corner_cotangents(load, elements, wanted, nodal, volume, into, none)
+    found: list[jax.Array | None] = [None] * len(wanted)
+    if wanted[0]:
+        found[0] = nodal_sum(corners, elements)
+    if thickens:
+        found[1] = summed[0][0] / load.thickness
+    if presses:
+        found[2] = sums.pop(0)
+    if any(wanted[3:]):
+        found[3:] = [value if want else None for value, want in zip(sums, wanted[3:], strict=True)]
+    return found
+
+
+_differentiated = Differentiated("membrane_force", _force, _tangent, _cotangent)

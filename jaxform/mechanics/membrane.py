@@ -1,0 +1,327 @@
+"""The linear membrane triangle: kinematics, stress, energy, lumped mass and the stable step.
+
+Everything is component-first, (3, n), because that is twice as fast as (n, 3) inside the step; where vectors are
+worked out they are triples of (n,), since XLA turns each stacking into a loop with a branch in it. A metric is the
+triple (11, 12, 22) of its components in the basis of the triangle's two edges from its first node.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+
+from jaxform.kernels.blocks import on_cpu, once
+from jaxform.materials import Law
+
+Metric = tuple[jax.Array, jax.Array, jax.Array]
+Vector = tuple[jax.Array, jax.Array, jax.Array]
+
+
+class Invariants(NamedTuple):
+    """Of the right Cauchy-Green tensor, each (n_element,): in-plane trace, in-plane determinant, I1, I2."""
+
+    trace: jax.Array
+    determinant: jax.Array
+    i1: jax.Array
+    i2: jax.Array
+
+
+def gather(values: jax.Array, index: jax.Array) -> jax.Array:
+    """Columns of (..., n_node) `values` at `index`, which the mesh guarantees to exist; it is not tested."""
+    lead = tuple(range(values.ndim - 1))
+    numbers = jax.lax.GatherDimensionNumbers(lead, (values.ndim - 1,), (values.ndim - 1,))
+    # Without a sign, or XLA would look for negative ones all the same.
+    index = index.astype(jnp.uint32)[..., None]
+    return jax.lax.gather(values, index, numbers, (*values.shape[:-1], 1), mode="promise_in_bounds")
+
+
+def looked_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    """Entries (n,) of several rows (n_node,) at the same places (n,), in one loop; as `summed_up`."""
+    return summed_up(rows, index[None])
+
+
+def summed_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    """Sums (n,) of the entries of several rows (n_node,) at places (k, n), over k, in one loop.
+
+    XLA's CPU compiler makes a loop for each array that it works out, and each would take all indices apart again, which
+    takes longer than to look up; only a reduction of several arrays is one loop for all of them.
+    """
+    if not on_cpu():
+        return [jnp.sum(gather(row, index), axis=0) for row in rows]
+    return _summed_in_one_loop(list(rows), index)
+
+
+@jax.custom_jvp
+def _summed_in_one_loop(rows: list[jax.Array], index: jax.Array) -> list[jax.Array]:
+    # Else every entry would be cut out anew, and looked up for every step of the loop.
+    index = once(index)
+    found = [gather(row, index) for row in rows]
+    if len(index) == 1:
+        # A sum over one alone would be seen through. Nothing is added, since minus nothing changes no number.
+        found = [jnp.pad(values, ((0, 1), (0, 0)), constant_values=-0.0) for values in found]
+    none = [jnp.asarray(-0.0, values.dtype) for values in found]
+    add = lambda a, b: [x + y for x, y in zip(a, b, strict=True)]  # noqa: E731
+    return jax.lax.reduce(found, none, add, (0,))
+
+
+@functools.partial(_summed_in_one_loop.defjvp, symbolic_zeros=True)
+def _(primals: Any, tangents: Any) -> tuple[list[jax.Array], list[Any]]:
+    """Linear in the rows; JAX's own derivative of such a reduction is no loop, and none where a row has no tangent."""
+    (rows, index), (changes, _) = primals, tangents
+    moving = [change for change in changes if not isinstance(change, SymbolicZero)]
+    found, moved = _summed_in_one_loop(rows, index), iter(_summed_in_one_loop(moving, index) if moving else [])
+    none = [SymbolicZero(jax.typeof(values).to_tangent_aval()) for values in found]
+    pairs = zip(changes, none, strict=True)
+    return found, [zero if isinstance(change, SymbolicZero) else next(moved) for change, zero in pairs]
+
+
+def columns(values: jax.Array | Vector, index: jax.Array) -> Vector:
+    """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
+    if isinstance(values, tuple):
+        return vector(looked_up(values, index))
+    flat, size = values.reshape(-1), values.shape[1]
+    x, y, z = (gather(flat, index + k * size) for k in range(3))
+    return x, y, z
+
+
+def vector(components: Iterable[jax.Array]) -> Vector:
+    """Three components (n,) as a vector."""
+    x, y, z = components
+    return x, y, z
+
+
+def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, Vector, Vector]:
+    """First node and the two edges from it, each three times (n_element,) [m], of (3, n_node) and (3, n_element).
+
+    Of positions row by row no derivative is taken, and the nodes' are kept for all their uses.
+    """
+    rows, look_up = rows_of(positions), looked_up if isinstance(positions, tuple) else _gathered
+    first, second, third = (vector(look_up(rows, nodes)) for nodes in triangles)
+    return first, minus(second, first), minus(third, first)
+
+
+def _gathered(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    return [gather(row, index) for row in rows]
+
+
+def rows_of(positions: jax.Array | Vector) -> Vector:
+    """The rows of (3, n), taken apart once: for loops over blocks, which would do it again for each."""
+    x, y, z = positions
+    return x, y, z
+
+
+def minus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
+    """Difference of two vectors, component by component."""
+    (x, y, z), (u, v, w) = a, b
+    return x - u, y - v, z - w
+
+
+def plus(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
+    """Sum of two vectors, component by component."""
+    (x, y, z), (u, v, w) = a, b
+    return x + u, y + v, z + w
+
+
+def dot(a: jax.Array | Vector, b: jax.Array | Vector) -> jax.Array:
+    """Scalar products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
+    if not isinstance(a, tuple | list) and not isinstance(b, tuple | list):
+        # Two operations instead of seventeen, where no loop over steps waits for them.
+        return jnp.sum(a * b, axis=0)
+    (x, y, z), (u, v, w) = a, b
+    return x * u + y * v + z * w
+
+
+def cross(a: jax.Array | Vector, b: jax.Array | Vector) -> Vector:
+    """Vector products of the columns of two vectors: (3, n) arrays or triples of (n,)."""
+    (x, y, z), (u, v, w) = a, b
+    return y * w - z * v, z * u - x * w, x * v - y * u
+
+
+def metric(edge1: Vector, edge2: Vector) -> Metric:
+    """Metric (g11, g12, g22) [m^2] of two edges, each three times (n_element,)."""
+    return dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2)
+
+
+def _determinant(g: Metric) -> jax.Array:
+    return g[0] * g[2] - g[1] * g[1]
+
+
+def _inverse(g: Metric) -> Metric:
+    scale = 1.0 / _determinant(g)
+    return g[2] * scale, -g[1] * scale, g[0] * scale
+
+
+@jax.jit
+def reference_metric(positions: jax.Array, triangles: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Inverse metric (3, n_element) [1/m^2] and area (n_element,) [m^2] of the initial mesh."""
+    g = metric(*edges(positions, triangles)[1:])
+    return jnp.stack(_inverse(g)), 0.5 * jnp.sqrt(_determinant(g))
+
+
+def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
+    """Invariants of incompressible strain from the current metric and the inverse of the initial one."""
+    r = inverse_reference
+    trace = r[0] * g[0] + 2.0 * r[1] * g[1] + r[2] * g[2]
+    determinant = _determinant(g) * (r[0] * r[2] - r[1] * r[1])
+    flexibility = _reciprocal(determinant)  # the only division
+    return Invariants(trace, determinant, trace + flexibility, determinant + trace * flexibility)
+
+
+@jax.custom_jvp
+def _reciprocal(values: jax.Array) -> jax.Array:
+    """One over values; its derivative is made of it, where JAX's own divides once more."""
+    return 1.0 / values
+
+
+@_reciprocal.defjvp
+def _reciprocal_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    reciprocal = _reciprocal(*values)
+    return reciprocal, -jnp.square(reciprocal) * changes[0]
+
+
+def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Law) -> tuple[jax.Array, jax.Array]:
+    """A [Pa] and B [Pa/m^4], (n_element,), of the second Piola-Kirchhoff stress S^ab = A G^ab + B adj(g)^ab.
+
+    Every isotropic law's stress is of this form: the slopes of its energy and one division give both factors, and
+    the three components follow by one product each.
+    """
+    r = inverse_reference
+    trace, determinant, i1, i2 = invariants(g, r)
+    slope1, slope2 = material.slopes(i1, i2)
+    flexibility = _reciprocal(determinant)
+    scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
+    if slope1 is None:
+        slope1 = jnp.zeros_like(trace)
+    if slope2 is None:
+        return 2.0 * slope1 * jnp.ones_like(trace), -scale * jnp.square(flexibility) * slope1
+    if slope2.ndim > 0:
+        slope2 = once(slope2)  # both factors would work it out again
+    pull = slope1 + slope2 * trace
+    return 2.0 * (slope1 + slope2 * flexibility), scale * (slope2 - jnp.square(flexibility) * pull)
+
+
+def stress(g: Metric, inverse_reference: jax.Array | Metric, factors: tuple[jax.Array, jax.Array]) -> Metric:
+    """Second Piola-Kirchhoff stress S^ab = 2 dW/dg_ab [Pa/m^2], components (11, 12, 22), from `stress_factors`."""
+    a, b = factors
+    r = inverse_reference
+    return a * r[0] + b * g[2], a * r[1] - b * g[1], a * r[2] + b * g[0]
+
+
+def strain_energy(
+    positions: jax.Array,
+    triangles: jax.Array,
+    inverse_reference: jax.Array,
+    volume: jax.Array,
+    material: Law,
+) -> jax.Array:
+    """Strain energy of the sheet [J]; `volume` (n_element,) [m^3] is initial thickness times initial area."""
+    strain = invariants(metric(*edges(positions, triangles)[1:]), inverse_reference)
+    return jnp.sum(volume * material.energy(strain.i1, strain.i2))
+
+
+def principal_stretches(strain: Invariants) -> tuple[jax.Array, jax.Array]:
+    """Larger and smaller in-plane stretch, each (n_element,), from the invariants."""
+    mean = 0.5 * strain.trace
+    spread = jnp.square(mean) - strain.determinant
+    # Equal stretches have no derivative of their difference: the inner `where` keeps the root away from 0.
+    root = jnp.where(spread > 0.0, jnp.sqrt(jnp.where(spread > 0.0, spread, 1.0)), 0.0)
+    larger = jnp.sqrt(mean + root)
+    return larger, jnp.sqrt(strain.determinant) / larger
+
+
+def element_mean(values: jax.Array, triangles: jax.Array) -> jax.Array:
+    """Mean over each triangle's nodes (n_element,) of nodal values (n_node,)."""
+    return (values[triangles[0]] + values[triangles[1]] + values[triangles[2]]) / 3.0
+
+
+def sum_to_nodes(values: jax.Array, triangles: jax.Array, node_count: int) -> jax.Array:
+    """Sum (n_node,) over the adjacent triangles of values (n_element,)."""
+    return jnp.zeros(node_count, values.dtype).at[triangles.ravel()].add(jnp.tile(values, 3))
+
+
+@jax.jit
+def shape_bound(inverse_reference: jax.Array, area: jax.Array) -> jax.Array:
+    """Largest eigenvalue (n_element,) [1/m^2] of the gradients of a triangle's shape functions, 3 nodes lumped.
+
+    lambda_G = (S + sqrt(S^2 - 3/A0^2))/2 with S = (sum of squared edge lengths)/(4 A0^2).
+    """
+    g11, g12, g22 = _inverse((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
+    total = (2.0 * (g11 + g22 - g12)) / (4.0 * jnp.square(area))
+    gap = jnp.square(total) - 3.0 / jnp.square(area)
+    return 0.5 * (total + jnp.sqrt(jnp.maximum(gap, 0.0)))
+
+
+def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
+    """Largest eigenvalue D (n_element,) [Pa] of d2W/dF2 at the present strain, in closed form.
+
+    The candidates are the two of the block of stretches, the two shears and the two motions out of the plane:
+    second derivatives of W by the stretches (a, b), and its slopes over sums and differences of them.
+    """
+    a, b = principal_stretches(strain)
+    slope1, slope2 = material.slopes(strain.i1, strain.i2)
+    p, q = a * b, 1.0 / (a * b) ** 3
+    first_a, first_b = q * b / a, q * a / b
+    terms = [2 + 6 * first_a, 2 + 6 * first_b, 4 * q, 2 + 2 * q, 2 - 2 * q, 2 - 2 * first_a, 2 - 2 * first_b]
+    terms = [(0.0 if slope1 is None else slope1) * term for term in terms]
+    if slope2 is not None:
+        squares, inverse_a, inverse_b = a * a + b * b, 1.0 / a**4, 1.0 / b**4
+        second = [2 * b * b + 6 * inverse_a, 2 * a * a + 6 * inverse_b, 4 * p]
+        second += [2 * q * (squares + p) - 2 * p, 2 * p - 2 * q * (squares - p)]
+        second += [2 * b * b - 2 * inverse_a, 2 * a * a - 2 * inverse_b]
+        terms = [term + slope2 * extra for term, extra in zip(terms, second, strict=True)]
+    for curvature, product in zip(material.curvatures(strain.i1, strain.i2), _slopes_by_stretches(a, b), strict=True):
+        if curvature is not None:
+            for k, part in enumerate(product):
+                terms[k] = terms[k] + curvature * part
+    h11, h22, h12, *others = terms
+    largest = 0.5 * (h11 + h22) + jnp.sqrt(0.25 * jnp.square(h11 - h22) + jnp.square(h12))
+    for other in others:
+        largest = jnp.maximum(largest, other)
+    return largest
+
+
+def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
+    """Products of the invariants' slopes by the stretches, (aa, bb, ab): of I1 and I1, I1 and I2, I2 and I2."""
+    one = 2 * a - 2 / (a**3 * b * b), 2 * b - 2 / (b**3 * a * a)
+    two = 2 * a * b * b - 2 / a**3, 2 * b * a * a - 2 / b**3
+    squares = [(x[0] * x[0], x[1] * x[1], x[0] * x[1]) for x in (one, two)]
+    mixed = 2 * one[0] * two[0], 2 * one[1] * two[1], one[0] * two[1] + one[1] * two[0]
+    return [squares[0], mixed, squares[1]]
+
+
+def stiffness(
+    positions: jax.Array | Vector,
+    triangles: jax.Array,
+    inverse_reference: jax.Array,
+    bound: jax.Array,
+    moving: jax.Array,
+    material: Law,
+) -> jax.Array:
+    """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
+
+    Args:
+        positions: (3, n_node) [m].
+        triangles: (3, n_element).
+        inverse_reference: Inverse of the initial metric (3, n_element) [1/m^2].
+        bound: Lambda_G (n_element,) [1/m^2].
+        moving: Mask (n_element,).
+        material: The law.
+    """
+    _, edge1, edge2 = edges(positions, triangles)
+    edge1, edge2 = once((edge1, edge2))
+    strain = invariants(metric(edge1, edge2), inverse_reference)
+    return jnp.where(moving, tangent_stiffness(strain, material) * bound, 0.0)
+
+
+def stable_step(largest: jax.Array, material: Law) -> jax.Array:
+    """Safe bound on the central-difference step [s], from the largest `stiffness` of the elements.
+
+    dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension. The thickness cancels between stiffness and lumped mass.
+    Infinite where nothing can move.
+    """
+    return 2.0 / jnp.sqrt(3.0 * largest / material.density)

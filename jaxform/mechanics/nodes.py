@@ -1,0 +1,76 @@
+"""The nodal fields of a run, each declared once with how it passes from one list of nodes to another.
+
+Packing, room for more nodes, their insertion and the result follow from what is declared here. A scene may carry fields
+of its own (`jaxform.field`); they are under their names in `Nodes.fields`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import pytree
+
+
+class Rule(NamedTuple):
+    """How a nodal field passes from one list of nodes to another.
+
+    Attributes:
+        smooth: Whether it carries a derivative.
+        beyond: Its value at places where there is no node; None where any will do.
+        absent: Its value in a result at nodes that do not exist; None where the result has their initial value.
+    """
+
+    smooth: bool = False
+    beyond: Any = None
+    absent: Any = None
+
+
+@pytree
+class Nodes:
+    """Nodal fields, in the mesh's order or in the packed one of `working.Working`.
+
+    Attributes:
+        positions: (3, n_node) [m]; inside a window's loop row by row, where no derivative is taken.
+        velocities: (3, n_node) [m/s], half a step behind the positions.
+        stuck: Nodes (n_node,) that do not move any more: on the mold, or clamped.
+        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
+            came from the far side of its normal; 0 where it does not touch the mold.
+        mode: Of the highest frequency (3, n_node); None where it is not measured.
+        fields: The scene's own, by name (n_node,).
+    """
+
+    positions: Any = dataclasses.field(metadata={"rule": Rule(smooth=True)})
+    velocities: jax.Array = dataclasses.field(metadata={"rule": Rule(smooth=True, beyond=0.0, absent=0.0)})
+    stuck: jax.Array = dataclasses.field(metadata={"rule": Rule(beyond=True, absent=False)})
+    contact_time: jax.Array = dataclasses.field(metadata={"rule": Rule(smooth=True, absent=-1.0)})
+    wall: jax.Array = dataclasses.field(metadata={"rule": Rule(absent=0)})
+    mode: jax.Array | None = dataclasses.field(metadata={"rule": Rule()})
+    fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": Rule(smooth=True, absent=0.0)})
+
+    def mapped(self, function: Callable[[Any, Rule], Any]) -> Nodes:
+        """The same of every field, from its values and its rule."""
+        made = {
+            part.name: jax.tree.map(lambda values, rule=part.metadata["rule"]: function(values, rule), values)
+            for part in dataclasses.fields(self)
+            for values in [getattr(self, part.name)]
+        }
+        return dataclasses.replace(self, **made)
+
+    def stepped(self) -> Nodes:
+        """What contact knows of: neither the mode nor the scene's own fields."""
+        return dataclasses.replace(self, mode=None, fields={})
+
+    def with_room(self, count: int) -> Nodes:
+        """With places for so many nodes."""
+
+        def longer(values: jax.Array, rule: Rule) -> jax.Array:
+            shape = *values.shape[:-1], count - values.shape[-1]
+            return jnp.concatenate([values, jnp.full(shape, rule.beyond or 0, values.dtype)], axis=-1)
+
+        return self.mapped(longer)

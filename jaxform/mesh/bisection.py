@@ -1,0 +1,273 @@
+"""The forest: every triangle of a parison's mesh bisected beforehand, down to a deepest level. On the host.
+
+Newest-vertex bisection: a triangle (peak, a, b) is halved from its peak to the middle m of the opposite edge, which is
+its refinement edge, into (m, peak, a) and (m, b, peak). The first triangles' edges are their longest ones. Refining is
+then nothing but marking triangles as bisected, and everything a mark can ask for is known before a run begins.
+
+Triangles are numbered level by level; those of level l begin at roots * (2**l - 1), and the children of the i-th there
+are the (2 i)-th and the (2 i + 1)-th of the next.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import topology
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int32]
+_MOST_TRIANGLES = 4_000_000
+Snap = Callable[[Array, Array, NDArray[np.bool_]], Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class Forest:
+    """Triangles and nodes of all levels.
+
+    Attributes:
+        root_count: Triangles at level 0.
+        depth: The deepest level; even, so that no mark ever asks for more (see `even_depth`).
+        positions: Of the nodes (n_node, 3) [m]; those of the mesh come first.
+        triangles: (n_triangle, 3), the peak first.
+        partner: The other triangle (n_triangle,) with the same refinement edge; itself where there is none.
+        middle: Node in the middle of the refinement edge (n_triangle,); -1 at the deepest level.
+        half_edges: Of the sides from each corner to the next (n_triangle, 3): two neighbours' are 2 k and 2 k + 1.
+        corner_slots: (n_triangle, 3); triangles that do not overlap have different ones at a node.
+        ends: Of the edge that each node is the middle of (n_node, 2); itself twice for the nodes of the mesh.
+        clamped: Nodes that never move (n_node,).
+        fixed: Components that never move (n_node, 3).
+    """
+
+    root_count: int
+    depth: int
+    positions: Array
+    triangles: Integers
+    partner: Integers
+    middle: Integers
+    half_edges: Integers
+    corner_slots: Integers
+    ends: Integers
+    clamped: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+
+    def level(self) -> Integers:
+        """Of the triangles (n_triangle,)."""
+        return np.repeat(np.arange(self.depth + 1), self.root_count << np.arange(self.depth + 1)).astype(np.int32)
+
+
+def extended(values: NDArray[np.floating], ends: NDArray[np.integer], depth: int) -> NDArray[np.floating]:
+    """Values at all nodes (n_node, ...) from those at the mesh's: new nodes have the mean of their ends (n_node, 2)."""
+    count, whole = len(values), np.zeros((len(ends), *values.shape[1:]))
+    whole[:count] = values
+    for _ in range(depth):  # a new node can be the end of a newer one's edge
+        whole[count:] = whole[ends[count:]].mean(1)
+    return whole
+
+
+def even_depth(level: int) -> int:
+    """The depth of a forest in which triangles up to a level can be asked for: closure never needs an odd one more."""
+    return level + level % 2
+
+
+def build_forest(
+    positions: Array,
+    triangles: NDArray[np.integer],
+    depth: int,
+    *,
+    clamped: NDArray[np.bool_] | None = None,
+    fixed: NDArray[np.bool_] | None = None,
+    snap: Snap | None = None,
+) -> Forest:
+    """Bisects a conforming mesh of consistently oriented triangles.
+
+    Args:
+        positions: (n_node, 3) [m].
+        triangles: (n_root, 3).
+        depth: The deepest level, even.
+        clamped: Nodes that never move; none by default.
+        fixed: Components (n_node, 3) that never move; none by default.
+        snap: Puts the middles (n, 3) of edges with ends (n, 2, 3) [m] on the true surface, told which (n,) are on the
+            mesh's boundary; none by default.
+
+    Raises:
+        InputError: If an edge has more than two triangles, or two neighbours turn opposite ways.
+    """
+    count = len(triangles) << (depth + 1)
+    if count > _MOST_TRIANGLES:
+        problem = f"the mesh bisected beforehand would have {count} triangles"
+        raise InputError(problem, "lower it, or begin with fewer elements", "refinement.max_level", depth)
+    for bad, problem in (
+        (topology.nonmanifold_edges(triangles), "an edge of more than two triangles cannot be refined"),
+        (topology.inconsistent_edges(triangles), "neighbours that turn opposite ways cannot be refined"),
+    ):
+        if len(bad):
+            raise InputError(problem, "mend the mesh or leave [refinement] out", "parison", bad[0].tolist())
+    count = len(positions)
+    nodes = _Nodes(
+        positions=np.asarray(positions, float),
+        ends=np.repeat(np.arange(count), 2).reshape(-1, 2),
+        clamped=np.zeros(count, bool) if clamped is None else np.asarray(clamped, bool),
+        fixed=np.zeros((count, 3), bool) if fixed is None else np.asarray(fixed, bool),
+    )
+    level = _longest_first(nodes.positions, np.asarray(triangles, np.int64))
+    slots = _root_slots(level, count)
+    held = nodes.clamped[level].all(1)  # a triangle that cannot move at all stays so in its parts
+    rim = _rim(level)
+    still = _still_sides(level, rim, held, nodes.clamped)
+    levels, middles, all_slots = [level], [], [slots]
+    for _ in range(depth):
+        node, nodes = _with_middles(nodes, level[:, 1:], rim[:, 1], still[:, 1], snap)
+        peak, a, b = level.T
+        second = a > b  # its neighbour across the refinement edge runs along it the other way
+        level = np.stack([np.stack([node, peak, a], 1), np.stack([node, b, peak], 1)], 1).reshape(-1, 3)
+        rim, still = _child_sides(rim, np.zeros_like(held)), _child_sides(still, held)
+        slots, held = _child_slots(slots, second), np.repeat(held, 2)
+        levels.append(level)
+        middles.append(node)
+        all_slots.append(slots)
+    whole = np.concatenate(levels)
+    middle = np.concatenate([*middles, np.full(len(level), -1)])
+    return Forest(
+        root_count=len(triangles),
+        depth=depth,
+        positions=nodes.positions,
+        triangles=whole.astype(np.int32),
+        partner=_partners(middle),
+        middle=middle.astype(np.int32),
+        half_edges=_half_edges(whole),
+        corner_slots=np.concatenate(all_slots).astype(np.int32),
+        ends=nodes.ends.astype(np.int32),
+        clamped=nodes.clamped,
+        fixed=nodes.fixed,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Nodes:
+    """The nodes so far; see `Forest`."""
+
+    positions: Array
+    ends: NDArray[np.int64]
+    clamped: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+
+
+def _rim(triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which sides (n, 3), from each corner to the next, have no triangle beyond."""
+    half = _half_edges(triangles)
+    return ~np.isin(half ^ 1, half)
+
+
+def _still_sides(
+    triangles: NDArray[np.int64], rim: NDArray[np.bool_], held: NDArray[np.bool_], clamped: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Sides (n, 3) that do not move: of a triangle that cannot, or of a rim that does not."""
+    half = _half_edges(triangles)
+    still = np.zeros(int(half.max(initial=0)) // 2 + 1, bool)
+    still[half[held] >> 1] = True
+    ends = clamped[triangles] & clamped[np.roll(triangles, -1, axis=1)]
+    return still[half >> 1] | rim & ends
+
+
+def _child_sides(sides: NDArray[np.bool_], cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Of both children (2 n, 3): the sides of (m, p, a) are m-p, p-a and a-m, those of (m, b, p) m-b, b-p and p-m."""
+    begin, middle, end = sides.T
+    return np.stack([np.stack([cut, begin, middle], 1), np.stack([middle, end, cut], 1)], 1).reshape(-1, 3)
+
+
+def _with_middles(
+    nodes: _Nodes,
+    edges: NDArray[np.int64],
+    rim: NDArray[np.bool_],
+    still: NDArray[np.bool_],
+    snap: Snap | None,
+) -> tuple[NDArray[np.int64], _Nodes]:
+    """The nodes in the middle of edges (n, 2), and all nodes with those that are new."""
+    count = len(nodes.positions)
+    known, key = _keys(nodes.ends, count), _keys(edges, count)
+    order = np.argsort(known, kind="stable")
+    place = np.minimum(np.searchsorted(known[order], key), count - 1)
+    node = np.where(known[order][place] == key, order[place], -1)
+    missing = node < 0
+    _, first, inverse = np.unique(key[missing], return_index=True, return_inverse=True)
+    node[missing] = count + inverse
+    ends, on_rim = edges[missing][first], rim[missing][first]
+    positions = nodes.positions[ends].mean(1)
+    if snap is not None:
+        positions = snap(positions, nodes.positions[ends], on_rim)
+    clamped = still[missing][first]
+    fixed = on_rim[:, None] & nodes.fixed[ends].all(1)
+    return node, _Nodes(
+        np.concatenate([nodes.positions, positions]),
+        np.concatenate([nodes.ends, ends]),
+        np.concatenate([nodes.clamped, clamped]),
+        np.concatenate([nodes.fixed, fixed]),
+    )
+
+
+def _keys(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """A number for each pair (n, 2) of node numbers below `count`, whichever comes first; for equal ones a negative."""
+    low, high = pairs.min(1), pairs.max(1)
+    return np.where(low == high, -1 - low, low * np.int64(count) + high)
+
+
+def _longest_first(positions: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Turned round so that the first node faces the longest edge; of equally long ones the same for neighbours."""
+    side = np.roll(triangles, -1, axis=1), np.roll(triangles, -2, axis=1)
+    length = np.linalg.norm(positions[side[0]] - positions[side[1]], axis=2)
+    # Rounding must not decide: lengths that agree to a millionth count as equal, and the edges' names decide.
+    length = np.round(length / length.max(axis=1, keepdims=True), 6)
+    name = np.maximum(*side) + np.minimum(*side) / (triangles.max(initial=0) + 1.0)
+    peak = np.lexsort((name, length), axis=1)[:, -1]
+    return np.take_along_axis(triangles, (peak[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _root_slots(triangles: NDArray[np.int64], node_count: int) -> NDArray[np.int64]:
+    """Every other number round each node: an angle is halved at most once."""
+    corner = triangles.ravel()
+    order = np.argsort(corner, kind="stable")
+    count = np.bincount(corner, minlength=node_count)
+    rank = np.empty(len(corner), np.int64)
+    rank[order] = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+    return 2 * rank.reshape(-1, 3)
+
+
+def _child_slots(slots: NDArray[np.int64], second: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Of both children (2 n, 3): the peak's angle is halved; the new node gets four, two on each side of the edge."""
+    peak, a, b = slots.T
+    new = 4 * second
+    return np.stack([np.stack([new, peak, a], 1), np.stack([new + 2, b, peak + 1], 1)], 1).reshape(-1, 3)
+
+
+def _partners(middle: NDArray[np.int64]) -> Integers:
+    """The other triangle with the same node in the middle of its refinement edge, or itself."""
+    order = np.argsort(middle, kind="stable")
+    same = (middle[order][1:] == middle[order][:-1]) & (middle[order][1:] >= 0)
+    partner = np.arange(len(middle), dtype=np.int32)
+    one, other = order[:-1][same], order[1:][same]
+    partner[one], partner[other] = other, one
+    return partner
+
+
+def _half_edges(triangles: NDArray[np.int64]) -> Integers:
+    """Twice the edge's number, and one more where it runs from the higher node to the lower."""
+    begin, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    count = int(triangles.max(initial=0)) + 1
+    number = np.unique(np.minimum(begin, end) * np.int64(count) + np.maximum(begin, end), return_inverse=True)[1]
+    return (2 * number + (begin > end)).reshape(-1, 3).astype(np.int32)
+
+
+def closure(split: NDArray[np.bool_], forest: Forest) -> NDArray[np.bool_]:
+    """What is bisected (n_triangle,) when those split are, so that no node hangs; as `remeshing.closed` in a run."""
+    split, new = split.copy(), np.flatnonzero(split)
+    while len(new):
+        inner = new[new >= forest.root_count]
+        asked = np.unique(np.concatenate([forest.partner[new], (inner - forest.root_count) // 2]))
+        new = asked[~split[asked]]
+        split[new] = True
+    return split

@@ -1,0 +1,138 @@
+"""Readers of STL, OBJ and OFF, as the programs write them that people draw molds with; on the host.
+
+Each takes the content of a file and returns its faces. What they raise beside InputError (ValueError, IndexError and
+the like) means that the content is no such file.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError, warn_of
+
+
+@dataclass(frozen=True)
+class Faces:
+    """What a mesh file says of its faces.
+
+    Attributes:
+        points: Node positions in the unit of the file, shape (n, 2) or more.
+        corners: Node indices of all faces, one face after the other, shape (counts.sum(),).
+        counts: Corners of each face, shape (f,).
+        point_data: Data at the nodes by name, n of them.
+        cell_data: Data of the faces by name, f of them.
+    """
+
+    points: NDArray[Any]
+    corners: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    point_data: dict[str, NDArray[Any]] = field(default_factory=dict)
+    cell_data: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+
+def no_surface(*, solid: bool) -> InputError:
+    """What to say of a file without faces."""
+    if solid:
+        return InputError("has solids but no surface", "extract their surface, and export that as triangles")
+    return InputError("has no triangles", "export the surface as triangles")
+
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE | re.IGNORECASE)
+
+
+def read_stl(content: bytes, name: str) -> Faces:
+    """The facets of an STL file, binary or ASCII, nodes not welded."""
+    count = int.from_bytes(content[80:84], "little")
+    expected = 84 + _FACET.itemsize * count
+    # Where ASCII has its letters, the number of a binary file is larger than any file.
+    if len(content) >= 84 and count and len(content) >= expected:
+        if len(content) > expected:
+            words = f"has {len(content) - expected} bytes after the last of its {count} triangles, which are left out"
+            warn_of(words, "export it again if triangles are missing", value=name)
+        return _soup(np.frombuffer(content, _FACET, count, 84)["corners"].astype(np.float64))
+    lower = content.lower()
+    if b"facet" in lower[:100_000] and lower.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"solid"):
+        return _soup(_ascii_corners(content, lower))
+    if len(content) >= 84 and count and b"\0" in content:
+        there = (len(content) - 84) // _FACET.itemsize
+        problem = f"is no ASCII STL file, and as a binary one not all of it is there: {there} of {count} triangles"
+        raise InputError(problem, "export or copy it again")
+    raise ValueError("neither binary nor ASCII STL")
+
+
+def _ascii_corners(content: bytes, lower: bytes) -> NDArray[np.float64]:
+    corners = np.array(_VERTEX.findall(content)).astype(np.float64)
+    facets, loops = (len(re.findall(rb"^[ \t]*" + word, lower, re.MULTILINE)) for word in (b"facet", b"endloop"))
+    # The end is said once for each solid; after the last facet of all, where none is cut off.
+    ended = re.search(rb"^[ \t]*end ?solid", lower[max(lower.rfind(b"endfacet"), 0) :], re.MULTILINE)
+    if not ended or not len(corners) == 3 * facets == 3 * loops:
+        raise ValueError("truncated")
+    return corners.reshape(-1, 3, 3)
+
+
+def _soup(corners: NDArray[np.float64]) -> Faces:
+    count = len(corners)
+    return Faces(corners.reshape(-1, 3), np.arange(3 * count), np.full(count, 3, np.int64))
+
+
+def read_obj(content: bytes, name: str) -> Faces:
+    """The positions and faces of an OBJ file; normals, textures, materials, lines and curves are left out."""
+    text = content.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    points: list[list[float]] = []
+    corners: list[int] = []
+    counts: list[int] = []
+    for line in text.split("\n"):
+        words = line.split()
+        if not words or words[0] not in ("v", "f"):
+            continue
+        if words[0] == "v":
+            x, y, z = map(float, words[1:4])
+            points.append([x, y, z])
+            continue
+        numbers = [int(word.partition("/")[0]) for word in words[1:]]
+        if len(numbers) < 3:
+            raise InputError(f"has a face with {len(numbers)} corners ({line.strip()[:40]})", "export or copy it again")
+        # Below zero: counted back from the last position so far. Above: from 1.
+        corners += [number - 1 if number > 0 else len(points) + number if number else -1 for number in numbers]
+        counts.append(len(numbers))
+    faces = Faces(np.array(points).reshape(-1, 3), np.array(corners, np.int64), np.array(counts, np.int64))
+    _warn_of_a_cut(faces, text, name)
+    return faces
+
+
+def _warn_of_a_cut(faces: Faces, text: str, name: str) -> None:
+    """The format has no end by which to know whether all is there, but positions come before what uses them."""
+    unused = len(faces.points) - len(np.unique(faces.corners))
+    if len(faces.counts) and unused > 0:
+        problem = f"has {unused} of {len(faces.points)} positions that no face uses"
+        warn_of(problem, "check that the end of the file is not cut off", value=name)
+    elif len(faces.counts) and text[-1:] not in ("\n", "\0") and text.rpartition("\n")[2][:1] == "f":
+        warn_of("ends within a line", "check that the end of the file is not cut off", value=name)
+
+
+_OFF_HEADER = re.compile(r"(?:ST)?C?N?OFF\b[ \t]*(.*)", re.IGNORECASE)
+
+
+def read_off(content: bytes, name: str) -> Faces:
+    """The positions and faces of an OFF file; colours, normals and textures are left out."""
+    lines = (line.partition("#")[0].split() for line in content.decode("utf-8-sig").split("\n"))
+    rows = [words for words in lines if words]
+    header = _OFF_HEADER.fullmatch(" ".join(rows[0]))
+    if not header:
+        raise ValueError("no header")
+    rows[:1] = [header[1].split()] if header[1] else []
+    point_count, face_count = int(rows[0][0]), int(rows[0][1])
+    if min(point_count, face_count) < 0 or len(rows) < 1 + point_count + face_count:
+        raise ValueError("truncated")
+    points = np.array([list(map(float, words[:3])) for words in rows[1 : 1 + point_count]])
+    numbers = [list(map(int, words[: 1 + int(words[0])])) for words in rows[1 + point_count :][:face_count]]
+    if any(len(row) != 1 + row[0] for row in numbers):
+        raise ValueError("truncated")
+    corners = np.array([number for row in numbers for number in row[1:]], np.int64)
+    return Faces(points, corners, np.array([row[0] for row in numbers], np.int64))

@@ -1,0 +1,158 @@
+"""Mesh files of all formats to their faces: each by the reader that reads it right, within bounds of memory."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxform.core import disk
+from jaxform.core.errors import InputError, InputWarning
+from jaxform.mesh import facets, legacy_vtk
+from jaxform.mesh.facets import Faces
+
+ENDINGS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".msh")
+REEXPORT = "export it again as STL, OBJ, PLY, OFF, VTK, VTU or MSH"
+_ROOM, _ROOM_PER_BYTE = 500_000_000, 60  # of memory for meshio, beside what the process has
+_limiting = threading.Lock()
+
+
+def read_faces(path: Path) -> Faces:
+    """The faces that a mesh file has.
+
+    Raises:
+        InputError: The file is missing, too large, or no mesh of the format that its ending tells.
+    """
+    value = str(path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS and not os.path.isdir(path):
+        raise InputError("is of no known mesh format", f"use one of {', '.join(ENDINGS)}", value=value)
+    content = disk.read_bytes(path, disk.MOST_MESH)
+    if not content:
+        raise InputError("is empty", REEXPORT, value=value)
+    try:
+        with _silence() as told:
+            faces = _READERS[ending](content, value)
+    except InputError as error:
+        raise replace(error, value=value) from None
+    # meshio raises all kinds of errors on bad input, and exits; so do the readers, a few kinds.
+    except (Exception, SystemExit):
+        problem = f"is not a readable {ending[1:].upper()} file, or not all of it is there"
+        raise InputError(problem, REEXPORT, value=value) from None
+    for words in told:
+        warnings.warn(words.message, stacklevel=2)
+    return faces
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[list[warnings.WarningMessage]]:
+    """Nothing printed, no warning but ours; those it gives when it ends."""
+    nowhere, ours = io.StringIO(), []
+    with (
+        contextlib.redirect_stdout(nowhere),
+        contextlib.redirect_stderr(nowhere),
+        warnings.catch_warnings(record=True) as caught,
+        np.errstate(all="ignore"),
+    ):
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", InputWarning)
+        yield ours
+        ours += caught
+
+
+@contextlib.contextmanager
+def _bounded(room: int) -> Iterator[None]:
+    """Lets the process take so many bytes more, where the system can: meshio believes every number in a file."""
+    try:
+        import resource
+
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    except (ImportError, OSError, ValueError):
+        yield
+        return
+    with _limiting:
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        wanted = used + room
+        allowed = [limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY]
+        resource.setrlimit(resource.RLIMIT_AS, (min([wanted, *allowed]), hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def _by_meshio(file_format: str, prepare: Callable[[bytes, str], Any]) -> Callable[[bytes, str], Faces]:
+    def read(content: bytes, name: str) -> Faces:
+        import meshio
+
+        with _bounded(_ROOM + _ROOM_PER_BYTE * len(content)):
+            raw = meshio.read(prepare(content, name), file_format=file_format)
+        _check_complete(file_format, content, raw)
+        return _faces(raw)
+
+    return read
+
+
+def _check_complete(file_format: str, content: bytes, raw: Any) -> None:
+    if np.ndim(raw.points) != 2 or not len(raw.points):
+        raise ValueError("no points")
+    # Of a truncated PLY file meshio reads what is left, without a word.
+    if file_format == "ply":
+        faces, nodes = (re.search(rb"element %s (\d+)" % name, content) for name in (b"face", b"vertex"))
+        if faces and nodes and (int(faces[1]), int(nodes[1])) != (sum(map(len, raw.cells)), len(raw.points)):
+            raise ValueError("fewer elements than the header says")
+
+
+def _faces(raw: Any) -> Faces:
+    """Ignoring a face with curved sides would leave a hole; points, lines and solids may be ignored."""
+    kept, corners, counts = [], [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for index, block in enumerate(raw.cells):
+        if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
+            rows = np.asarray(block.data, dtype=np.int64)
+            kept.append(index)
+            corners.append(rows.reshape(-1))
+            counts.append(np.full(len(rows), rows.shape[1]))
+        elif block.type.startswith(("triangle", "quad")):
+            raise InputError(f"has curved faces ({block.type})", "export it with straight triangles")
+    if not kept:
+        raise facets.no_surface(solid=any(block.dim == 3 for block in raw.cells))
+    data = {
+        name: np.concatenate([np.asarray(blocks[index]) for index in kept])
+        for name, blocks in raw.cell_data.items()
+        if all(np.ndim(blocks[index]) == np.ndim(blocks[kept[0]]) for index in kept)
+    }
+    return Faces(raw.points, np.concatenate(corners), np.concatenate(counts), dict(raw.point_data), data)
+
+
+def _ply_header(content: bytes, name: str) -> io.BytesIO:
+    # Without its end meshio looks for it for ever; and it knows only one of the two names of the face list.
+    head, end, body = content.partition(b"end_header")
+    if not end:
+        raise ValueError("no end of the header")
+    return io.BytesIO(re.sub(rb"vertex_index\b", b"vertex_indices", head) + end + body)
+
+
+def _whole_msh(content: bytes, name: str) -> str:
+    if b"$EndElements" not in content:
+        raise ValueError("truncated")
+    return name
+
+
+_READERS: dict[str, Callable[[bytes, str], Faces]] = {
+    ".stl": facets.read_stl,
+    ".obj": facets.read_obj,
+    ".off": facets.read_off,
+    ".vtk": legacy_vtk.read_vtk,
+    ".ply": _by_meshio("ply", _ply_header),
+    ".vtu": _by_meshio("vtu", lambda content, name: name),
+    ".msh": _by_meshio("gmsh", _whole_msh),
+}

@@ -1,0 +1,263 @@
+"""Triangle meshes in and out, cleaned and examined, on the host."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import facets, formats, polygons, topology
+
+FORMATS = formats.ENDINGS
+WELD_TOLERANCE = 1e-9
+"""Distance below which nodes are one, relative to the diagonal of the bounding box."""
+REFERENCE = ("reference.x", "reference.y", "reference.z")
+"""Fields of a mesh that was formed, as the components of its point data `reference`: initial positions [m]."""
+DEGENERATE_HEIGHT = 1e-6
+"""Height below which a triangle has no area, relative to its longest side: the noise of float32 files."""
+LARGEST, SMALLEST = 1e6, 1e-9
+"""Coordinates up to which, and a size [m] from which a mesh can be meant."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh.
+
+    Attributes:
+        positions: Node positions [m], shape (n, 3), float64.
+        triangles: Node indices of each triangle, right-hand rule, shape (m, 3), int32.
+        fields: Scalars at the nodes by name, shape (n,), float64, in the units of the file.
+        cell_fields: Scalars in the triangles by name, shape (m,), float64.
+    """
+
+    positions: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    cell_fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+
+
+def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
+    """The triangles of an STL, OBJ, PLY, OFF, VTK (legacy), VTU or MSH (Gmsh) file.
+
+    Quadrilaterals and polygons are split in triangles, points, lines and solids are ignored.
+
+    Args:
+        path: The file; its ending tells the format.
+        scale: Metres per unit of length of the file.
+
+    Returns:
+        Positions [m] of shape (n, 3), triangles of shape (m, 3), the scalar point data as fields of shape (n,) and
+        the scalar cell data as cell fields of shape (m,); nodes as the file has them (not welded).
+
+    Raises:
+        InputError: The file is missing or no mesh, has no triangles, coordinates that are not finite or of no
+            possible size, or triangles of nodes that do not exist.
+    """
+    if not (np.isreal(scale) and np.isfinite(scale) and scale > 0):
+        raise InputError("is not a positive number", "give the metres per unit of the file", key="scale", value=scale)
+    path = Path(path)
+    faces = formats.read_faces(path)
+    count = len(faces.points)
+    if not (faces.counts >= 3).any():
+        raise replace(facets.no_surface(solid=False), value=str(path))
+    if faces.corners.size and (faces.corners.min() < 0 or faces.corners.max() >= count):
+        raise InputError("has triangles of nodes that do not exist", formats.REEXPORT, value=str(path))
+    positions = _finite(path, faces.points, np.unique(faces.corners), float(scale))
+    try:
+        triangles, owner = polygons.split(positions, faces.corners, faces.counts)
+    except InputError as error:
+        raise replace(error, value=str(path)) from None
+    cells = {name: values[owner] for name, values in _scalars(faces.cell_data, len(faces.counts)).items()}
+    return Mesh(positions, triangles.astype(np.int32), _scalars(faces.point_data, count), cells)
+
+
+def merged(parts: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one, without their fields; nodes are not welded."""
+    starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
+    return Mesh(np.concatenate([part.positions for part in parts]), np.concatenate(triangles).astype(np.int32))
+
+
+def nodal_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
+    """The fields at the nodes (n,), and where only the triangles have one, its mean over those around by area.
+
+    Nodes that no triangle with an area uses get NaN from the triangles.
+    """
+    corners = mesh.positions[mesh.triangles]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    count, weight = len(mesh.positions), np.repeat(doubled / (doubled.max(initial=0.0) or 1.0), 3)
+
+    def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(mesh.triangles.reshape(-1), values, count)
+
+    with np.errstate(all="ignore"):
+        found = {name: summed(weight * np.repeat(x, 3)) / summed(weight) for name, x in mesh.cell_fields.items()}
+    return found | mesh.fields
+
+
+def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
+    """Merges coincident nodes and drops those that no triangle uses.
+
+    Args:
+        mesh: Any triangle mesh.
+        tolerance: Distance [m] up to which nodes are one; by default 1e-9 of the bounding box's diagonal.
+
+    Returns:
+        The same triangles over the first node of each cluster, the order of the nodes kept.
+    """
+    if tolerance is None:
+        tolerance = WELD_TOLERANCE * size(mesh.positions)
+    from scipy.spatial import KDTree  # takes a tenth of a second to import
+
+    # Exact copies first: an STL file has six of each node, and the search below lists pairs.
+    unique, first, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
+    pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray") if len(unique) else np.zeros((0, 2), int)
+    cluster = topology.connected(pairs[:, 0], pairs[:, 1], len(unique)) if len(unique) else inverse
+    leader = np.full(len(unique), len(mesh.positions), dtype=np.int64)
+    np.minimum.at(leader, cluster, first)
+    return used(replace(mesh, triangles=leader[cluster[inverse.reshape(-1)]][mesh.triangles]))
+
+
+def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
+    """Drops triangles without area and copies of triangles, and the nodes that are then unused.
+
+    Returns:
+        The cleaned mesh, and how many triangles went.
+    """
+    bad = degenerate(mesh.positions, mesh.triangles)
+    cells = {name: value[~bad] for name, value in mesh.cell_fields.items()}
+    return used(replace(mesh, triangles=mesh.triangles[~bad], cell_fields=cells)), int(bad.sum())
+
+
+def degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Which triangles have a repeated node, (relative) no area, or the nodes of an earlier triangle.
+
+    Args:
+        positions: Node positions [m], shape (n, 3).
+        triangles: Node indices, shape (m, 3).
+
+    Returns:
+        Mask of shape (m,).
+    """
+    # Scaled to the box, so that no unit of length makes the squares below overflow or vanish.
+    corners = (positions / (size(positions) or 1.0))[triangles]
+    sides = corners[:, [1, 2, 0]] - corners
+    longest_squared = np.max(np.sum(sides**2, axis=2), axis=1, initial=0.0)
+    doubled_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    ordered = np.sort(triangles, axis=1)
+    repeated = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
+    copied = np.ones(len(triangles), dtype=bool)
+    copied[np.unique(ordered, axis=0, return_index=True)[1]] = False
+    return repeated | copied | (doubled_area <= DEGENERATE_HEIGHT * longest_squared)
+
+
+def size(positions: NDArray[np.float64]) -> float:
+    """Diagonal of the bounding box [m] of positions of shape (n, 3); 0 of no positions."""
+    return math.hypot(*np.ptp(positions, axis=0)) if len(positions) else 0.0
+
+
+def write_vtu(
+    path: str | Path,
+    positions: ArrayLike,
+    triangles: ArrayLike,
+    point_data: Mapping[str, ArrayLike] | None = None,
+    cell_data: Mapping[str, ArrayLike] | None = None,
+) -> None:
+    """Writes a mesh with data as VTU, which ParaView and meshio open.
+
+    Args:
+        path: File to write, replaced if it is there.
+        positions: Node positions [m], shape (n, 3).
+        triangles: Node indices, shape (m, 3).
+        point_data: Values at the nodes by name, shape (n,) or (n, k).
+        cell_data: Values in the triangles by name, shape (m,) or (m, k).
+    """
+    import meshio
+
+    mesh = meshio.Mesh(
+        np.asarray(positions, dtype=np.float64),
+        [("triangle", np.asarray(triangles, dtype=np.int64))],
+        point_data={name: _plain(value) for name, value in (point_data or {}).items()},
+        cell_data={name: [_plain(value)] for name, value in (cell_data or {}).items()},
+    )
+    meshio.write(str(path), mesh, file_format="vtu")
+
+
+def write_stl(path: str | Path, positions: ArrayLike, triangles: ArrayLike) -> None:
+    """Writes a surface as binary STL, in metres and single precision, which CAD and slicers open.
+
+    Args:
+        path: File to write, replaced if it is there.
+        positions: Node positions [m], shape (n, 3).
+        triangles: Node indices, shape (m, 3).
+    """
+    corners = np.asarray(positions, np.float64)[np.asarray(triangles)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    facets["normal"], facets["corners"] = normal / np.where(length > 0, length, 1.0), corners
+    head = b"jaxform, metres".ljust(80)
+    Path(path).write_bytes(head + len(facets).to_bytes(4, "little") + facets.tobytes())
+
+
+def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]]) -> None:
+    """Writes the list of frames that ParaView plays.
+
+    Args:
+        path: File to write, replaced if it is there.
+        frames: Time [s] and file name of each frame, relative to the folder of `path`.
+    """
+    rows = [f'    <DataSet timestep="{float(time)!r}" file={quoteattr(name)}/>' for time, name in frames]
+    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+    Path(path).write_text("\n".join([*lines, *rows, "  </Collection>", "</VTKFile>", ""]), encoding="utf-8")
+
+
+def used(mesh: Mesh) -> Mesh:
+    """The same without the nodes that no triangle uses."""
+    kept, renumbered = np.unique(mesh.triangles, return_inverse=True)
+    kept = kept.astype(np.int64)
+    fields = {name: value[kept] for name, value in mesh.fields.items()}
+    return Mesh(mesh.positions[kept], renumbered.reshape(-1, 3).astype(np.int32), fields, mesh.cell_fields)
+
+
+def _plain(value: ArrayLike) -> NDArray[Any]:
+    array = np.asarray(value)
+    return array.astype(np.int8) if array.dtype == bool else array
+
+
+def _finite(path: Path, points: Any, used: NDArray[np.int64], scale: float) -> NDArray[np.float64]:
+    """Positions [m] (n, 3); nodes that nothing uses may be anywhere, and those that are nowhere are put at 0."""
+    value = str(path)
+    with np.errstate(all="ignore"):
+        points = np.asarray(points, dtype=np.float64)[:, :3]
+        positions = np.zeros((len(points), 3))
+        positions[:, : points.shape[1]] = points * scale
+    found = positions[used]
+    if not np.isfinite(found).all():
+        node = int(used[~np.isfinite(found).all(axis=1)][0])
+        raise InputError(f"has coordinates that are not finite (node {node})", formats.REEXPORT, value=value)
+    largest, extent = float(np.abs(found).max()), size(found)
+    if largest > LARGEST:
+        problem = f"has coordinates of up to {largest:.3g} m"
+        raise InputError(problem, f"give a scale that keeps them under {LARGEST:g} m", value=value)
+    if extent < SMALLEST:
+        problem = f"is {extent:.3g} m large"
+        raise InputError(problem, f"give a scale that makes it larger than {SMALLEST:g} m", value=value)
+    return np.where(np.isfinite(positions), positions, 0.0)
+
+
+def _scalars(data: Mapping[str, Any], count: int) -> dict[str, NDArray[np.float64]]:
+    arrays = {name: np.asarray(value) for name, value in data.items()}
+    initial = arrays.get(REFERENCE[0].partition(".")[0])
+    if initial is not None and initial.shape == (count, 3):
+        arrays |= dict(zip(REFERENCE, initial.T, strict=True))
+    arrays = {name: value.reshape(-1) for name, value in arrays.items() if value.size == count}
+    with np.errstate(all="ignore"):
+        return {name: value.astype(np.float64) for name, value in arrays.items() if value.dtype.kind in "biuf"}

@@ -1,0 +1,66 @@
+"""Profiles: a quantity that varies along one coordinate, on the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxform.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A quantity over a place: piecewise linear between knots, constant outside.
+
+    Attributes:
+        along: The place: 'radius' (distance from the z axis), 'x', 'y' or 'z' [m].
+        at: Places of the knots [m], increasing.
+        value: The quantity at the knots, in its own unit.
+        key: Where it stands in the scene file, for messages.
+    """
+
+    along: str
+    at: tuple[float, ...]
+    value: tuple[float, ...]
+    key: str = field(default="profile", compare=False)
+
+    def __post_init__(self) -> None:
+        """Raises InputError for an unknown place, knots that do not increase, lengths that differ, or NaN."""
+        if self.along not in ("radius", "x", "y", "z"):
+            raise InputError("is no place", "use radius, x, y or z", f"{self.key}.along", self.along)
+        for name in ("at", "value"):
+            object.__setattr__(self, name, _finite_tuple(f"{self.key}.{name}", getattr(self, name)))
+        if len(self.at) != len(self.value):
+            problem = f"has {len(self.value)} values for {len(self.at)} knots"
+            raise InputError(problem, "give one value per knot", f"{self.key}.value", self.value)
+        if any(right <= left for left, right in pairwise(self.at)):
+            raise InputError("does not increase", "sort the knots, no place twice", f"{self.key}.at", self.at)
+
+    def coordinate(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The place [m] of positions [m] of shape (..., 3), shape (...)."""
+        if self.along == "radius":
+            return np.hypot(positions[..., 0], positions[..., 1])
+        return positions[..., "xyz".index(self.along)]
+
+    def __call__(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The quantity at positions [m] of shape (..., 3), shape (...)."""
+        return np.interp(self.coordinate(positions), self.at, self.value)
+
+    def positive(self) -> Profile:
+        """Itself, when every value is above zero (a thickness, say); InputError otherwise."""
+        if min(self.value) <= 0:
+            raise InputError("is not positive everywhere", "give values above 0", f"{self.key}.value", self.value)
+        return self
+
+
+def _finite_tuple(key: str, values: ArrayLike) -> tuple[float, ...]:
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.ndim != 1 or not array.size or not np.isfinite(array).all():
+        raise InputError("is not a list of finite numbers", "give at least one number", key, values)
+    return tuple(array.tolist())

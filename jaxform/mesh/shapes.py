@@ -1,0 +1,354 @@
+"""Sheets on the host: disc, rectangle, sphere, half a bottle's parison, and a user's mesh."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import grids, meshes, topology
+from jaxform.mesh.bisection import Snap
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.profiles import Profile
+from jaxform.mesh.surfaces import check_surface, held_rim, snapped
+
+Symmetry = Literal["none", "half", "quarter"]
+PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
+"""How many copies of the modelled part make the whole."""
+PLANES: dict[str, tuple[int, ...]] = {"none": (), "half": (0,), "quarter": (0, 1)}
+"""Components of the position that the cut planes fix."""
+FEWEST_ELEMENTS, MOST_ELEMENTS = 4, 2_000_000
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The middle surface of a parison, cut and clamped.
+
+    Attributes:
+        positions: Node positions [m], shape (n, 3), float64.
+        triangles: Node indices, right-hand rule about the direction of pressure, shape (m, 3), int32.
+        clamped: Nodes that never move, shape (n,), bool.
+        fixed: Components of the nodes that symmetry planes hold, shape (n, 3), bool.
+        fields: Scalars at the nodes by name, shape (n,), float64.
+        snap: Puts the middles (k, 3) of edges with ends (k, 2, 3) [m] on the true surface or rim, told which (k,) are
+            on the boundary; None where edges are straight.
+    """
+
+    positions: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    clamped: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+    fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    snap: Snap | None = None
+
+
+def disc(
+    *,
+    radius: float,
+    element_size: float | Profile | None = None,
+    elements: int | None = None,
+    symmetry: Symmetry = "none",
+) -> Sheet:
+    """A round sheet about the origin in z = 0 with normals +z and a clamped rim.
+
+    Ring i of n has radius i R / n and 6 i segments, 3 i in a half and about 1.5 i in a quarter. Where the element
+    size is a profile over the radius, rings are that far apart and their segments that long, in proportion.
+
+    Args:
+        radius: R [m].
+        element_size: Length of the edges [m], a number or a profile along the radius; or
+        elements: About how many triangles, in the modelled part.
+        symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
+
+    Returns:
+        The sheet; nodes run ring by ring from the centre, counter-clockwise.
+
+    Raises:
+        InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
+    """
+    density = 6 / _parts(symmetry)
+    radius = _length("parison.radius", radius)
+    if isinstance(element_size, Profile):
+        radii, segments = _graded_rings(radius, element_size, density)
+    else:
+        _check_resolution(element_size, elements, largest=radius)
+        ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
+        if elements and symmetry != "none":
+            ring_count = max(2, ring_count)
+        _check_count(density * ring_count**2, element_size)
+        segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
+        radii = radius * (np.arange(ring_count + 1) / ring_count)
+    ring_count = len(segments) - 1
+    rings = [grids.ring(r, count, symmetry) for r, count in zip(radii, segments, strict=True)]
+    starts = np.cumsum([0, *map(len, rings)])
+    bands = [
+        grids.zip_rings(starts[k], segments[k], starts[k + 1], segments[k + 1], symmetry == "none")
+        for k in range(ring_count)
+    ]
+    clamped = np.arange(starts[-1]) >= starts[-2]
+    return replace(_sheet(np.concatenate(rings), np.concatenate(bands), clamped, symmetry), snap=_to_rim(radius))
+
+
+def _to_rim(radius: float) -> Snap:
+    """Middles of the rim's chords go to the circle."""
+
+    def snap(
+        middles: NDArray[np.float64], ends: NDArray[np.float64], boundary: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        on_rim = boundary & (np.abs(np.hypot(ends[..., 0], ends[..., 1]) - radius) <= 1e-9 * radius).all(1)
+        return np.where(on_rim[:, None], _scaled_to(middles, radius), middles)
+
+    return snap
+
+
+def _scaled_to(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    distance = np.linalg.norm(points, axis=1, keepdims=True)
+    return points * radius / np.where(distance > 0, distance, 1.0)
+
+
+def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray[np.float64], list[int]]:
+    """Radii of the rings and their numbers of segments, from the local size over the radius."""
+    if size.along != "radius":
+        raise InputError("a disc is graded along its radius", "use radius", f"{size.key}.along", size.along)
+    size.positive()
+    _check_count(density * (radius / min(size.value)) ** 2, min(size.value))
+    fine = np.linspace(0.0, radius, 20_001)
+    local = np.interp(fine, size.at, size.value)
+    rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (1 / local[1:] + 1 / local[:-1]))])
+    ring_count = max(2, grids.whole(rank[-1]))
+    radii = np.interp(np.linspace(0.0, rank[-1], ring_count + 1), rank, fine)
+    local = np.interp(radii, size.at, size.value)
+    segments = [max(1, math.floor(density * r / s + 0.5)) for r, s in zip(radii, local, strict=True)]
+    return radii, [0, *segments[1:]]
+
+
+def rectangle(
+    *,
+    size: Sequence[float],
+    element_size: float | None = None,
+    elements: int | None = None,
+    symmetry: Symmetry = "none",
+) -> Sheet:
+    """A sheet over [0, a] x [0, b] in z = 0 with normals +z and clamped outer edges.
+
+    Near-square cells, their diagonals alternating.
+
+    Args:
+        size: The sides a, b [m] of the whole.
+        element_size: Length of the cells' sides [m]; or
+        elements: About how many triangles, in the modelled part.
+        symmetry: 'half' keeps [0, a/2] x [0, b], 'quarter' [0, a/2] x [0, b/2]; cut edges are free in their
+            plane.
+
+    Returns:
+        The sheet; nodes run along y first.
+
+    Raises:
+        InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
+    """
+    _parts(symmetry)
+    if not isinstance(size, Sequence | np.ndarray) or len(size) != 2:
+        raise InputError("is not two lengths", "give [a, b] in m", key="parison.size", value=size)
+    whole = [_length("parison.size", side) for side in size]
+    extent = [side / 2 if axis in PLANES[symmetry] else side for axis, side in enumerate(whole)]
+    _check_resolution(element_size, elements, largest=min(extent))
+    cells = grids.cell_counts(extent, element_size, elements)
+    # An even number between clamped edges: then no diagonal cuts off a corner, where it would never move.
+    cells = [n if axis in PLANES[symmetry] else n + n % 2 for axis, n in enumerate(cells)]
+    _check_count(2 * math.prod(cells), element_size)
+
+    x, y = (length * (np.arange(n + 1) / n) for length, n in zip(extent, cells, strict=True))
+    x, y = (grid.ravel() for grid in np.meshgrid(x, y, indexing="ij"))
+    positions = np.stack([x, y, np.zeros(len(x))], axis=1)
+    clamped = (positions[:, :2] == 0).any(axis=1)
+    for axis in range(2):
+        if axis not in PLANES[symmetry]:
+            clamped |= positions[:, axis] == extent[axis]
+    return _sheet(positions, grids.union_jack(*cells), clamped, symmetry, cut_at=extent)
+
+
+def sphere(
+    *,
+    radius: float,
+    element_size: float | None = None,
+    elements: int | None = None,
+    symmetry: Symmetry = "none",
+) -> Sheet:
+    """A closed sphere about the origin with outward normals, nothing clamped.
+
+    An octahedron on the axes, each edge divided in n, mapped by direction ~ sin(pi/2 x barycentric): no
+    triangle has over 1.8 times the area of another, and no angle is below 45 degrees.
+
+    Args:
+        radius: Radius [m].
+        element_size: Length of the edges [m]; or
+        elements: About how many triangles, in the modelled part.
+        symmetry: 'half' keeps x >= 0, 'quarter' x >= 0 and y >= 0.
+
+    Returns:
+        The sheet.
+
+    Raises:
+        InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
+    """
+    parts = _parts(symmetry)
+    radius = _length("parison.radius", radius)
+    arc = radius * math.pi / 2
+    _check_resolution(element_size, elements, largest=arc)
+    division = grids.whole(arc / element_size if element_size else math.sqrt((elements or 0) * parts / 8))
+    if elements and symmetry == "quarter":
+        division = max(2, division)
+    _check_count(8 * division**2 / parts, element_size)
+
+    octants = [(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
+    kept = [signs for signs in octants if all(signs[axis] > 0 for axis in PLANES[symmetry])]
+    corners = np.concatenate([grids.octant(division, signs) for signs in kept])
+    lattice, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    direction = np.sin(np.pi / 2 * lattice / division)
+    positions = radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    sheet = _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
+    return replace(sheet, snap=lambda middles, _, __: _scaled_to(middles, radius))
+
+
+def bottle_half(
+    *,
+    height: float = 0.23,
+    radius: float = 0.04,
+    neck_radius: float = 0.014,
+    hole: Sequence[float] = (0.0075, 0.027),
+    element_size: float = 0.0071,
+    swell: float = 0.3,
+    neck_swell: float | None = None,
+    inset: float = 1.0e-3,
+) -> Sheet:
+    """Half of a flattened parison in the mold of half a bottle: pinched along its outline and round the handle's hole.
+
+    Args:
+        height: Of the bottle, from the bottom, y = 0, to the neck [m].
+        radius: Of the bottle's body [m].
+        neck_radius: [m].
+        hole: Half width and half height of the handle's hole [m].
+        element_size: Length of the edges [m] in the plane of the outline, halved in narrow parts.
+        swell: How far it is blown up already: 0 is flat, 1 the bottle.
+        neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
+        inset: How far inside the bottle's outline it is pinched [m].
+
+    Returns:
+        The sheet, z >= 0, outward normals, clamped all along its edge.
+
+    Raises:
+        InputError: A number is out of range, or the parts do not fit into each other.
+    """
+    for key, share in (("swell", swell), ("neck_swell", swell if neck_swell is None else neck_swell)):
+        if not 0 < share < 1:
+            raise InputError("is no fraction of the bottle", "give a number between 0 and 1", f"parison.{key}", share)
+    if not 0 < inset <= 0.3 * hole[0]:
+        raise InputError("does not fit the bottle", f"use up to {0.3 * hole[0]:.4g} m", "parison.inset", inset)
+    from jaxform.mesh import bottle
+
+    shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
+    try:
+        positions, triangles = bottle.half(shape, element_size, swell=swell, neck_swell=neck_swell, inset=inset)
+    except InputError as error:
+        raise replace(error, key=f"parison.{error.key}") from None
+    clamped = np.isin(np.arange(len(positions)), topology.boundary_nodes(triangles))
+    return Sheet(positions, triangles, clamped, np.zeros(positions.shape, dtype=bool))
+
+
+def _parts(symmetry: str) -> int:
+    if symmetry not in PARTS:
+        raise InputError("is no symmetry", f"use {', '.join(PARTS)}", "parison.symmetry", symmetry)
+    return PARTS[symmetry]
+
+
+def _number(value: Any) -> float:
+    """The value as a float, NaN when it is no number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return math.nan
+    return float(value) if abs(value) < 1e300 else math.inf
+
+
+def _length(key: str, value: Any) -> float:
+    number = _number(value)
+    if not (math.isfinite(number) and number > 0):
+        raise InputError("is not a positive length", "give metres above 0", key, value)
+    return number
+
+
+def _check_resolution(element_size: float | None, elements: int | None, *, largest: float) -> None:
+    if (element_size is None) == (elements is None):
+        problem = "nothing says how fine the mesh is" if elements is None else "is given together with elements"
+        raise InputError(problem, "give element_size or elements, one of them", "parison.element_size", element_size)
+    if element_size is not None and _length("parison.element_size", element_size) > largest:
+        raise InputError(
+            f"is larger than the shape ({largest:.6g} m)",
+            "make it smaller",
+            "parison.element_size",
+            element_size,
+        )
+    if elements is not None and not FEWEST_ELEMENTS <= _number(elements) <= MOST_ELEMENTS:
+        mend = f"use {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
+        raise InputError("is not a possible number of elements", mend, "parison.elements", elements)
+
+
+def _check_count(count: float, element_size: float | None) -> None:
+    if element_size is not None and not FEWEST_ELEMENTS <= count <= MOST_ELEMENTS:
+        problem = f"gives {count:.3g} elements, not {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
+        mend = "make it smaller" if count < FEWEST_ELEMENTS else "make it larger"
+        raise InputError(problem, mend, "parison.element_size", element_size)
+
+
+def _sheet(
+    positions: NDArray[np.float64],
+    triangles: NDArray[np.integer],
+    clamped: NDArray[np.bool_],
+    symmetry: str,
+    cut_at: Sequence[float] = (0.0, 0.0),
+) -> Sheet:
+    fixed = np.zeros(positions.shape, dtype=bool)
+    for axis in PLANES[symmetry]:
+        fixed[:, axis] = positions[:, axis] == cut_at[axis]
+    return Sheet(positions, triangles.astype(np.int32), clamped, fixed)
+
+
+def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()) -> Sheet:
+    """A user's mesh as a sheet: welded and checked.
+
+    Args:
+        mesh: The mesh, positions in m.
+        flip: Turn the normals round.
+        clamp: What never moves: 'boundary' (open edges off the symmetry planes), 'none', or 'field:NAME'
+            (where that field of the mesh is not zero).
+        planes: Axes of the symmetry planes: 'x' means that the mesh is cut at x = 0.
+
+    Returns:
+        The sheet, with the fields of the mesh.
+
+    Raises:
+        InputError: Triangles without area, with normals that disagree or three to an edge; a plane without
+            nodes or with nodes on both sides; an open part that nothing clamps; nothing left to move; no such
+            field.
+    """
+    mesh = meshes.weld(mesh)
+    check_surface(mesh)
+    positions, fixed = snapped(mesh.positions, planes)
+    rim = topology.boundary_edges(mesh.triangles)
+    # An edge is cut, not open, when one plane holds both its ends; rim corners are ends of open edges too.
+    rim = rim[~(fixed[rim[:, 0]] & fixed[rim[:, 1]]).any(axis=1)]
+    clamped = held_rim(mesh, clamp, rim)
+    part = topology.components(mesh.triangles, len(positions))
+    loose = np.setdiff1d(part[rim], part[clamped])
+    if loose.size:
+        node = int(rim[np.isin(part[rim[:, 0]], loose), 0][0])
+        where = ", ".join(f"{x:.6g}" for x in positions[node])
+        problem = f"unclamped open parison: nothing holds the part with the open edge at ({where}) m"
+        raise InputError(problem, "clamp its boundary, close it, or name its symmetry planes", "parison.clamp", clamp)
+    if clamped.all():
+        raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)
+    triangles = mesh.triangles[:, [0, 2, 1]] if flip else mesh.triangles
+    return Sheet(positions, triangles, clamped, fixed, meshes.nodal_fields(mesh))

@@ -1,0 +1,1 @@
+"""What is simulated: the scene, its fields, and how its numbers are replaced."""

@@ -1,0 +1,88 @@
+"""Nodal fields that a scene carries of its own, and how one is added: a class, decorated with `field`."""
+
+from __future__ import annotations
+
+from typing import ClassVar, NamedTuple, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.pytree import static
+
+
+class Surroundings(NamedTuple):
+    """What a field sees of the nodes at the end of a step.
+
+    Attributes:
+        time: At its end [s].
+        length: Of the step [s].
+        positions, velocities: (3, n_node) [m], [m/s].
+        stuck: Nodes (n_node,) that do not move any more.
+        contact_time: When each stuck (n_node,) [s]; -1 where free, 0 where clamped.
+    """
+
+    time: jax.Array
+    length: jax.Array
+    positions: jax.Array
+    velocities: jax.Array
+    stuck: jax.Array
+    contact_time: jax.Array
+
+
+class Field:
+    """A scalar at the sheet's nodes that goes with them: through steps, contact and refinement, into the result.
+
+    A field is a pytree whose numbers are leaves. It says what it is at first and what a step makes of it::
+
+        @jaxform.field
+        class Cooling(jaxform.Field):
+            initial: jax.Array = jaxform.parameter("degC", nodal=True)
+            rate: jax.Array = jaxform.parameter("1/s", least=0.0)
+
+            def start(self, positions):
+                return self.initial
+
+            def after(self, values, step):
+                return values * jnp.exp(-self.rate * step.length)
+
+    Given to `build_scene(fields={"temperature": ...})` it is in `Result.fields` and in final.vtu under that name, and
+    `replace` and gradients know its numbers as fields.temperature.rate. Values are in whatever order the run has its
+    nodes in: a node's must follow from what is given of that node alone. Gradients are by checkpoints.
+
+    Attributes:
+        rests: Whether it stays as it is where a node sticks. Where it does not, what sticks is stepped on to the end.
+    """
+
+    rests: ClassVar[bool] = False
+
+    def start(self, positions: jax.Array) -> jax.Array:
+        """Values (n_node,) before the first step, of a parison with initial positions (n_node, 3) [m]."""
+        raise NotImplementedError
+
+    def after(self, values: jax.Array, step: Surroundings) -> jax.Array:
+        """Values (n_node,) at the end of a step; by default what they were."""
+        return values
+
+    def between(self, first: jax.Array, second: jax.Array) -> jax.Array:
+        """Values (n,) of new nodes in the middle of edges, from those at the edges' ends; by default their mean."""
+        return 0.5 * (first + second)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+def field[T: Field](cls: type[T]) -> type[T]:
+    """Makes a class a field: a frozen dataclass and a pytree, its numbers known to `replace` and to designs.
+
+    Raises:
+        InputError: It does not derive from `Field`, says not how it starts, or has an undeclared number.
+    """
+    if not (isinstance(cls, type) and issubclass(cls, Field)) or cls.start is Field.start:
+        remedy = "derive it from jaxform.Field and say what it is at first, `start`"
+        raise InputError("is no field", remedy, value=getattr(cls, "__name__", str(cls)))
+    return declared_part(cls, "fields")
+
+
+def stepped(fields: dict[str, Field], values: dict[str, jax.Array], step: Surroundings) -> dict[str, jax.Array]:
+    """The values of all fields at the end of a step."""
+    return {name: jnp.broadcast_to(fields[name].after(own, step), own.shape) for name, own in values.items()}

@@ -1,0 +1,166 @@
+"""`replace`, which puts other numbers into a scene, and what becomes of those that only a trace can tell are wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from numpy.typing import ArrayLike
+
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import ranges_of
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import DESIGNABLE, RANGES, Range, as_numbers, check, declared
+from jaxform.loads import Loading
+from jaxform.materials import Law
+from jaxform.model.field import Field
+from jaxform.model.scene import Scene
+
+
+def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
+    """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
+
+    A number takes its old shape, or may be broadcast to it. Meshes are not replaced but built anew. Of values that are
+    traced it is not known here whether they are in their range: `simulate` then simulates nothing and its status says
+    so.
+
+    Raises:
+        InputError: If a path does not exist or does not fit the scene, or a value is no real number, has another shape
+            or, where it is known (not traced), is not finite or out of its range.
+    """
+    if not isinstance(changes, Mapping):
+        raise InputError("is no mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
+    for path, value in changes.items():
+        old = _designable(scene, str(path))
+        scene = _put(scene, str(path), _fitted(str(path), value, old, scene))
+    return scene
+
+
+def _put(scene: Scene, path: str, values: Any) -> Scene:
+    """A scene with other values at a path."""
+    part, _, name = path.rpartition(".")
+    owner: Any = dataclasses.replace(_owner(scene, part), **{name: values})
+    if part.startswith("fields."):
+        return dataclasses.replace(scene, fields={**scene.fields, part.removeprefix("fields."): owner})
+    return dataclasses.replace(scene, **{part: owner})
+
+
+def _owner(scene: Scene, part: str) -> Any:
+    """The part of a scene that paths such as "material" and "fields.temperature" name; None where there is none."""
+    if part.startswith("fields."):
+        return scene.fields.get(part.removeprefix("fields."))
+    return getattr(scene, part, None)
+
+
+def check_numbers(scene: Scene) -> None:
+    """Raises InputError unless every number of a scene, none of them traced, is in its range."""
+    for path, values in _numbers(scene).items():
+        check(path, values, _range(path, scene))
+
+
+def with_stand_ins(scene: Scene) -> tuple[Scene, jax.Array]:
+    """A scene that can be simulated whatever its numbers are, and which of `DESIGNABLE` are out of range, as bits.
+
+    Where any is, there is no pressure, and a sheet at rest stays so: under `vmap`, where its windows are worked out
+    beside others', nothing in them overflows, nor in their derivatives.
+    """
+    found, bits = {}, jnp.int32(0)
+    for path, values in _numbers(scene).items():
+        allowed = _range(path, scene)
+        good = allowed.holds(jax.lax.stop_gradient(values))
+        if allowed.increasing:
+            good = jnp.broadcast_to(jnp.all(good) & jnp.all(jnp.diff(values) > 0), values.shape)
+        bits |= jnp.where(jnp.all(good), 0, 1 << DESIGNABLE.index(_key(path))).astype(jnp.int32)
+        found[path] = jnp.where(good, values, _stand_in(path, values, good, scene))
+    if "pressure.value" in found:
+        found["pressure.value"] = jnp.where(bits == 0, found["pressure.value"], 0.0)
+    for path, values in found.items():
+        scene = _put(scene, path, values)
+    return scene, bits
+
+
+def in_words(bits: int) -> str:
+    """Which numbers are out of range, and what is asked of them."""
+    paths = [path for k, path in enumerate(DESIGNABLE) if bits >> k & 1]
+    return ", ".join(f"{path} {' or '.join(map(_rule, declared(path)))}" for path in paths)
+
+
+def _rule(allowed: Range) -> str:
+    rule, unit = allowed.rule, f"[{allowed.unit}] " if allowed.unit else ""
+    whole = rule if "finite" in rule else f"must be finite and {rule.removeprefix('must ').removeprefix('be ')}"
+    return f"{unit}{whole}"
+
+
+def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> jax.Array | float:
+    if path == "parison.thickness":
+        count, usual = jnp.sum(good), 0.01 * scene.tables.size
+        mean = jnp.sum(jnp.where(good, jax.lax.stop_gradient(values), 0.0)) / jnp.maximum(count, 1)
+        return jnp.where(count > 0, mean, usual)
+    if path == "pressure.time":
+        return jnp.arange(values.size, dtype=values.dtype)
+    allowed = _range(path, scene)
+    if allowed.above is None:
+        return allowed.least or 0.0
+    return 1.0 + allowed.above if allowed.most is None else 0.5 * (allowed.above + allowed.most)
+
+
+def _range(path: str, scene: Scene) -> Range:
+    part, _, name = path.rpartition(".")
+    owner = _owner(scene, part)
+    return ranges_of(owner)[name] if isinstance(owner, Law | Loading | Field) else RANGES[path]
+
+
+def _key(path: str) -> str:
+    """A path as `DESIGNABLE` has it: fields' numbers without the field's name."""
+    return f"fields.{path.rpartition('.')[2]}" if path.startswith("fields.") else path
+
+
+def _numbers(scene: Scene) -> dict[str, jax.Array]:
+    """Those of `DESIGNABLE` that the scene has."""
+    own = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in ranges_of(field)]
+    found = {path: _at(scene, path) for path in (*DESIGNABLE, *own)}
+    return {path: values for path, values in found.items() if values is not None}
+
+
+def _at(scene: Scene, path: str) -> Any:
+    part, _, name = path.rpartition(".")
+    return getattr(_owner(scene, part), name, None)
+
+
+def _designable(scene: Scene, path: str) -> jax.Array:
+    old = _at(scene, path)
+    if _key(path) in DESIGNABLE and old is not None:
+        return old
+    if old is not None:
+        raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)
+    known = list(_numbers(scene))
+    close = difflib.get_close_matches(path, known, n=1)
+    mend = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
+    raise InputError("this scene has no such number", mend, path)
+
+
+def _fitted(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Array:
+    arrays = [leaf for leaf in jax.tree.leaves(value) if isinstance(leaf, jax.Array)]
+    new = _of_arrays(path, value) if arrays else as_real(as_numbers(path, value))
+    try:
+        new = jnp.broadcast_to(new, old.shape)
+    except ValueError:
+        raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
+    if not isinstance(new, Tracer):
+        check(path, new, _range(path, scene))
+    return new
+
+
+def _of_arrays(path: str, value: Any) -> jax.Array:
+    try:
+        new = jnp.asarray(value)
+    except (ValueError, TypeError):
+        raise InputError("is no array of numbers", "give real numbers", path) from None
+    if not (jnp.issubdtype(new.dtype, jnp.floating) or jnp.issubdtype(new.dtype, jnp.integer)):
+        raise InputError(f"has the type {new.dtype}", "give real numbers", path)
+    return as_real(new)

@@ -1,0 +1,259 @@
+"""What is simulated: `Scene` and its parts, and their validation.
+
+A scene is a pytree. Every number in it is a leaf that can be designed; every choice (which law, is there a mold) is
+static. What the host must build from it (reference geometry, search structure, number of windows) is built once by
+`build_scene` and travels with the scene as `scene.tables`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_index, as_real, pytree, static
+from jaxform.core.ranges import MOST_STEPS, as_numbers, check, check_one
+from jaxform.materials import Law
+from jaxform.mesh import reference
+from jaxform.model.field import Field
+from jaxform.model.tables import Tables
+from jaxform.tools.mold import Mold
+
+
+@pytree
+class Parison:
+    """The initial sheet or tube.
+
+    Attributes:
+        positions: Initial node positions (n_node, 3) [m]; with refinement those of the whole forest, the mesh's first.
+        triangles: Node numbers (n_element, 3); pressure acts along their normals (right-hand rule).
+        thickness: Initial thickness at the nodes (n_node,) [m].
+        clamped: Nodes that never move (n_node,).
+        fixed: Components that never move (n_node, 3), on symmetry planes.
+    """
+
+    positions: jax.Array
+    triangles: jax.Array
+    thickness: jax.Array
+    clamped: jax.Array
+    fixed: jax.Array
+
+
+@pytree
+class Solver:
+    """Options of the time integration.
+
+    Attributes:
+        end_time: When the simulation ends [s].
+        damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
+        safety: Fraction of the stable step that is taken.
+        skip_stuck: Whether elements whose nodes all stick leave the list of those that are worked through.
+        skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
+        end_early: Whether the run ends when nothing can move any more.
+        sharp_step: Whether the stable step is measured by Lanczos' method; else it is bounded element by element.
+        quasi_static: Whether the process is meant to be slow; if inertia or damping show in the wall, it is warned of.
+        max_steps: Where `run` stops at the latest.
+    """
+
+    end_time: jax.Array
+    damping: jax.Array | None = None
+    safety: jax.Array | float = 0.9
+    skip_stuck: bool = static(default=True)
+    skip_far: bool = static(default=True)
+    end_early: bool = static(default=True)
+    sharp_step: bool = static(default=True)
+    quasi_static: bool = static(default=False)
+    max_steps: int = static(default=MOST_STEPS)
+
+
+@pytree
+class Refinement:
+    """Where the mesh becomes finer: elements are bisected at the borders of windows.
+
+    Attributes:
+        angle: Largest angle [degrees] of an element's and its neighbours' normals to their mean (paper, 3.3).
+        min_area: Smallest initial area of a part [m^2].
+        interval: Steps from one look at the mesh to the next, rounded up to whole windows.
+        max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
+        base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
+        base_reach: What is near: so many times the element's longest side.
+        jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
+        scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
+        at_rest: Whether new nodes begin at rest that are nearer to the mold than half their edge, or its search grid's
+            reach; from a whole one on they move as their edge did, in between somewhat slower. Else all move as their
+            edges did, which keeps the momentum, but makes a replay jump where a node lands just before or just after a
+            border.
+        elements: Room for so many.
+    """
+
+    angle: jax.Array
+    min_area: jax.Array
+    jump: jax.Array | None
+    base_reach: jax.Array
+    interval: np.int32 | jax.Array
+    max_level: np.int32 | jax.Array
+    base_level: np.int32 | jax.Array
+    scaled_levels: np.int32 | jax.Array
+    at_rest: bool = static()
+    elements: int = static()
+
+    @property
+    def deepest(self) -> int:
+        """The highest level that an element is bisected to for what it looks like."""
+        return int(max(self.max_level, self.base_level))
+
+
+@pytree
+class Scene:
+    """All that a simulation needs; made by `build_scene` or `load`.
+
+    Attributes:
+        parison: The sheet.
+        material: Its law.
+        pressure: What loads it.
+        solver: Options of the time integration.
+        mold: The mold; None for free inflation.
+        refinement: Where the mesh becomes finer; None where it stays as it is.
+        tables: What the host built.
+        name: What the scene is called.
+        fields: Nodal fields of its own, by name.
+    """
+
+    parison: Parison
+    material: Law
+    pressure: Any  # a `Loading`; its numbers are those of its class
+    solver: Solver
+    mold: Mold | None
+    refinement: Refinement | None
+    tables: Tables
+    name: str = static(default="scene")
+    fields: dict[str, Field] = dataclasses.field(default_factory=dict)
+
+    @property
+    def first_nodes(self) -> int:
+        """Nodes of the mesh before it is refined."""
+        forest = self.tables.forest
+        return len(self.parison.positions) if forest is None else forest.first_nodes
+
+    @property
+    def packs_moving(self) -> bool:
+        """Whether windows work through what can still move alone."""
+        return self.mold is not None and self.solver.skip_stuck and self.rests
+
+    @property
+    def rests(self) -> bool:
+        """Whether what sticks stays as it is, so that nothing is left to do where all does."""
+        return all(field.rests for field in self.fields.values())
+
+    def pushes(self) -> np.ndarray:
+        """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
+        positions, triangles = np.asarray(self.parison.positions, float), np.asarray(self.parison.triangles)
+        return self.pressure.pushes(float(self.solver.end_time), reference.enclosed_volume(positions, triangles))
+
+    @property
+    def reversible(self) -> bool:
+        """Whether every part of it can be stepped backwards, as the reversed scheme does."""
+        return not self.fields and not self.pressure.follows_volume
+
+
+def make_parison(
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    thickness: ArrayLike,
+    clamped: np.ndarray,
+    fixed: np.ndarray | None = None,
+) -> Parison:
+    """A parison from positions (n_node, 3) [m], triangles (n_element, 3) and clamped nodes (n_node,).
+
+    Args:
+        positions: Initial node positions.
+        triangles: Node numbers.
+        thickness: Initial thickness [m], a number or (n_node,).
+        clamped: Mask of the nodes that never move.
+        fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
+
+    Raises:
+        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh.
+    """
+    count = len(positions)
+    given = as_numbers("parison.thickness", thickness)
+    if given.ndim and given.shape != (count,):
+        raise InputError(f"needs one value per node: {count}, not {given.shape}", "match the mesh", "parison.thickness")
+    check("parison.thickness", given)
+    return Parison(
+        positions=as_real(positions),
+        triangles=as_index(triangles),
+        thickness=as_real(np.broadcast_to(given, (count,))),
+        clamped=jnp.asarray(clamped, bool),
+        fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
+    )
+
+
+def make_solver(
+    *,
+    end_time: float,
+    damping: float | None = None,
+    safety: float = 0.9,
+    quasi_static: bool = False,
+    max_steps: int = MOST_STEPS,
+) -> Solver:
+    """Options of the time integration; see `Solver`.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+    numbers = {"end_time": end_time, "damping": damping, "safety": safety, "max_steps": max_steps}
+    for name, value in numbers.items():
+        if value is not None:
+            check_one(f"solver.{name}", value)
+    damped = None if damping is None else as_real(damping)
+    return Solver(as_real(end_time), damped, as_real(safety), quasi_static=bool(quasi_static), max_steps=int(max_steps))
+
+
+def make_refinement(
+    *,
+    angle: float,
+    interval: int,
+    max_level: int,
+    elements: int,
+    min_area: float = 0.0,
+    base_level: int = 0,
+    base_reach: float = 1.0,
+    scaled_levels: int = 0,
+    at_rest: bool = True,
+    jump: float | None = None,
+) -> Refinement:
+    """Where the mesh becomes finer; see `Refinement`.
+
+    Raises:
+        InputError: If a number is out of its range.
+    """
+    given = {"angle": angle, "min_area": min_area, "interval": interval, "max_level": max_level}
+    given |= {"base_level": base_level, "base_reach": base_reach, "scaled_levels": scaled_levels, "elements": elements}
+    for name, value in (given if jump is None else given | {"jump": jump}).items():
+        check_one(f"refinement.{name}", value)
+    require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
+    uneven = None if jump is None else as_real(jump)
+    return Refinement(
+        angle=as_real(angle),
+        min_area=as_real(min_area),
+        jump=uneven,
+        base_reach=as_real(base_reach),
+        interval=np.int32(interval),
+        max_level=np.int32(max_level),
+        base_level=np.int32(base_level),
+        scaled_levels=np.int32(scaled_levels),
+        at_rest=at_rest,
+        elements=elements,
+    )
+
+
+def require(good: bool, problem: str, key: str, value: Any) -> None:
+    """Raises InputError about a number out of its range unless it is good."""
+    if not good:
+        raise InputError(problem, "give a number in that range", key, value)

@@ -1,0 +1,1 @@
+"""Host work before a run: a scene built from its parts."""

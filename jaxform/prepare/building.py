@@ -1,0 +1,252 @@
+"""Building a scene on the host: validation, reference geometry, search structure, number of windows."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxform.contact.candidates import PAIRS_PER_NODE
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import check_part, is_declared, nodal_numbers, ranges_of
+from jaxform.core.pytree import as_index, as_real
+from jaxform.core.ranges import check_one
+from jaxform.core.store import Store
+from jaxform.loads import Loading
+from jaxform.materials import Law
+from jaxform.mesh import bisection, reference
+from jaxform.model.field import Field
+from jaxform.model.scene import Parison, Refinement, Scene, Solver
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Sheet, Tables
+from jaxform.prepare import start
+from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
+from jaxform.prepare.planning import longest_window, planned_windows, spare_windows
+from jaxform.sheet.packing import make_assembly, make_paired_assembly
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid, build_grid
+
+_FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
+_MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
+_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
+
+
+def build_scene(
+    *,
+    parison: Parison,
+    material: Law,
+    pressure: Loading,
+    solver: Solver,
+    mold: Mold | None = None,
+    refinement: Refinement | None = None,
+    forest: bisection.Forest | None = None,
+    fields: Mapping[str, Field] | None = None,
+    name: str = "scene",
+    frames: int = 0,
+    store: Store | None = None,
+) -> Scene:
+    """Builds a scene: validates it and does all host work.
+
+    Args:
+        parison: The sheet.
+        material: Its law.
+        pressure: The pressure history, or any other loading.
+        solver: Options of the time integration.
+        mold: The mold; None for free inflation.
+        refinement: Where the mesh becomes finer; None where it stays as it is.
+        forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
+            have the mean thickness of their edges' ends.
+        fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
+        name: What the scene is called.
+        frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
+        store: Where the mold's search structure is kept between runs; nowhere by default.
+
+    Raises:
+        InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
+            the run would take more steps than anyone would wait for.
+    """
+    _warn_of_float32()
+    _check_material(material)
+    _check_loading(pressure)
+    count = len(parison.positions)
+    if refinement is not None and forest is None:
+        forest, parison = planted(parison, refinement)
+    carried = {str(key): _carried(str(key), own, count, forest) for key, own in (fields or {}).items()}
+    positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
+    _check_mesh(positions, triangles, parison)
+    grid = lying = None
+    if mold is not None:
+        grid = _search_grid(mold, positions, triangles, store)
+        start.check_start(parison, triangles, mold, grid)
+        pushes = pressure.pushes(float(solver.end_time), reference.enclosed_volume(positions, triangles))
+        parison, lying = _laid(parison, triangles if forest is None else forest.triangles, pushes, mold, grid)
+        positions = np.asarray(parison.positions, float)
+        forest = None if forest is None else dataclasses.replace(forest, positions=positions)
+    sheet = _reference_sheet(parison)
+    bound = as_real(reference.shape_bound(positions, triangles))
+    held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
+    mobility, grown = as_real(~held.T), None
+    if refinement is not None and forest is not None:
+        check_room(refinement, len(triangles))
+        bend = None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store)
+        fine = None if grid is None else start.fine_at_once(forest, lying, refinement, bend, grid)
+        refinement = with_room_for(refinement, forest, fine)
+        grown = grown_forest(forest, refinement, sheet, mobility, bend, fine)
+        bound = grown.bound
+    planned = planned_windows(bound, material, solver)
+    tables = Tables(
+        sheet=sheet,
+        assembly=_assembly(positions, triangles, refinement),
+        bound=bound,
+        mobility=mobility,
+        size=as_real(np.abs(positions).max()),
+        grid=grid,
+        forest=grown,
+        lying=lying,
+        window_count=planned + spare_windows(grid),
+        longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest_window(planned, frames)),
+        window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
+        pairs_per_node=_pairs_per_node(mold, grid),
+    )
+    return Scene(
+        parison=parison,
+        material=material,
+        pressure=pressure,
+        solver=solver,
+        mold=mold,
+        refinement=refinement,
+        tables=tables,
+        name=name,
+        fields=carried,
+    )
+
+
+def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refinement | None) -> Assembly:
+    """In pairs, unless the elements will be others."""
+    if refinement is not None:
+        return make_assembly(triangles, len(positions))
+    return make_paired_assembly(positions, triangles)
+
+
+def _check_material(material: Law) -> None:
+    if not is_declared(material, Law):
+        raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
+    for name, allowed in ranges_of(material).items():
+        check_one(f"material.{name}", getattr(material, name), allowed)
+
+
+def _check_loading(pressure: Loading) -> None:
+    if not is_declared(pressure, Loading):
+        remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
+        raise InputError("is no loading", remedy, "pressure")
+    check_part(pressure, "pressure")
+
+
+def _carried(name: str, field: Field, count: int, forest: bisection.Forest | None) -> Field:
+    """A field of a parison with so many nodes, with values at all nodes of its forest."""
+    key = f"fields.{name}"
+    if not is_declared(field, Field):
+        raise InputError("is no field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
+    if name in _RESERVED or not name.isidentifier():
+        raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
+    check_part(field, key)
+    new = {}
+    for part in nodal_numbers(field):
+        values = np.asarray(getattr(field, part), float)
+        if values.ndim and values.shape != (count,):
+            problem = f"needs one number, or one at each node: {count}, not {values.shape}"
+            raise InputError(problem, "match the mesh", f"{key}.{part}")
+        if forest is not None and values.ndim and len(values) < len(forest.positions):
+            values = bisection.extended(values, forest.ends, forest.depth)
+        new[part] = as_real(np.broadcast_to(values, (len(forest.positions) if forest is not None else count,)))
+    made: Any = dataclasses.replace(field, **new)  # pyright: ignore
+    return made
+
+
+def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
+    if len(triangles) == 0:
+        raise InputError("the parison has no triangles", "give a surface mesh of triangles", "parison")
+    bad = _degenerate(positions, triangles)
+    if len(bad):
+        raise InputError(
+            f"{len(bad)} of its triangles are degenerate, the first is number {bad[0]}",
+            "remesh the parison",
+            "parison",
+        )
+    held = np.asarray(parison.clamped)[:, None] | np.asarray(parison.fixed)
+    if np.all(held):
+        raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
+
+
+def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    edge1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
+    edge2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
+    area = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
+    longest = np.maximum(np.square(edge1).sum(1), np.square(edge2).sum(1))
+    return np.flatnonzero(~(area > 1e-9 * longest))
+
+
+def _laid(
+    parison: Parison, triangles: np.ndarray, pushes: np.ndarray, mold: Mold, grid: SearchGrid
+) -> tuple[Parison, jax.Array | None]:
+    """The parison with what lies on the mold exactly there; and which nodes (n_node,) those are, None where none."""
+    found = start.lying(parison, triangles, pushes, mold, grid)
+    if not np.any(found.wall):
+        return parison, None
+    if len(bad := _degenerate(found.positions, triangles)):
+        raise InputError(
+            f"the parison cannot be laid onto it: {len(bad)} of its triangles would be degenerate",
+            "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
+            "mold",
+        )
+    return dataclasses.replace(parison, positions=as_real(found.positions)), as_index(found.wall)
+
+
+def _reference_sheet(parison: Parison) -> Sheet:
+    triangles = np.asarray(parison.triangles)
+    inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
+    # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
+    on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
+    places = np.asarray(parison.positions)
+    origin = []
+    for k, axis in enumerate("xyz"):
+        there = places[on_plane[:, k], k] if on_plane[:, k].any() else np.zeros(1)
+        if np.ptp(there) > 1e-6 * np.ptp(places, axis=0).max():
+            raise InputError(
+                "nodes are held on more than one plane, from which the enclosed volume cannot be counted",
+                f"keep one symmetry plane across {axis}",
+                "parison.fixed",
+                f"{axis} from {there.min():.4g} to {there.max():.4g} m",
+            )
+        origin.append(there.mean())
+    return Sheet(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
+
+
+def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:
+    """Made for nodes that move a quarter of an element's side within a window: a tenth of the speed of sound."""
+    corners = positions[triangles]
+    side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+    return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side, store)
+
+
+def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
+    """Room for pairs: a node that moves far over a fine mold meets many of its triangles in a window."""
+    if mold is None or grid is None or grid.far is None:
+        return PAIRS_PER_NODE
+    corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    within = np.pi * float(grid.farthest) ** 2 / np.median(0.5 * np.linalg.norm(cross, axis=1))
+    rungs = round(np.log2(max(_FAR_NODES * within / PAIRS_PER_NODE, 1.0)))
+    return PAIRS_PER_NODE * 2 ** int(min(rungs, _MOST_PAIRS_RUNGS))
+
+
+def _warn_of_float32() -> None:
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "jaxform computes in float32 because JAX's x64 mode is off; "
+            'for full accuracy call jax.config.update("jax_enable_x64", True) first',
+            stacklevel=3,
+        )

@@ -1,0 +1,75 @@
+"""How many windows a run may take, how long they are, and how long its first step is."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import MOST_STEPS
+from jaxform.materials import Law
+from jaxform.mechanics import membrane
+from jaxform.model.scene import Scene, Solver
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
+from jaxform.tools.search import SearchGrid
+
+_LARGEST_STRETCH = 6.0  # that windows are planned for
+_PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
+
+
+def planned_windows(bound: jax.Array, material: Law, solver: Solver) -> int:
+    """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
+    step = float(solver.safety) * float(
+        _stiffest_step(as_real(np.asarray(bound).max()), material, as_real(_LARGEST_STRETCH))
+    )
+    steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
+    if not steps < MOST_STEPS:
+        raise InputError(
+            f"the run would take {steps:.2g} steps of {step:.2g} s",
+            "shorten it, coarsen the smallest elements or soften the material",
+            "solver.end_time",
+            float(solver.end_time),
+        )
+    return int(np.ceil(steps / SHORT_WINDOW))
+
+
+def spare_windows(grid: SearchGrid | None) -> int:
+    """For some that contact cuts short when nodes fly through the mold, and some that are taken anew."""
+    return 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
+
+
+def longest_window(planned: int, frames: int) -> int:
+    """Steps of the longest window, so that of so many planned short ones there are enough that are taken."""
+    # Steps are not all alike, so there are twice as many windows as frames.
+    longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, 2 * frames)
+    while longest < LONG_WINDOW and planned * SHORT_WINDOW >= 2 * longest * enough:
+        longest *= 2
+    return longest
+
+
+def first_step(scene: Scene) -> float:
+    """How long the first step is at least [s]: what the elements bound it to before they stretch.
+
+    What a run measures is up to twice as long. This needs no program of the mesh's size.
+    """
+    forest = scene.tables.forest
+    active = np.arange(len(scene.parison.triangles))
+    if forest is not None and forest.fine_at_once is not None:
+        bisected = np.asarray(forest.fine_at_once)
+        children = 2 * bisected + forest.root_count
+        active = np.setdiff1d(np.concatenate([active, children, children + 1]), bisected)
+    bound = as_real(np.max(np.asarray(scene.tables.bound)[active]))
+    return float(scene.solver.safety) * float(_stiffest_step(bound, scene.material, as_real(1.0)))
+
+
+@jax.jit
+def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.Array:
+    """The step [s] for the largest bound [1/m^2] of the elements, up to a stretch."""
+    square = jnp.square(jnp.linspace(1.0, largest, 64))
+    unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
+    strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
+    stiffness = membrane.tangent_stiffness(strain, material)
+    stiffest = jnp.max(jnp.where(jnp.isfinite(stiffness), stiffness, 0.0))  # beyond a limit stretch there is none
+    return membrane.stable_step(stiffest * bound, material)

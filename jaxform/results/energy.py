@@ -1,0 +1,79 @@
+"""The energy account of a run, and what can be said of it."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import pytree
+
+_DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
+UNBALANCED = 0.01  # of the largest work, that the account may miss
+
+
+@pytree
+class Energy:
+    """Energy account of the modelled part [J]; every term is computed by itself, none by difference.
+
+    Attributes:
+        strain: Strain energy at the end.
+        kinetic: Kinetic energy at the end.
+        external_work: Sum of P dV.
+        damping_loss: Work done against damping.
+        contact_loss: Kinetic energy of the nodes when they stuck.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
+        kinetic_peak: Largest kinetic energy at the end of a window.
+        peak_work: Largest magnitude of the external work at the end of a window; carries no derivative.
+        rounding: What the account may miss by rounding alone; carries no derivative.
+    """
+
+    strain: jax.Array
+    kinetic: jax.Array
+    external_work: jax.Array
+    damping_loss: jax.Array
+    contact_loss: jax.Array
+    refinement_loss: jax.Array
+    kinetic_peak: jax.Array
+    peak_work: jax.Array
+    rounding: jax.Array
+
+    @property
+    @jax.jit
+    def balance_error(self) -> jax.Array:
+        """What the account misses, relative to the largest external work; above 1 % the status is `UNBALANCED`.
+
+        Of work so small that rounding shows in it, relative to a hundred times the rounding.
+        """
+        kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss + self.refinement_loss
+        largest = jnp.maximum(jnp.abs(self.external_work), self.peak_work) + self.rounding / UNBALANCED
+        return jnp.abs(kept - self.external_work) / largest
+
+    @property
+    @jax.jit
+    def measurable(self) -> jax.Array:
+        """Whether the external work was ever more than what rounding alone makes of it."""
+        return jnp.maximum(jnp.abs(self.external_work), self.peak_work) > self.rounding
+
+    @property
+    @jax.jit
+    def haste(self) -> jax.Array:
+        """About how far, relative, the wall is from that of the same process done slowly (0 where nothing moved).
+
+        The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
+        went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones
+        several times too high.
+        """
+        work = jnp.where(self.measurable, jnp.abs(self.external_work), jnp.inf)
+        return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
+
+
+def unmoved(energy: Energy) -> list[str]:
+    """A sentence where the pressure did so little work that nothing moved which could be measured."""
+    if bool(energy.measurable):
+        return []
+    work = max(abs(float(energy.external_work)), float(energy.peak_work))
+    return [
+        f"the sheet hardly moved: the pressure did {work:.2g} J of work, less than the {float(energy.rounding):.2g} J "
+        "that the account of energy may miss unnoticed; raise pressure.value or solver.end_time, or check the units of "
+        "material.density"
+    ]

@@ -1,0 +1,76 @@
+"""The status of a run in words."""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from jaxform.core.errors import InputError
+from jaxform.model.replacing import in_words
+from jaxform.results.result import Result
+from jaxform.sheet.state import Status
+
+_WORDS = {
+    Status.NON_FINITE: "a position or velocity is not finite; the state before that window is kept",
+    Status.UNSTABLE: "unstable: the sheet holds more energy than was put in, or less",
+    Status.WINDOWS_EXHAUSTED: "the steps that the run may take did not suffice to reach the end time",
+    Status.CONTACT_OVERFLOW: "more pairs of node and mold triangle came near each other than there is room for",
+    Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
+    Status.STOPPED: "stopped by the caller",
+    Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than there is room for",
+    Status.RUNAWAY: "the sheet ran away: it is ten thousand times as large as it was",
+    Status.INPUT: "a number of the scene is out of its range, so nothing was simulated",
+    Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
+}
+_MENDS = {
+    Status.NON_FINITE: "lower solver.safety or the pressure",
+    Status.UNSTABLE: "lower solver.safety, or raise the pressure more slowly",
+    Status.WINDOWS_EXHAUSTED: "raise solver.max_steps or lower the pressure; `jaxform.simulate`, which plans its steps "
+    "beforehand, needs a scene that is built with the end time and material that it simulates, `jaxform.run` does not",
+    Status.CONTACT_OVERFLOW: "coarsen the mold, or use `jaxform.run`, which makes room by itself",
+    Status.CONTACT_MISSED: "lower solver.safety or the pressure",
+    Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
+    Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",
+    Status.INPUT: "keep what is designed within its range, and free of NaN",
+    Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
+}
+
+
+def explain(result: Result) -> Any:
+    """The status in words: "ok", or what stopped the run, when and where, and what may help.
+
+    Of results side by side (from `vmap` or `simulate_batch`) a list with a sentence for each.
+
+    Raises:
+        InputError: If it is no result, or one that is traced.
+    """
+    if not isinstance(result, Result):
+        raise InputError("is no result", "give what `simulate`, `run` or `simulate_batch` returns", "result", result)
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(result)):
+        raise InputError("is traced, its numbers are not known yet", "explain it outside of the function", "result")
+    count = np.shape(result.status)
+    if not count:
+        return _explained(result)
+    # Each leaf is brought to the host once; what the host's loop adds is no array.
+    leaves = jax.tree.map(np.asarray, dataclasses.replace(result, schedule=None, seconds=None))
+    return [explain(jax.tree.map(operator.itemgetter(k), leaves)) for k in range(count[0])]
+
+
+def _explained(result: Result) -> str:
+    status = int(result.status)
+    if status == 0:
+        return "ok"
+    what = [words for bit, words in _WORDS.items() if status & bit]
+    mend = [words for bit, words in _MENDS.items() if status & bit]
+    if status & Status.INPUT:
+        return "; ".join([f"{what[0]}: {in_words(int(result.out_of_range or 0))}", *what[1:], *mend])
+    speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
+    node = int(np.argmax(speed))
+    place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
+    where = f"at t = {float(result.time):.6g} s, fastest node {node} at ({place}) m with {speed[node]:.3g} m/s"
+    return "; ".join([*what, where, *mend])

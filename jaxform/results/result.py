@@ -1,0 +1,189 @@
+"""What a simulation gives: the formed part, its wall thickness, energies, and the summary in numbers and words."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.pytree import pytree
+from jaxform.mechanics import membrane
+from jaxform.mechanics.nodes import Rule
+from jaxform.model.scene import Scene
+from jaxform.results.energy import Energy
+from jaxform.results.recovery import nodal_ratio
+from jaxform.sheet.account import enclosed_volume, energy_rounding, kinetic_energy, last_work, strain_energy
+from jaxform.sheet.discretization import Body, Mesh, levels, present_body
+from jaxform.sheet.state import Schedule, State, Taken
+
+
+@pytree
+class Seconds:
+    """Wall-clock time of `run` [s]: compiling, and the loop alone."""
+
+    compile: float
+    run: float
+
+
+@pytree
+class Result:
+    """The formed part.
+
+    Attributes:
+        positions: Final node positions (n_node, 3) [m].
+        thickness: Final thickness at the nodes (n_node,) [m]: the linear function that fits h/h0 of the adjacent
+            elements best, at rims carried on from inside, times the node's initial thickness; 0 where the
+            node does not exist. See `jaxform.recovery`.
+        active: Nodes that exist at the end (n_node,).
+        stuck: Nodes that do not move any more (n_node,).
+        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
+            came from the far side of its normal; 0 where it does not touch the mold.
+        fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
+        triangles: Node numbers of the elements (n_element, 3).
+        level: How often each was bisected from the scene's mesh (n_element,).
+        used: Elements that exist at the end (n_element,); the others have room only.
+        element_volume: Their volume (n_element,) [m^3], which they keep; 0 where not used.
+        element_thickness: Final thickness of the elements (n_element,) [m].
+        stretches: Larger and smaller principal stretch of the elements (n_element, 2).
+        velocities: Final node velocities (n_node, 3) [m/s].
+        mass: Of the modelled part [kg].
+        added_mass: What fine elements were given to keep the step long, relative to it.
+        energy: The energy account.
+        time: Simulated time [s].
+        steps, windows, shortened: Steps and windows taken, and windows cut short by contact.
+        status: Bits of `Status`; 0 when all went well.
+        schedule: The decisions taken, for `simulate` to take them again.
+        seconds: Wall-clock time where the host loop took it, else None.
+        out_of_range: Which numbers of the scene were out of range, as bits, in the order of `replacing.DESIGNABLE`; 0
+            where none was. None from the host's loop, which refuses them.
+    """
+
+    positions: jax.Array
+    thickness: jax.Array
+    active: jax.Array
+    stuck: jax.Array
+    contact_time: jax.Array
+    wall: jax.Array
+    fields: dict[str, jax.Array]
+    triangles: jax.Array
+    level: jax.Array
+    used: jax.Array
+    element_volume: jax.Array
+    element_thickness: jax.Array
+    stretches: jax.Array
+    velocities: jax.Array
+    mass: jax.Array
+    added_mass: jax.Array
+    energy: Energy
+    time: jax.Array
+    steps: jax.Array
+    windows: jax.Array
+    shortened: jax.Array
+    status: jax.Array
+    schedule: Schedule | None = None
+    seconds: Seconds | None = None
+    out_of_range: jax.Array | None = None
+
+
+def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = None) -> Result:
+    """The result of a state; pure, so it can be traced.
+
+    Args:
+        state: The state.
+        scene: The scene.
+        first: The sheet as it was at first.
+        taken: The windows that were taken, as the first parts of a `Schedule`.
+    """
+    now, forest, mesh = present_body(scene, state.mesh, first), scene.tables.forest, state.mesh
+    sheet = now.sheet
+    _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
+    strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
+    ratio = 1.0 / jnp.sqrt(strain.determinant)
+    count = now.mass.size
+    counts = scene.tables.counts
+    active, node, mobility = jnp.ones(count, bool), jnp.arange(count), scene.tables.mobility
+    if counts is not None:
+        active = node < counts.nodes
+    reference = scene.parison.positions.T
+    triangles, level, used = sheet.triangles, jnp.zeros(sheet.area.size, jnp.int32), sheet.area > 0.0
+    if mesh is not None and forest is not None:
+        place = jnp.arange(forest.owner.size)
+        first_nodes = forest.first_nodes if counts is None else counts.nodes
+        active, node = (place < first_nodes) | (mesh.place > 0), mesh.place
+        triangles, level = forest.sheet.triangles[:, mesh.element], levels(mesh.element, forest)
+        reference, mobility = reference[:, mesh.node], forest.mobility[:, mesh.node]
+    ratios = nodal_ratio(ratio, sheet, reference, mobility > 0.0)
+
+    def nodal(values: jax.Array, otherwise: jax.Array | float) -> jax.Array:
+        """In the order of the scene's nodes; what does not exist has another value."""
+        return values if mesh is None else jnp.where(active, values[..., node], otherwise)
+
+    def ordered(values: jax.Array, rule: Rule) -> jax.Array:
+        return nodal(values, scene.parison.positions.T if rule.absent is None else rule.absent)
+
+    nodes = dataclasses.replace(state.nodes, mode=None).mapped(ordered)
+
+    return Result(
+        positions=nodes.positions.T,
+        thickness=nodal(ratios, 0.0) * scene.parison.thickness,
+        active=active,
+        stuck=nodes.stuck,
+        contact_time=nodes.contact_time,
+        wall=nodes.wall,
+        fields=nodes.fields,
+        triangles=triangles.T,
+        level=level,
+        used=used,
+        element_volume=sheet.area * now.thickness,
+        element_thickness=jnp.where(used, now.thickness * ratio, 0.0),
+        stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
+        velocities=nodes.velocities.T,
+        mass=jnp.sum(scene.material.density * sheet.area * now.thickness),
+        added_mass=_added_mass(scene, now, mesh),
+        energy=Energy(
+            strain=strain_energy(state, scene, now),
+            kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
+            external_work=state.account.external_work
+            + last_work(state, scene, enclosed_volume(state.nodes.positions, sheet)),
+            **state.account.losses(),
+            kinetic_peak=state.account.kinetic_peak,
+            peak_work=jax.lax.stop_gradient(state.account.peak_work),
+            rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
+        ),
+        time=state.time,
+        steps=state.steps,
+        windows=state.windows,
+        shortened=state.shortened,
+        status=state.status,
+        schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
+    )
+
+
+def _added_mass(scene: Scene, now: Body, mesh: Mesh | None) -> jax.Array:
+    forest, volume = scene.tables.forest, now.sheet.area * now.thickness
+    if forest is None or mesh is None:
+        return jnp.zeros((), volume.dtype)
+    return jnp.sum(volume * (forest.heavier[mesh.element] - 1.0)) / jnp.sum(volume)
+
+
+def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
+    """The part with the nodes and elements alone that exist, for pictures and files: room is left out on the host."""
+    if scene.refinement is None:
+        return scene, result
+    active, used = np.asarray(result.active), np.asarray(result.used)
+    number = np.cumsum(active) - 1
+    triangles = number[np.asarray(result.triangles)[used]].astype(np.int32)
+    nodal = {"positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities"}
+    of_elements = {"level", "used", "element_volume", "element_thickness", "stretches"}
+    kept: dict[str, Any] = {name: np.asarray(getattr(result, name))[active] for name in nodal}
+    kept |= {name: np.asarray(getattr(result, name))[used] for name in of_elements}
+    kept["fields"] = {name: np.asarray(values)[active] for name, values in result.fields.items()}
+    sheet = {name: np.asarray(getattr(scene.parison, name))[active] for name in ("positions", "thickness")}
+    sheet |= {name: np.asarray(getattr(scene.parison, name))[active] for name in ("clamped", "fixed")}
+    parison: Any = dataclasses.replace(scene.parison, triangles=triangles, **sheet)  # pyright: ignore
+    made: Any = dataclasses.replace(result, triangles=triangles, **kept)
+    return dataclasses.replace(scene, parison=parison, refinement=None), made

@@ -1,0 +1,206 @@
+"""Curves across a formed part along which its thickness is drawn: meridians of discs, sections of other sheets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxform.model.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxform.results.result import Result
+
+Array = NDArray[np.float64]
+
+
+class Curve(NamedTuple):
+    """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called.
+
+    Where it was to run through a place, `marked` is the arc length there.
+    """
+
+    arc: Array
+    thickness: Array
+    label: str
+    marked: float | None = None
+
+
+def is_disc(scene: Scene) -> bool:
+    """Whether the initial sheet is flat and its clamped rim a circle about the z axis."""
+    positions, clamped = np.asarray(scene.parison.positions), np.asarray(scene.parison.clamped)
+    radius = np.hypot(positions[:, 0], positions[:, 1])
+    if not clamped.any():
+        return False
+    size = radius.max()
+    flat = np.ptp(positions[:, 2]) <= 1e-6 * size
+    round_rim = np.ptp(radius[clamped]) <= 1e-3 * size
+    return bool(flat and round_rim and radius[clamped].min() >= (1 - 1e-3) * size)
+
+
+def initial_radius(scene: Scene) -> Array:
+    """Distance of the nodes from the z axis in the initial sheet (n_node,) [m]."""
+    positions = np.asarray(scene.parison.positions, float)
+    return np.hypot(positions[:, 0], positions[:, 1])
+
+
+def meridian_arc(scene: Scene, result: Result) -> Array:
+    """Arc length (n_node,) [m] from the axis, in the formed part, of every node of a disc.
+
+    It is that of the meridian through the nodes on the +x axis, as a function of the initial radius.
+    """
+    start, radius = np.asarray(scene.parison.positions, float), initial_radius(scene)
+    on_axis = np.flatnonzero((np.abs(start[:, 1]) <= 1e-9 * radius.max()) & (start[:, 0] >= 0))
+    if len(on_axis) < 2:
+        on_axis = np.arange(len(start))
+    order = on_axis[np.argsort(radius[on_axis])]
+    path = np.asarray(result.positions, float)[order]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return np.interp(radius, radius[order], arc)
+
+
+def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[Curve]:
+    """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet.
+
+    Args:
+        scene: What was simulated.
+        result: The part.
+        through: A place (3,) [m] in the initial sheet through which they run; its middle by default.
+    """
+    start = np.asarray(scene.parison.positions, float)
+    if is_disc(scene):
+        arc = meridian_arc(scene, result)
+        order = np.argsort(arc)
+        marked = None
+        if through is not None:
+            radius = initial_radius(scene)
+            outwards = np.argsort(radius)
+            marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
+        return [Curve(arc[order], np.asarray(result.thickness, float)[order], "all nodes", marked)]
+    # Across the two longest sides of its box: along the third a sheet has next to no extent.
+    longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
+    found = []
+    for axis in sorted(longest.tolist(), reverse=True):
+        level = _middle(scene, axis) if through is None else float(np.asarray(through)[axis])
+        name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
+        pieces = cuts(scene, result, axis, level)
+        if through is None:
+            found += [Curve(piece.arc, piece.thickness, name) for piece in pieces[:1]]
+        elif pieces:
+            found.append(_nearest(pieces, scene, result, np.asarray(through), name))
+    return found
+
+
+def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, name: str) -> Curve:
+    """Of the pieces of a section, the one that runs nearest to a place [m] in the initial sheet."""
+    corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
+    element = int(np.argmin(np.linalg.norm(corners.mean(1) - through, axis=1)))
+    place = np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)[element]].mean(0)
+    away = [np.linalg.norm(piece.place - place, axis=1) for piece in pieces]
+    best = int(np.argmin([distance.min() for distance in away]))
+    return Curve(pieces[best].arc, pieces[best].thickness, name, float(pieces[best].arc[np.argmin(away[best])]))
+
+
+def symmetry_planes(scene: Scene) -> dict[int, float]:
+    """Axis and place [m] of the planes about which the modelled part is symmetric."""
+    free = np.asarray(scene.parison.fixed) & ~np.asarray(scene.parison.clamped)[:, None]
+    start = np.asarray(scene.parison.positions, float)
+    return {k: float(start[free[:, k], k].mean()) for k in range(3) if free[:, k].any()}
+
+
+def _middle(scene: Scene, axis: int) -> float:
+    planes = symmetry_planes(scene)
+    if axis in planes:
+        return planes[axis]
+    along = np.asarray(scene.parison.positions, float)[:, axis]
+    return float(0.5 * (along.min() + along.max()))
+
+
+class Cut(NamedTuple):
+    """Where a plane cuts a part: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order."""
+
+    place: Array
+    thickness: Array
+
+    @property
+    def arc(self) -> Array:
+        """Arc length [m] in the formed part from the first place (n,)."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.place, axis=0), axis=1))])
+
+
+def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple[Array, Array]]:
+    """Where the plane at `level` [m] across an axis cuts the initial sheet, seen in the formed part.
+
+    Returns:
+        Arc length [m] and thickness [m] of each connected piece, the longest first; a closed one ends where it began.
+    """
+    return [(piece.arc, piece.thickness) for piece in cuts(scene, result, axis, level)]
+
+
+def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool = False) -> list[Cut]:
+    """Where the plane at `level` [m] across an axis cuts the initial sheet, or the formed part itself.
+
+    Returns:
+        Each connected piece, the longest first; a closed one ends where it began.
+    """
+    end = np.asarray(result.positions, float)
+    start = end if formed else np.asarray(scene.parison.positions, float)
+    height = start[:, axis] - level
+    # A node in the plane counts as just above it, so that every triangle is cut in two edges or none.
+    height[np.abs(height) <= 1e-9 * np.ptp(start, axis=0).max()] = _just_above(height)
+    triangles = np.asarray(scene.parison.triangles)
+    sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    cut = (height[sides[..., 0]] > 0) != (height[sides[..., 1]] > 0)
+    crossed = cut.sum(1) == 2
+    edge, index = np.unique(sides[crossed][cut[crossed]], axis=0, return_inverse=True)
+    share = height[edge[:, 0]] / (height[edge[:, 0]] - height[edge[:, 1]])
+    place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
+    wall = np.asarray(result.thickness, float)
+    value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
+    pieces = [Cut(place[path], value[path]) for path in _chains(index.reshape(-1, 2))]
+    return sorted(pieces, key=lambda piece: -piece.arc[-1])
+
+
+def crossed(faces: Array, axis: int, level: float) -> Array:
+    """Where a plane across an axis cuts triangles (n, 3, 3): the ends of a line in each that it cuts, (k, 2, 3)."""
+    above = faces[..., axis] >= level
+    cut = above.any(1) & ~above.all(1)
+    faces, above = faces[cut], above[cut]
+    # The corner that is alone on its side comes first.
+    lone = np.argmax(above != (above.sum(1) == 2)[:, None], axis=1)
+    row = np.arange(len(faces))
+    alone = faces[row, lone]
+    ends = []
+    for other in (faces[row, (lone + 1) % 3], faces[row, (lone + 2) % 3]):
+        share = (level - alone[:, axis]) / (other[:, axis] - alone[:, axis])
+        ends.append(alone + share[:, None] * (other - alone))
+    return np.stack(ends, axis=1)
+
+
+def _just_above(height: Array) -> float:
+    """A height of the side on which the sheet lies, far below what can be seen."""
+    side = 1.0 if height.max() <= -height.min() * 1e-9 or height.min() < 0 else -1.0
+    return side * 1e-9 * float(np.abs(height).max())
+
+
+def _chains(segments: NDArray[np.int64]) -> list[list[int]]:
+    """Segments (n, 2) of points joined to paths; a closed path ends with its first point."""
+    neighbours: dict[int, list[int]] = {}
+    for a, b in segments.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    ends = [point for point, near in neighbours.items() if len(near) == 1]
+    chains, seen = [], set[int]()
+    for first in [*ends, *neighbours]:
+        if first in seen:
+            continue
+        chain = [first]
+        seen.add(first)
+        while following := [point for point in neighbours[chain[-1]] if point not in seen]:
+            chain.append(following[0])
+            seen.add(following[0])
+        if len(chain) > 2 and first in neighbours[chain[-1]]:
+            chain.append(first)
+        chains.append(chain)
+    return chains

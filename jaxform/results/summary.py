@@ -1,0 +1,135 @@
+"""A part in numbers and words: the contents of summary.json, and what is warned of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.loads import Pressure
+from jaxform.model.scene import Scene
+from jaxform.results.energy import Energy, unmoved
+from jaxform.results.explanation import explain
+from jaxform.results.result import Result, Seconds
+from jaxform.results.review import thinnest, warnings_of_part
+from jaxform.tools.penetration import Penetration, penetration, resting_directions
+
+SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
+_NODES_BEYOND = 1e-6  # of the sheet's size, that a node may be beyond the mold
+_ELEMENTS_BEYOND = 0.5  # of the longest side of an element, the same of an element
+
+
+def formed_areas(result: Result) -> np.ndarray:
+    """Final area (n_element,) [m^2] of the elements; 0 where not used."""
+    volume, wall = np.asarray(result.element_volume, float), np.asarray(result.element_thickness, float)
+    return volume / np.where(wall > 0.0, wall, 1.0)
+
+
+def wall_statistics(result: Result) -> dict[str, float]:
+    """Least, mean and largest thickness [m] of the elements and its coefficient of variation, by formed area."""
+    used = np.asarray(result.used)
+    area, wall = formed_areas(result)[used], np.asarray(result.element_thickness, float)[used]
+    mean = float(np.average(wall, weights=area))
+    spread = float(np.sqrt(np.average(np.square(wall - mean), weights=area)))
+    return {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean}
+
+
+def summarize(result: Result, scene: Scene) -> dict[str, Any]:
+    """The contents of summary.json as plain numbers and words."""
+    area = formed_areas(result)
+    seconds = result.seconds or Seconds(0.0, 0.0)
+    kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
+    energy = {name: float(getattr(result.energy, name)) for name in kinds}
+    beyond = penetrated(result, scene)
+    return {
+        "scene": scene.name,
+        "status": explain(result),
+        "elements_initial": len(scene.parison.triangles),
+        "elements_final": int(np.asarray(result.used).sum()),
+        "nodes_final": int(np.asarray(result.active).sum()),
+        "time": float(result.time),
+        "steps": int(result.steps),
+        "windows": int(result.windows),
+        "windows_shortened": int(result.shortened),
+        "compile_seconds": seconds.compile,
+        "run_seconds": seconds.run,
+        "thickness": wall_statistics(result),
+        "thinnest": thinnest(result, scene),
+        "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
+        "mass": float(result.mass),
+        "added_mass": float(result.added_mass),
+        "penetration_max": beyond.elements,
+        "penetration_place": beyond.place.tolist(),
+        "energy": energy | {"balance_error": float(result.energy.balance_error), "haste": float(result.energy.haste)},
+        "warnings": [
+            *warnings_of(result, scene),
+            *warnings_of_part(result, scene),
+            *warnings_of_mold(result, scene, beyond),
+        ],
+    }
+
+
+def warnings_of(result: Result, scene: Scene) -> list[str]:
+    """What to mind about a part that was formed as asked for: a sentence each, with the mend."""
+    still = int(result.status) == 0 and bool(np.any(scene.pushes()))
+    return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
+
+
+def _hasty(result: Result, scene: Scene) -> list[str]:
+    haste = float(result.energy.haste)
+    if not scene.solver.quasi_static or not haste > SLOW_ENOUGH:
+        return []
+    peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.external_work))
+    drag = haste - peak
+    what = (
+        f"the kinetic energy came to {100 * peak:.2g} % of the work"
+        if peak > drag
+        else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.external_work)):.2g} % of "
+        "the work"
+    )
+    linear = isinstance(scene.pressure, Pressure) and scene.pressure.interpolation == "linear"
+    mend = 'interpolation = "cubic-ramp" or ' if linear else ""
+    mend = f"raise the pressure more slowly ({mend}later pressure.time and solver.end_time)"
+    mend += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
+    return [
+        f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * haste:.2g} % off that "
+        f"of one; {mend}"
+    ]
+
+
+def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[str]:
+    """A sentence where the part is so far beyond the mold that its shape is not to be trusted."""
+    if scene.mold is None:
+        return []
+    corners = np.asarray(result.positions, float)[np.asarray(result.triangles)[np.asarray(result.used)]]
+    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
+    if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
+        return []
+    place = ", ".join(f"{value:.4g}" for value in beyond.place)
+    return [
+        f"the sheet is beyond the mold, deepest at ({place}) m with {beyond.elements:.3g} m: it hangs over the mold's "
+        "rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the elements smaller"
+    ]
+
+
+def penetrated(result: Result, scene: Scene) -> Penetration:
+    """How far the formed part is beyond the mold; nowhere, where there is no mold."""
+    positions = np.asarray(result.positions, float)
+    if scene.mold is None or not np.isfinite(positions).all():
+        return Penetration(0.0, 0.0, np.zeros(3))
+    triangles = np.asarray(result.triangles)[np.asarray(result.used)]
+    pressures = scene.pushes()
+    start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
+    resting = resting_directions(start, positions, triangles, float(highest))
+    return penetration(
+        positions, triangles, np.asarray(result.wall), scene.mold, grid=scene.tables.grid, resting=resting
+    )
+
+
+def _touching(result: Result) -> np.ndarray:
+    """Elements with three stuck nodes (n_element,), at least one of which touches the mold."""
+    triangles = np.asarray(result.triangles)
+    stuck, touched = np.asarray(result.stuck)[triangles], (np.asarray(result.contact_time) > 0)[triangles]
+    return stuck.all(1) & touched.any(1)

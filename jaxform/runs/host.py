@@ -1,0 +1,106 @@
+"""`run`: the host's loop, which shows progress, can be stopped, and makes room."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+import warnings
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.errors import InputWarning
+from jaxform.core.store import Store
+from jaxform.model.replacing import check_numbers
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result, Seconds
+from jaxform.results.review import warnings_of_part
+from jaxform.results.summary import warnings_of
+from jaxform.runs.loop import IN_MEMORY, programs
+from jaxform.runs.padding import on_rungs
+from jaxform.runs.room import roomier, windows_left
+from jaxform.sheet.state import State, Status
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """What `run` tells its caller after each window.
+
+    Attributes:
+        time: Simulated time [s].
+        end_time: When the simulation ends [s].
+        steps: Steps taken.
+        result: Call it for the part as it is now.
+    """
+
+    time: float
+    end_time: float
+    steps: int
+    result: Callable[[], Result]
+
+
+def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, store: Store | None = None) -> Result:
+    """Simulates a scene by the host's loop of the same windows; same numbers as `simulate`, no derivative.
+
+    Args:
+        scene: The scene.
+        on_window: Called after every window with a `Moment`; a true answer stops the run, and its status says so.
+            Without it the whole loop runs at once.
+        store: Where traced programs are kept between runs; nowhere by default.
+
+    Raises:
+        InputError: If a number of the scene is out of its range.
+
+    Warns:
+        InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, the pressure moved
+            nothing that could be measured, nothing touched the mold, the sheet left the mold's box, or a free wall
+            became thinner than makes any sense.
+    """
+    check_numbers(scene)
+    own, room, store = scene, on_rungs(scene, recorded=True), store or IN_MEMORY
+    scene, limit = room.scene, own.solver.max_steps
+    began = time.perf_counter()
+    begin, advance, closed, result = programs(scene, store)
+    state, first, taken = begin(scene)
+    ready, telling = time.perf_counter(), 0.0
+    compiling = ready - began
+    while left := windows_left(scene, state, limit):
+        take = left if on_window is None else 1
+        state, taken, done = advance(state, scene, first, taken, np.int32(take))
+        more = roomier(scene, state, taken, bool(done), limit)
+        if more is not None:
+            # One program for each size; the run goes on where it was.
+            paused = time.perf_counter()
+            scene, state, taken = more
+            begin, advance, closed, result = programs(scene, store)
+            first = begin(scene)[1]
+            compiling += time.perf_counter() - paused
+            telling += time.perf_counter() - paused
+            continue
+        if on_window is not None:
+            now = state, scene, first, taken
+            moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now)))
+            told = time.perf_counter()
+            stop = on_window(moment)
+            telling += time.perf_counter() - told
+            if stop:
+                stopped = state.status | (0 if done else Status.STOPPED)
+                state = dataclasses.replace(state, status=jnp.asarray(stopped, jnp.int32))
+                break
+        if done:
+            break
+    paused = time.perf_counter()
+    close, made = closed.ready(), result.ready()
+    compiling += time.perf_counter() - paused
+    telling += time.perf_counter() - paused
+    final = room.result(made(close(state, scene, first), scene, first, taken))
+    # What the caller does in between, such as writing frames, is not the loop.
+    seconds = Seconds(compiling, time.perf_counter() - ready - telling)
+    for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
+        warnings.warn(sentence, InputWarning, stacklevel=2)
+    return dataclasses.replace(final, seconds=seconds)
+
+
+def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:
+    return Moment(float(state.time), float(scene.solver.end_time), int(state.steps), result)

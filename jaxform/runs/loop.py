@@ -1,0 +1,150 @@
+"""The host's loop of windows as programs: what begins a run, takes windows, closes it and makes its result."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.adapt.refinement import refined_in_place
+from jaxform.core.store import Soon, Store
+from jaxform.dynamics.initial import initial_state
+from jaxform.dynamics.window import window_in_place, with_room
+from jaxform.kernels.blocks import only_if
+from jaxform.model.scene import Scene
+from jaxform.results.energy import UNBALANCED
+from jaxform.results.result import Result, make_result
+from jaxform.runs.padding import on_rungs
+from jaxform.sheet.account import energy_rounding
+from jaxform.sheet.active_set import Working, still_worked_through, wholly_worked_through
+from jaxform.sheet.discretization import Body, body, present_body
+from jaxform.sheet.state import PackedState, State, Status, Taken, finished
+
+IN_MEMORY = Store()
+_make_result = jax.jit(make_result)
+
+
+@jax.jit
+def whole_run(scene: Scene) -> Result:
+    """A run without its host's loop."""
+    state, first, taken = begin(scene)
+    state, taken, _ = advance(state, scene, first, taken, jnp.int32(scene.tables.window_count))
+    return make_result(closed(state, scene, first), scene, first, taken)
+
+
+@jax.jit
+def closed(state: State, scene: Scene, first: Body) -> State:
+    """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
+    short = jnp.where(finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
+    least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
+    missing = jnp.abs(state.account.imbalance) > UNBALANCED * state.account.peak_work + least
+    status = jnp.where((state.status | short) == 0, jnp.where(missing, Status.UNBALANCED, 0), state.status | short)
+    return dataclasses.replace(state, status=status.astype(jnp.int32))
+
+
+@jax.jit
+def begin(scene: Scene) -> tuple[State, Body, Taken]:
+    """The first state and body of a run, and room for what its windows take."""
+    count = scene.tables.window_count
+    state = initial_state(scene)
+    none = jnp.zeros(count, state.time.dtype)
+    return state, body(scene), (none, jnp.zeros(count, jnp.int32), none, none)
+
+
+@jax.jit
+def advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Array) -> tuple[State, Taken, jax.Array]:
+    """At most so many windows."""
+
+    def going(carry: _Going) -> jax.Array:
+        return (carry.count < most) & ~finished(carry.state, scene)
+
+    def take(carry: _Going) -> _Going:
+        state, now, stale = carry.state, carry.now, carry.count == 0
+        if state.mesh is not None:
+            before = state.mesh.element_count
+            state, now = refined_in_place(state, scene, now, carry.working)
+            assert state.mesh is not None
+            stale |= state.mesh.element_count != before
+        state, working = still_worked_through(state, scene, now, carry.working, stale)
+        whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
+        after, working = unless_full(state.status, scene, whole_window, (state, working), differentiable=False)
+        at = state.windows
+        taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, latest(after))
+        return _Going(after, now, working, taken, carry.count + 1)
+
+    now = present_body(scene, state.mesh, first, stepped=True)
+    working = with_room(wholly_worked_through(now), scene)
+    begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
+    gone = jax.lax.while_loop(going, take, begun)
+    return gone.working.put_back(gone.state), gone.taken, finished(gone.state, scene)
+
+
+class _Going(NamedTuple):
+    """What goes from window to window: with the state, in packed order, the body and what of it is worked through."""
+
+    state: PackedState
+    now: Body
+    working: Working
+    taken: Taken
+    count: jax.Array
+
+
+def latest(state: State) -> Taken:
+    """Of the last window."""
+    return state.control.last_length, state.control.last_count, state.control.bound, state.control.last_duration
+
+
+def unless_full[T](
+    status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, *, differentiable: bool = True
+) -> T:
+    """A window, unless refinement found no room at its border: then the state is left for a run with more."""
+    if scene.refinement is None:
+        return take(now)
+    return only_if(status == 0, take, now, differentiable=differentiable)
+
+
+class _Programs(NamedTuple):
+    """Compiled for a scene's sizes: what begins a run and takes windows; soon, what ends it and makes its result."""
+
+    begin: Callable[[Scene], tuple[State, Body, Taken]]
+    advance: Callable[..., tuple[State, Taken, jax.Array]]
+    closed: Soon
+    result: Soon
+
+
+def programs(scene: Scene, store: Store) -> _Programs:
+    """Compiled side by side, the longest begun as soon as its arguments' shapes are known."""
+    beginning = store.soon(begin, scene)
+    state, first, taken = beginning.shapes
+    advancing = store.soon(advance, state, scene, first, taken, np.int32(1))
+    closing = store.soon(closed, state, scene, first)
+    result = store.soon(_make_result, state, scene, first, taken)
+    return _Programs(beginning.ready(), advancing.ready(), closing, result)
+
+
+def is_compiled(scene: Scene, store: Store, least: int = 0) -> bool:
+    """Whether a run of a scene, as if it had at least so many elements, finds all its programs compiled."""
+    scene = on_rungs(scene, least, recorded=True).scene
+    if not store.holds(begin, scene):
+        return False
+    state, first, taken = store.soon(begin, scene).shapes
+    ending = store.holds(closed, state, scene, first) and store.holds(_make_result, state, scene, first, taken)
+    return ending and store.holds(advance, state, scene, first, taken, np.int32(1))
+
+
+def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
+    """Compiles what runs of scenes of a kind and rungs need, and keeps it; as if one had at least so many elements."""
+    made = programs(on_rungs(scene, least, recorded=True).scene, store)
+    made.closed.ready()
+    made.result.ready()
+
+
+def compiled_advance(
+    state: State, scene: Scene, first: Body, taken: Taken
+) -> Callable[..., tuple[State, Taken, jax.Array]]:
+    """`advance`, compiled for the shapes of a run, in memory."""
+    return IN_MEMORY.program(advance, state, scene, first, taken, np.int32(1))

@@ -1,0 +1,181 @@
+"""A scene in arrays that are as long as the rungs of the ladder of sizes, and a result in its own again. On the host.
+
+Scenes of the same kind and rungs are the same to a compiled program. What is beyond a scene's own nodes and elements
+is inert: such nodes cannot move, such elements have no area, no cell of the search grid lists such a triangle of the
+mold, and the pressure stays what it was after such knots. Names and limits that only the host reads are left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.core import Tracer
+
+from jaxform.core.errors import InputError
+from jaxform.core.ranges import MOST_STEPS
+from jaxform.kernels import sizes
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Assembly, Counts, Tables
+from jaxform.results.result import Result
+from jaxform.runs.arrays import (
+    Order,
+    assembly_with_room,
+    field_with_room,
+    forest_order,
+    forest_with_room,
+    grid_with_room,
+    like_first,
+    lying_with_room,
+    mold_with_room,
+    nodal_with_room,
+    padded_to,
+    parison_with_room,
+    pressure_with_room,
+    sheet_with_room,
+    spread,
+)
+from jaxform.sheet.discretization import NEVER
+from jaxform.sheet.state import Schedule
+
+_NODAL = ("positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities")
+_OF_ELEMENTS = ("level", "used", "element_volume", "element_thickness", "stretches")
+_OF_WINDOWS = ("lengths", "counts", "bounds", "durations")
+
+
+class Padded(NamedTuple):
+    """A scene with room, and the scene that it stands for.
+
+    Attributes:
+        scene: It has the structure and shapes of all scenes of its kind and rungs.
+        own: The scene as it was.
+        order: Where things of the one are in the other; None where they are the same.
+    """
+
+    scene: Scene
+    own: Scene
+    order: Order | None
+
+    def result(self, result: Result) -> Result:
+        """A result of the padded scene as one of the scene itself."""
+        if self.order is None:
+            return result
+        nodes, forest, refinement = self.order.node, self.own.tables.forest, self.own.refinement
+        used = np.asarray(result.used)
+        count = len(self.own.parison.triangles)
+        if refinement is not None:
+            count = min(max(refinement.elements, int(used.sum())), used.size)
+        new: dict[str, Any] = {name: np.asarray(getattr(result, name))[nodes] for name in _NODAL}
+        new |= {name: np.asarray(getattr(result, name))[:count] for name in _OF_ELEMENTS}
+        new["fields"] = {name: np.asarray(values)[nodes] for name, values in result.fields.items()}
+        triangles = np.asarray(result.triangles)[:count]
+        if forest is not None:
+            back = np.zeros(self.order.node_room, np.int32)
+            back[nodes] = np.arange(len(nodes))
+            triangles = back[triangles]
+        schedule = None if result.schedule is None else self._schedule(result.schedule, self.order)
+        # Unlike `jnp.asarray` this compiles nothing.
+        new = jax.device_put(new | {"triangles": triangles, "schedule": schedule})
+        return dataclasses.replace(result, **new)
+
+    def _schedule(self, schedule: Schedule, order: Order) -> Schedule:
+        """The decisions of the windows that the scene plans for, or that there were."""
+        counts = np.asarray(schedule.counts)
+        taken = np.flatnonzero(counts)
+        count = max(self.own.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)
+        split: Any = schedule.split_at
+        if split is not None and order.triangle is not None:
+            split = np.asarray(split)[order.triangle]
+        rows = {name: np.asarray(getattr(schedule, name))[:count] for name in _OF_WINDOWS}
+        return dataclasses.replace(schedule, **rows, split_at=split)
+
+    def schedule(self, schedule: Schedule) -> Schedule:
+        """A schedule of the scene itself as one of the padded scene."""
+        if self.order is None:
+            return schedule
+        room = sizes.windows(len(schedule.counts))
+        split: Any = schedule.split_at
+        if split is not None and self.order.triangle is not None:
+            split = spread(split, self.order.triangle, self.order.triangle_room, NEVER)
+        rows = {name: padded_to(getattr(schedule, name), room, 0) for name in _OF_WINDOWS}
+        return jax.device_put(dataclasses.replace(schedule, **rows, split_at=split))
+
+
+def padded(scene: Scene) -> Scene:
+    """A scene in arrays as long as the rungs of the ladder of sizes, for `jax.jit` of functions of scenes.
+
+    Such scenes of a kind and rungs have the same structure and shapes, so that a jitted function of one is traced and
+    compiled once for all. Results have as much room: count nodes that are `active` and elements that are `used`; the
+    others have the thickness 0. `run`, `simulate` outside of traces, and `simulate_batch` do the same by themselves
+    with any scene, and give results without such room.
+
+    Raises:
+        InputError: If the scene is traced.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
+        raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
+    return on_rungs(scene).scene
+
+
+def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
+    """A scene with room, of which nothing is traced; one that has room already is as it was.
+
+    Args:
+        scene: The scene.
+        least: As if it had so many elements before it is refined, where it has fewer.
+        recorded: Whether its windows are only recorded, as by `run`, and no derivative is taken.
+    """
+    if scene.tables.counts is not None:
+        return Padded(scene, scene, None)
+    forest, refinement, tables = scene.tables.forest, scene.refinement, scene.tables
+    if forest is None:
+        elements = sizes.elements(max(len(scene.parison.triangles), least))
+        count = len(scene.parison.positions)
+        room = sizes.nodes(count, elements)
+        order = Order(np.arange(count), None, elements, room, room, 0)
+        pairs = tables.assembly.pairs
+        pair_count = None if pairs is None else pairs.element.shape[1]
+        assembly = assembly_with_room(tables.assembly, elements, order.node_room)
+    else:
+        elements = sizes.roots(max(forest.root_count, least))
+        order, pair_count = forest_order(forest, elements), None
+        none: Any = np.zeros(0, np.int32)
+        # What the mesh was before it was refined is not worked through.
+        assembly = Assembly(none[None], none, none)
+    numbers: list[Any] = [
+        np.int32(count) for count in (len(scene.parison.triangles), scene.first_nodes, pair_count or 0)
+    ]
+    counts = Counts(numbers[0], numbers[1], None if pair_count is None else numbers[2])
+    grown = None
+    if forest is not None and refinement is not None:
+        refinement = dataclasses.replace(refinement, elements=sizes.grown(refinement.elements))
+        grown = forest_with_room(forest, refinement, order)
+    made = Tables(
+        sheet=sheet_with_room(tables.sheet, elements, order),
+        assembly=assembly,
+        bound=grown.bound if grown is not None else like_first(tables.bound, elements),
+        mobility=nodal_with_room(tables.mobility, order, 0.0),
+        size=tables.size,
+        grid=None if tables.grid is None else grid_with_room(tables.grid),
+        forest=grown,
+        lying=lying_with_room(scene, order),
+        longest_window=tables.longest_window,
+        window_count=sizes.windows(tables.window_count, recorded=recorded),
+        window_room=tables.window_room,
+        pairs_per_node=tables.pairs_per_node,
+        counts=counts,
+    )
+    whole = Scene(
+        parison=parison_with_room(scene.parison, elements, order),
+        material=scene.material,
+        pressure=pressure_with_room(scene.pressure),
+        solver=dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
+        mold=None if scene.mold is None else mold_with_room(scene.mold),
+        refinement=refinement,
+        tables=made,
+        name="",
+        fields={name: field_with_room(own, order) for name, own in scene.fields.items()},
+    )
+    return Padded(jax.device_put(whole), scene, order)

@@ -1,0 +1,112 @@
+"""Loops over windows: `simulate`, which is pure and differentiable, `run`, the host's loop, and `simulate_batch`."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray, Tracer
+
+from jaxform.adapt.refinement import refined
+from jaxform.adjoint.reversed_scheme import carries
+from jaxform.adjoint.strategies import Adjoint, adjoint_of
+from jaxform.core.ranges import RANGES
+from jaxform.dynamics.initial import initial_state
+from jaxform.kernels.derivatives import Rule, apart, recomputed
+from jaxform.kernels.sealed import manual_axes
+from jaxform.model.replacing import with_stand_ins
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result, make_result
+from jaxform.runs.loop import closed, latest, unless_full
+from jaxform.runs.padding import on_rungs
+from jaxform.sheet.discretization import Body, body, present_body
+from jaxform.sheet.state import Schedule, State, Status, Taken, finished
+
+
+def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint | None = None) -> Result:
+    """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
+
+    Differentiate through `replace`: first derivatives in either mode, second ones forward over either
+    (`jax.hessian`). Where a number that was traced is out of its range nothing is simulated: the result is the sheet as
+    it was at first, finite, with the thickness 0 where the given one is out of range, and its status says so.
+
+    Args:
+        scene: The scene.
+        schedule: The decisions of an earlier run, from its result: taken as they are, the result is a smooth function
+            of the design as far as contact is. Without it every run decides for itself.
+        adjoint: How the reverse derivative is found (`Reversed`, `Checkpointed`, `Stored`); by default the fastest
+            that the scene allows.
+
+    Raises:
+        InputError: The scene has a part that the chosen adjoint cannot go back over.
+    """
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
+        return _simulate(scene, schedule, adjoint_of(scene, adjoint))
+    room = on_rungs(scene)
+    given = None if schedule is None else room.schedule(schedule)
+    return room.result(_simulate(room.scene, given, adjoint_of(scene, adjoint)))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Result:
+    whole = functools.partial(_simulated, adjoint)
+    if manual_axes(jax.tree.leaves((scene, schedule))):
+        return apart(whole, scene, schedule)
+    return whole(scene, schedule)
+
+
+def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
+    given, (scene, out_of_range) = scene, with_stand_ins(scene)
+    first, state = body(scene), initial_state(scene)
+    state = dataclasses.replace(state, status=jnp.where(out_of_range == 0, state.status, Status.INPUT))
+    count = scene.tables.window_count
+    if adjoint.windows > 1:
+        several = _recomputed_windows(adjoint)
+        groups = -(-count // adjoint.windows)
+        state, taken = jax.lax.scan(lambda state, _: several(state, scene, first, schedule), state, length=groups)
+        taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
+    else:
+        state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
+    result = make_result(closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
+    thick = RANGES["parison.thickness"].holds(given.parison.thickness)
+    return dataclasses.replace(result, thickness=jnp.where(thick, result.thickness, 0.0), out_of_range=out_of_range)
+
+
+def _windows(
+    state: State, scene: Scene, first: Body, schedule: Schedule | None, *, count: int, adjoint: Adjoint
+) -> tuple[State, Taken]:
+    """So many windows, as far as there is anything to do."""
+
+    def look(state: State) -> tuple[State, Body]:
+        return refined(state, scene, present_body(scene, state.mesh, first), schedule)
+
+    def take(state: State) -> State:
+        state, now = adjoint.border(look)(state)
+
+        def whole(state: State) -> State:
+            return adjoint.window(state, scene, now, first, schedule)
+
+        return unless_full(state.status, scene, whole, state)
+
+    def unless_finished(state: State, _: None) -> tuple[State, Taken]:
+        done = finished(state, scene) | (state.windows >= scene.tables.window_count)
+        state = jax.lax.cond(done, lambda state: state, take, state)
+        return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), latest(state))
+
+    return jax.lax.scan(unless_finished, state, length=count)
+
+
+@functools.cache
+def _recomputed_windows(adjoint: Adjoint) -> Rule:
+    """So many windows of which the reverse derivative keeps the state before the first."""
+
+    def like(state: State, *_: object) -> Any:
+        return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in latest(state))
+
+    def smooth(result: tuple[State, Taken]) -> Any:
+        return carries(result[0]), jax.tree.map(lambda _: False, result[1])
+
+    return recomputed(functools.partial(_windows, count=adjoint.windows, adjoint=adjoint), like, smooth)

@@ -1,0 +1,91 @@
+"""Energies of the sheet, the work done on it, and the volume that it encloses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.kernels.blocks import once, over_blocks
+from jaxform.materials import Law
+from jaxform.mechanics import membrane
+from jaxform.mechanics.elements import Elements
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Sheet
+from jaxform.sheet.discretization import Body
+from jaxform.sheet.state import State
+
+
+def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
+    """Kinetic energy [J]."""
+    return 0.5 * jnp.sum(mass * membrane.dot(state.nodes.velocities, state.nodes.velocities))
+
+
+def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+    """Strain energy [J]."""
+    sheet = sheet_body.sheet
+    volume = sheet.area * sheet_body.thickness
+    return membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
+
+
+def account(
+    positions: jax.Array,
+    elements: Elements,
+    thickness: jax.Array,
+    material: Law,
+    counted: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """Strain energy [J] and enclosed volume [m^3] of elements, in one pass; not differentiable.
+
+    Args:
+        positions: (3, place) [m].
+        elements: The elements, of nodes at these places.
+        thickness: Their initial thickness (room,) [m].
+        material: Their law.
+        counted: Those that count (room,); all by default.
+    """
+    rows = membrane.rows_of(positions)
+
+    def work(own: Any, thickness: jax.Array, counted: Any, turn: Any) -> Any:
+        triangles, inverse, area = own
+        first, edge1, edge2 = membrane.edges(rows, triangles)
+        edge1, edge2 = once((edge1, edge2))
+        strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
+        energy = area * thickness * material.energy(strain.i1, strain.i2)
+        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        share = share if turn is None else turn * share
+        used = area > 0.0 if counted is None else counted & (area > 0.0)
+        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
+
+    own = elements.triangles, elements.inverse_metric, elements.area
+    inputs = own, thickness, counted, elements.turn
+    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
+    return energy, volume / 6.0
+
+
+def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
+    """Mean pressure over the last step [Pa], with the volume that is enclosed now [m^3]."""
+    before = state.account.pressure
+    if before is None:
+        return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.control.step_length, state.time])))
+    return 0.5 * (before + scene.pressure.at(state.time, volume))
+
+
+def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
+    """External work of the last step [J], with the volume enclosed now [m^3]: the next force brings it."""
+    return last_pressure(state, scene, volume) * (volume - state.account.volume)
+
+
+def enclosed_volume(positions: jax.Array, sheet: Sheet, counted: jax.Array | float = 1.0) -> jax.Array:
+    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count."""
+    first, edge1, edge2 = membrane.edges(positions, sheet.triangles)
+    arm = membrane.minus(first, sheet.origin)
+    counted = jnp.where(sheet.area > 0.0, counted, 0.0)
+    return jnp.sum(counted * membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0
+
+
+def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
+    """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
+    scale = jax.lax.stop_gradient(scene.material.stiffness() * volume)
+    return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

@@ -1,0 +1,193 @@
+"""What is worked through, in packed order: from the border where it is packed until it is packed anew.
+
+A run's state stays in this order from window to window; what does not move any more is neither looked up nor summed
+over again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact.candidates import Lists
+from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
+from jaxform.mechanics import membrane
+from jaxform.mechanics.elements import Corners
+from jaxform.mechanics.nodes import Rule
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Counts, Sheet
+from jaxform.sheet.account import account, enclosed_volume
+from jaxform.sheet.discretization import Body, Mesh
+from jaxform.sheet.packing import Packed, pack
+from jaxform.sheet.state import PackedState, State, can_move
+
+
+@pytree
+class Room:
+    """Arrays that are written before they are read: kept from window to window, they need not be cleared.
+
+    Attributes:
+        corners: For what elements' corners get.
+        basis: For the search for the stable step; None where it is not made.
+        lists: For what is near the mold; None where there is none.
+    """
+
+    corners: Corners
+    basis: jax.Array | None
+    lists: Lists | None
+
+
+@pytree
+class Working:
+    """The elements and nodes that are worked through, and what the others come to, which do not move.
+
+    Attributes:
+        packed: Their order.
+        thickness: Initial thickness of the elements (room,) [m].
+        bound: Largest eigenvalue of their shape gradients (room,) [1/m^2].
+        mass: Lumped mass of the nodes (place,) [kg].
+        compliance: Mobility over mass (3, place) [1/kg].
+        substance: Volume of the elements themselves [m^3].
+        idle_volume: Enclosed by what is not worked through [m^3].
+        idle_energy: Its strain energy [J].
+        room: Kept from the last window; None where each window has its own.
+    """
+
+    packed: Packed
+    thickness: jax.Array
+    bound: jax.Array
+    mass: jax.Array
+    compliance: jax.Array
+    substance: jax.Array
+    idle_volume: jax.Array
+    idle_energy: jax.Array
+    room: Room | None = None
+
+    def volume(self, positions: jax.Array) -> jax.Array:
+        """Volume [m^3] enclosed by what is worked through, at positions (3, place) [m]; differentiable."""
+        elements = self.packed.elements
+        first, edge1, edge2 = membrane.edges(positions, elements.triangles)
+        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        share = share if elements.turn is None else elements.turn * share
+        return jnp.sum(jnp.where(elements.area > 0.0, share, 0.0)) / 6.0
+
+    def taken(self, state: State) -> PackedState:
+        """A state in packed order; at places beyond the nodes they stick."""
+
+        def taken(values: jax.Array, rule: Rule) -> jax.Array:
+            own = self.packed.taken(values)
+            if rule.beyond is None:
+                return own
+            return own | ~self.packed.exists if rule.beyond is True else jnp.where(self.packed.exists, own, rule.beyond)
+
+        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken)))
+
+    def put_back(self, state: PackedState) -> State:
+        """A state in the mesh's order."""
+        return dataclasses.replace(state, nodes=state.nodes.mapped(lambda values, _: self.packed.put_back(values)))
+
+
+def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body: Body) -> Packed:
+    """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
+    if not scene.packs_moving:
+        return sheet_body.whole
+    sheet = sheet_body.sheet
+    counts = scene.tables.counts if mesh is None else Counts(mesh.element_count, mesh.node_count)
+    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
+
+
+def worked_through(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool = False) -> Working:
+    """What a window works through that begins with a state in the mesh's order."""
+    packed = packed_moving(state.nodes.stuck, state.mesh, scene, sheet_body)
+    return _working(packed, state.nodes.positions, scene, sheet_body, differentiable=differentiable)
+
+
+def wholly_worked_through(sheet_body: Body) -> Working:
+    """All there is, in the mesh's own order."""
+    none = jnp.zeros((), sheet_body.mass.dtype)
+    return _with_masses(sheet_body.whole, sheet_body, none, none)
+
+
+def still_worked_through(
+    state: PackedState, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array
+) -> tuple[PackedState, Working]:
+    """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
+    if not scene.packs_moving and state.mesh is None:
+        return state, working
+    elements = working.packed.elements
+
+    def work(triangles: jax.Array, area: jax.Array) -> Any:
+        moving = can_move(state.nodes.stuck, triangles, area)
+        if elements.turn is not None:
+            # Both elements of a pair stay where either can move.
+            either = jnp.logical_or(*halves(moving))
+            moving = Halves(either, either).whole()
+        return [], [moving.astype(area.dtype)]
+
+    def anew(now: tuple[PackedState, Working]) -> tuple[PackedState, Working]:
+        state = now[1].put_back(now[0])
+        new = dataclasses.replace(worked_through(state, scene, sheet_body), room=working.room)
+        return new.taken(state), new
+
+    if scene.packs_moving:
+        _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
+        stale |= moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
+    return only_if(stale, anew, (state, working))
+
+
+def idle_volume(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
+    """Volume [m^3] enclosed by what is not worked through, of positions (3, n_node) [m]; differentiable."""
+    if not scene.packs_moving:
+        return jnp.zeros((), positions.dtype)
+    return enclosed_volume(positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+
+
+def _idle(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, jax.Array]:
+    """Its strain energy [J] and the volume [m^3], not differentiable."""
+    if not scene.packs_moving:
+        return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
+    whole = sheet_body.whole
+    counted = ~packed.kept[whole.element]
+    fixed = positions, whole.elements, sheet_body.thickness[whole.element], scene.material
+    return account(*jax.lax.stop_gradient(fixed), counted)
+
+
+@jax.custom_jvp
+def _with_slope(volume: jax.Array, positions: jax.Array, sheet: Sheet, counted: jax.Array) -> jax.Array:
+    """A volume [m^3] that is known already, with the forward derivative that it has."""
+    return volume
+
+
+@_with_slope.defjvp
+def _(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    volume, positions, sheet, counted = primals
+    moved = lambda positions: enclosed_volume(positions, sheet, counted)  # noqa: E731
+    return volume, jax.jvp(moved, (positions,), (tangents[1],))[1]
+
+
+def _working(packed: Packed, positions: jax.Array, scene: Scene, sheet_body: Body, *, differentiable: bool) -> Working:
+    energy, volume = _idle(positions, scene, sheet_body, packed)
+    if differentiable:
+        volume = idle_volume(positions, scene, sheet_body, packed)
+    elif scene.packs_moving:
+        # Second derivatives take this way as well.
+        volume = _with_slope(volume, positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return _with_masses(packed, sheet_body, volume, energy)
+
+
+def _with_masses(packed: Packed, sheet_body: Body, idle_volume: jax.Array, idle_energy: jax.Array) -> Working:
+    thickness = sheet_body.thickness[packed.element]
+    return Working(
+        packed=packed,
+        thickness=thickness,
+        bound=sheet_body.bound[packed.element],
+        mass=packed.taken(sheet_body.mass),
+        compliance=packed.taken(sheet_body.compliance),
+        substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
+        idle_volume=idle_volume,
+        idle_energy=idle_energy,
+    )

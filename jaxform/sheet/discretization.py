@@ -1,0 +1,175 @@
+"""The sheet as it is worked through: elements, masses, and which triangles of the forest there are."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import pytree
+from jaxform.mechanics import membrane
+from jaxform.model.scene import Scene
+from jaxform.model.tables import Assembly, Counts, Forest, Sheet
+from jaxform.sheet.packing import Packed, pack
+
+NEVER = jnp.iinfo(jnp.int32).max
+
+
+@pytree
+class Mesh:
+    """Which triangles of the forest there are, in lists that grow with each that is bisected.
+
+    Attributes:
+        split_at: The window (n_triangle,) at whose border each triangle was bisected; NEVER where it was not.
+        element: The triangles in use (element_room,), then others.
+        element_count: How many are in use.
+        node: The node at each place (node_room,), in the order in which they came to be.
+        place: The place of each node (n_node,); 0 where there is no such node.
+        node_count: How many there are.
+        side: The element with each half edge (n_half_edge,), -1 where there is none.
+        corner: Four times the element, and its corner, of those at each place (valence, node_room); -1 beyond them.
+        corner_count: How many they are (node_room,).
+        row: The row of `corner` in which each element's corners are (3, element_room).
+    """
+
+    split_at: jax.Array
+    element: jax.Array
+    element_count: jax.Array
+    node: jax.Array
+    place: jax.Array
+    node_count: jax.Array
+    side: jax.Array
+    corner: jax.Array
+    corner_count: jax.Array
+    row: jax.Array
+
+
+@pytree
+class Body:
+    """The sheet as it is worked through: without refinement the same over a run, with it until elements are added.
+
+    What is not in use has the area 0.
+
+    Attributes:
+        sheet: Initial geometry of the elements.
+        assembly: How nodes gather their force.
+        bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
+        thickness: Initial thickness of the elements (n_element,) [m].
+        mass: Lumped mass of the nodes (n_node,) [kg], with what fine elements are given to keep the step long.
+        compliance: Mobility over mass (3, n_node) [1/kg].
+        whole: All elements and nodes, packed.
+        volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
+    """
+
+    sheet: Sheet
+    assembly: Assembly
+    bound: jax.Array
+    thickness: jax.Array
+    mass: jax.Array
+    compliance: jax.Array
+    whole: Packed
+    volumes: jax.Array | None = None
+
+
+def body(scene: Scene) -> Body:
+    """The sheet of a scene; of a refined one as it is at first."""
+    tables = scene.tables
+    if tables.forest is not None:
+        return refined_body(scene, first_mesh(scene), forest_volumes(scene))
+    sheet = tables.sheet
+    thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
+    share = scene.material.density * sheet.area * thickness / 3.0
+    mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
+    if tables.counts is not None:
+        mass = jnp.where(jnp.arange(mass.size) < tables.counts.nodes, mass, 1.0)
+    whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
+    return Body(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
+
+
+def present_body(scene: Scene, mesh: Mesh | None, first: Body, *, stepped: bool = False) -> Body:
+    """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
+    return first if mesh is None or first.volumes is None else refined_body(scene, mesh, first.volumes, stepped=stepped)
+
+
+def forest_volumes(scene: Scene) -> jax.Array:
+    """Volume (n_triangle,) [m^3] of the forest's triangles: at the deepest level from the nodes' thickness.
+
+    Above, the sum of the parts: no bisection makes or loses mass, and coarse elements know the whole profile.
+    """
+    forest = scene.tables.forest
+    assert forest is not None
+    deepest = forest.root_count << forest.depth
+    sheet = forest.sheet
+    thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles[:, -deepest:])
+    levels = [sheet.area[-deepest:] * thickness]
+    for _ in range(forest.depth):
+        levels.append(levels[-1][0::2] + levels[-1][1::2])
+    return jnp.concatenate(levels[::-1])
+
+
+def first_mesh(scene: Scene) -> Mesh:
+    """The mesh before it is refined."""
+    forest, refinement = scene.tables.forest, scene.refinement
+    assert forest is not None and refinement is not None
+    roots, room = jnp.arange(forest.root_count, dtype=jnp.int32), refinement.elements
+    counts = scene.tables.counts or Counts(jnp.int32(forest.root_count), jnp.int32(forest.first_nodes))
+    node = jnp.arange(forest.node_room, dtype=jnp.int32)
+    place = jnp.arange(forest.owner.size, dtype=jnp.int32)
+    corner, row = 4 * roots + jnp.arange(3, dtype=jnp.int32)[:, None], forest.root_row
+    # What is beyond the first triangles goes nowhere.
+    there = roots < counts.elements
+    at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
+    half_edges = jnp.where(there, forest.half_edges[:, : forest.root_count], forest.half_edge_count)
+    return Mesh(
+        split_at=jnp.full(forest.bound.size, NEVER, jnp.int32),
+        element=jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0)),
+        element_count=counts.elements,
+        node=jnp.where(node < counts.nodes, node, 0),
+        place=jnp.where(place < counts.nodes, place, 0),
+        node_count=counts.nodes,
+        side=jnp.full(forest.half_edge_count, -1, jnp.int32).at[half_edges].set(roots, mode="drop"),
+        corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, at].set(corner, mode="drop"),
+        corner_count=jnp.zeros(node.size, jnp.int32).at[at].add(1, mode="drop"),
+        row=jnp.zeros((3, room), jnp.int32).at[:, : roots.size].set(row),
+    )
+
+
+def node_room(elements: int, first_nodes: int, most: int) -> int:
+    """Room for nodes that goes with that for elements: a cut brings two elements or, at a rim, one, and one node."""
+    return min(first_nodes + 64 + int(0.6 * elements), most)
+
+
+def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
+    """Of triangles (n,) of the forest."""
+    begins = [forest.root_count * ((1 << level) - 1) for level in range(1, forest.depth + 1)]
+    return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
+
+
+def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False) -> Body:
+    """The sheet of the elements that a mesh lists."""
+    forest = scene.tables.forest
+    assert forest is not None
+    element = mesh.element
+    used = jnp.arange(element.size) < mesh.element_count
+    exists = jnp.arange(mesh.node.size) < mesh.node_count
+    sheet = Sheet(
+        triangles=mesh.place[forest.sheet.triangles[:, element]],
+        inverse_metric=forest.sheet.inverse_metric[:, element],
+        area=jnp.where(used, forest.sheet.area[element], 0.0),
+        origin=forest.sheet.origin,
+    )
+    volume = volumes[element]
+    share = jnp.where(used, forest.heavier[element] * scene.material.density * volume / 3.0, 0.0)
+    mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
+    heavy = jnp.where(exists, mass, 1.0)
+    none = jnp.zeros(0, jnp.int32)
+    assembly, counts = Assembly(mesh.corner, none, none), Counts(mesh.element_count, mesh.node_count)
+    return Body(
+        sheet=sheet,
+        assembly=assembly,
+        bound=forest.bound[element],
+        thickness=volume / forest.sheet.area[element],
+        mass=heavy,
+        compliance=jnp.where(exists, forest.mobility[:, mesh.node] / heavy, 0.0),
+        whole=pack(None, sheet, assembly, counts, stepped=stepped or not scene.packs_moving),
+        volumes=volumes,
+    )

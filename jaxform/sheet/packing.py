@@ -1,0 +1,319 @@
+"""What can still move, packed: elements and nodes in the order in which a window works through them.
+
+Elements whose nodes all stick, and nodes that belong to no other element, come last and are not worked through: the
+problem becomes "a smaller and smaller free inflation problem" (paper, 3.2). Nothing is compiled anew, since the number
+of blocks in use is data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.pytree import as_index, as_real, pytree
+from jaxform.kernels.blocks import BLOCK, Halves, listed, over_blocks, padded, running_count
+from jaxform.kernels.pairing import paired, turned
+from jaxform.mechanics.elements import Elements, usual_rows
+from jaxform.mechanics.membrane import gather
+from jaxform.mesh.reference import reference_metric
+from jaxform.model.tables import Assembly, Counts, Pairs, Sheet
+
+_MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
+
+
+@pytree
+class Packed:
+    """Elements and nodes in packed order.
+
+    Attributes:
+        node: The node at each place (place,); node 0 at the places beyond the nodes.
+        place: The place of each node (n_node,).
+        element: The element at each place of the list (room,).
+        exists: Whether there is a node at a place (place,).
+        kept: Elements (n_element,) that are in the list.
+        elements: What the force needs of them.
+    """
+
+    node: jax.Array
+    place: jax.Array
+    element: jax.Array
+    exists: jax.Array
+    kept: jax.Array
+    elements: Elements
+
+    def taken(self, nodal: jax.Array) -> jax.Array:
+        """Values (..., place) of (..., n_node), in packed order."""
+        return gather(nodal, self.node)
+
+    def put_back(self, packed: jax.Array) -> jax.Array:
+        """Values (..., n_node) of (..., place), in the mesh's order."""
+        return gather(packed, self.place)
+
+
+def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
+    """Which corners of which elements (n_element, 3) each node gathers its force from; on the host.
+
+    The few nodes with far more elements than the others, such as a pole, hand their surplus to a list.
+    """
+    return _assembly(triangles, node_count, None)
+
+
+def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assembly:
+    """The same with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
+    pairs = paired(triangles)
+    corners, turn = turned(triangles, pairs)
+    inverse, _ = reference_metric(positions, corners)
+    there = pairs >= 0
+    pair = np.zeros(len(triangles), np.int32)
+    pair[pairs[there]] = np.nonzero(there)[1]
+    beyond = np.where(there[1], corners[pairs[1], 2], -1)
+    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), as_real(inverse), as_real(turn))
+    return _assembly(np.column_stack([corners[pairs[0]], beyond]), len(positions), kept)
+
+
+def _assembly(nodes: np.ndarray, node_count: int, pairs: Pairs | None) -> Assembly:
+    """Of the corners' nodes (n, 3) of elements, or (n, 4) of pairs; -1 where there is no such corner."""
+    corner_node, width = nodes.ravel(), nodes.shape[1]
+    order = np.argsort(corner_node, kind="stable")
+    order = order[np.count_nonzero(corner_node < 0) :]
+    count = np.bincount(corner_node[order], minlength=node_count)
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    code = 4 * (order // width) + order % width
+    depth = _depth(count, usual_rows(pairs is not None))
+    table = np.full((depth, node_count), -1, np.int32)
+    inside = rank < depth
+    table[rank[inside], corner_node[order[inside]]] = code[inside]
+    spill = order[~inside]
+    return Assembly(
+        table=as_index(table),
+        spill_node=as_index(corner_node[spill]),
+        spill=as_index(code[~inside]),
+        pairs=pairs,
+    )
+
+
+def _depth(count: np.ndarray, usual: int) -> int:
+    """The depth at which looking up costs least [ns]: rows, the unusual ones of few blocks, or a list of the rest."""
+    depths = np.arange(1, min(count.max(), _MOST_ROWS) + 1)
+    beyond = np.array([np.maximum(count - depth, 0).sum() for depth in depths])
+    blocks = np.array([-(-np.count_nonzero(count >= depth) // BLOCK) for depth in depths])
+    looked_up = np.cumsum(np.where(depths <= usual, len(count), BLOCK * blocks))
+    return int(depths[np.argmin(2 * looked_up + (depths > usual) * len(count) + 12 * beyond)])
+
+
+def pack(
+    moving: jax.Array | None,
+    sheet: Sheet,
+    assembly: Assembly,
+    counts: Counts | None = None,
+    *,
+    stepped: bool = True,
+) -> Packed:
+    """Packs the elements (n_element,) that can move, and their nodes.
+
+    Where `moving` is None, all elements and nodes; in the mesh's own order where there are no pairs, or what is packed
+    is not `stepped`, only summed over, and needs to know no node's shares. There may be room for more of each than
+    `counts` says.
+    """
+    element_count, node_count, pairs = sheet.area.size, assembly.table.shape[1], assembly.pairs
+    places = padded(node_count)
+    counts = counts or Counts(jnp.int32(element_count), jnp.int32(node_count))
+    if pairs is None:
+        listing = _listed(moving, element_count, counts.elements)
+    else:
+        listing = _listed_in_pairs(moving, pairs, counts.pairs)
+    count, kept = listing.count, listing.kept
+    place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts.nodes
+    if moving is not None:
+        place, node_total = _ordered(_touched(kept, assembly, counts.nodes), assembly, counts.nodes)
+    elif stepped and pairs is not None:
+        place, node_total = _ordered(place < counts.nodes, assembly, counts.nodes)
+    node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
+    exists = jnp.arange(places) < node_count
+
+    def slots(code: jax.Array, there: jax.Array) -> jax.Array:
+        """Places of shares in the corners' arrays; what is not worked out is looked up at the first unused element."""
+        owner = jnp.maximum(code, 0) >> 2
+        share, unused = listing.share(code & 3, listing.rank[owner]), listing.share(0, count)
+        return jnp.where(there & (code >= 0) & kept[owner], share, unused).astype(jnp.int32)
+
+    spill = spill_into = assembly.spill
+    table, spill_count = assembly.table, jnp.int32(0)
+    if assembly.spill.size > 0:
+        home, added, table = _homes(assembly, kept)
+        order, spill_count = listed(added, spill.size)
+        spill, spill_into = (slots(code[order], jnp.asarray(True)) for code in (spill, home))
+    block_count, node_block_count = count // listing.per_block + 1, -(-node_total // BLOCK)
+    triangles, inverse_metric, area, turn = _columns(sheet, pairs, place, listing, block_count)
+    shares = jnp.zeros((assembly.table.shape[0], places), jnp.int32)
+    row_count = jnp.zeros(places // BLOCK, jnp.int32)
+    if stepped:
+        shares, row_count = _shares(slots, table, node, exists, node_block_count)
+    elements = Elements(
+        triangles=triangles,
+        inverse_metric=inverse_metric,
+        area=area,
+        turn=turn,
+        origin=sheet.origin,
+        slots=shares,
+        spill=spill,
+        spill_into=spill_into,
+        spill_count=spill_count,
+        block_count=block_count,
+        node_block_count=node_block_count,
+        row_count=row_count,
+    )
+    return Packed(node, place, listing.element, exists, kept if pairs is None else kept[pairs.pair], elements)
+
+
+class _Listing(NamedTuple):
+    """The elements, or pairs of them, that are worked through.
+
+    Attributes:
+        element: The element at each place (room,).
+        there: Whether it is in the list (room,), or another stands there for want of one.
+        kept, rank: Which elements, or pairs, are listed, and as which (n,).
+        count: How many they are.
+        per_block: How many there are in a block.
+    """
+
+    element: jax.Array
+    there: jax.Array
+    kept: jax.Array
+    rank: jax.Array
+    count: jax.Array
+    per_block: int
+
+    def share(self, corner: jax.Array | int, rank: jax.Array) -> jax.Array:
+        """Where a corner's share is, of the element or pair of that rank, in the arrays of what corners get."""
+        room = self.element.size
+        if self.per_block == BLOCK:
+            return corner * room + rank
+        block, place = rank // self.per_block, rank % self.per_block
+        return (corner >> 1) * room + block * BLOCK + (corner & 1) * self.per_block + place
+
+
+def _listed(moving: jax.Array | None, element_count: int, used: jax.Array) -> _Listing:
+    room = padded(element_count)
+    if moving is None:
+        rank, count = jnp.arange(element_count, dtype=jnp.int32), used
+        kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
+    else:
+        kept, (element, count) = moving, listed(moving, room)
+        rank = running_count(moving) - 1
+    return _Listing(element, jnp.arange(room) < count, kept, rank, count, BLOCK)
+
+
+def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs, used: jax.Array | None) -> _Listing:
+    """A pair is listed if either element can move: the first in a block's first half, the second in its second."""
+    (first, second), half = pairs.element, BLOCK // 2
+    room = (first.size // half + 1) * half
+    if moving is None:
+        rank, count = jnp.arange(first.size, dtype=jnp.int32), jnp.int32(first.size) if used is None else used
+        kept, pair = rank < count, jnp.minimum(jnp.arange(room), first.size - 1)
+    else:
+        kept = moving[first] | (second >= 0) & moving[jnp.maximum(second, 0)]
+        (pair, count), rank = listed(kept, room), running_count(kept) - 1
+    used, other = jnp.arange(room) < count, second[pair]
+    element = Halves(first[pair], jnp.where(other >= 0, other, first[pair])).whole()
+    return _Listing(element, Halves(used, used & (other >= 0)).whole(), kept, rank, count, half)
+
+
+def _columns(
+    sheet: Sheet, pairs: Pairs | None, place: jax.Array, listing: _Listing, block_count: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
+    """Triangles (3, room) of places, inverse metric, area, and turn where there are pairs; 0 beyond the list."""
+    order = sheet if pairs is None else pairs
+    numbers = [sheet.area] if pairs is None else [sheet.area, pairs.turn]
+
+    def work(element: jax.Array, there: jax.Array) -> Any:
+        corners = [gather(place, row[element]) for row in order.triangles]
+        own = [jnp.where(there, values[element], 0.0) for values in numbers]
+        return [corners, [row[element] for row in order.inverse_metric], own], []
+
+    room, real = listing.element.size, sheet.area.dtype
+    into = [jnp.zeros((3, room), jnp.int32), jnp.zeros((3, room), real), jnp.zeros((len(numbers), room), real)]
+    (triangles, inverse_metric, own), _ = over_blocks(work, block_count, (listing.element, listing.there), into)
+    return triangles, inverse_metric, own[0], None if pairs is None else own[1]
+
+
+def _shares(
+    slots: Callable[[jax.Array, jax.Array], jax.Array],
+    table: jax.Array,
+    node: jax.Array,
+    exists: jax.Array,
+    node_block_count: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Where the shares of the nodes in use are (depth, place), and how many rows each block of nodes uses of it."""
+
+    def work(node: jax.Array, exists: jax.Array) -> Any:
+        codes = gather(table, node)
+        count = jnp.sum(codes >= 0, axis=0, dtype=jnp.int32)
+        return [list(slots(codes, exists)), [jnp.where(exists, count, 0)]], []
+
+    depth = table.shape[0]
+    into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]
+    (found, count), _ = over_blocks(work, node_block_count, (node, exists), into)
+    return found, jnp.max(count.reshape(-1, BLOCK), axis=1)
+
+
+def _homes(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where nodes with surplus shares have them added: to the first of their shares that are worked through.
+
+    Returns:
+        That share of the node of each surplus one (k,); which of these are added to it; and the table with a surplus
+        share in its first row where a node has none else: one that sticks, and whose position has a derivative.
+    """
+    node, table = assembly.spill_node, assembly.table
+    rows, own = table[:, node], (assembly.spill >= 0) & kept[jnp.maximum(assembly.spill, 0) >> 2]
+    worked = (rows >= 0) & kept[jnp.maximum(rows, 0) >> 2]
+    usual = jnp.any(worked, axis=0)
+    first = jnp.take_along_axis(rows, jnp.argmax(worked, axis=0)[None], axis=0)[0]
+    home = jnp.where(usual, first, jnp.where(own, assembly.spill, -1))
+    home = jnp.full(table.shape[1], -1, home.dtype).at[node].max(home)[node]
+    return home, own & (home != assembly.spill), table.at[0, node].set(jnp.where(usual, rows[0], home))
+
+
+def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:
+    """Nodes (n_node,) of elements that can move."""
+    table = assembly.table
+
+    def work(node: jax.Array) -> Any:
+        codes = gather(table, jnp.minimum(node, table.shape[1] - 1))
+        return [[jnp.any((codes >= 0) & gather(moving, jnp.maximum(codes, 0) >> 2), axis=0)]], []
+
+    places = padded(table.shape[1])
+    into = [jnp.zeros((1, places), bool)]
+    (found,), _ = over_blocks(work, -(-node_count // BLOCK), (jnp.arange(places, dtype=jnp.int32),), into)
+    touched = found[0, : table.shape[1]]
+    if assembly.spill.size == 0:
+        return touched
+    spilt = (assembly.spill >= 0) & moving[jnp.maximum(assembly.spill, 0) >> 2]
+    return touched.at[assembly.spill_node].max(spilt)
+
+
+def _ordered(touched: jax.Array, assembly: Assembly, node_count: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Places (n,) that put the marked nodes first, before all those with many elements; and how many are marked.
+
+    So nearly all blocks of nodes look up the usual number of shares, and no more.
+    """
+    usual = usual_rows(assembly.pairs is not None)
+    if len(assembly.table) <= usual:
+        return _first(touched, node_count)
+    many, _ = _first(assembly.table[usual] >= 0, node_count)
+    place, count = _first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True), node_count)
+    return place[many], count
+
+
+def _first(marked: jax.Array, size: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked.
+
+    Of the first `size` entries; the others keep their places.
+    """
+    running, own = running_count(marked, size), jnp.arange(marked.size, dtype=jnp.int32)
+    count = running[size - 1]
+    return jnp.where(own >= size, own, jnp.where(marked, running - 1, count + own - running)), count

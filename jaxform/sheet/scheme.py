@@ -1,0 +1,106 @@
+"""The central-difference scheme in time: when pressure acts, how far a velocity is taken, and the kick itself.
+
+Velocities are half a step behind the positions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.kernels.blocks import once
+from jaxform.loads import Loading
+from jaxform.mechanics import membrane
+from jaxform.mechanics.force import Load, force
+from jaxform.mechanics.membrane import vector
+from jaxform.model.scene import Scene
+from jaxform.sheet.account import enclosed_volume, last_work
+from jaxform.sheet.active_set import Working, worked_through
+from jaxform.sheet.discretization import Body
+from jaxform.sheet.state import State
+
+
+class Timing(NamedTuple):
+    """A window's begin, the step before it and its own [s]."""
+
+    begin: jax.Array
+    before: jax.Array
+    length: jax.Array
+
+
+def pressures(pressure: Loading, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
+    """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa].
+
+    Zeros where the pressure follows the volume, so that each step has to find it.
+    """
+    if pressure.follows_volume:
+        none = jnp.zeros(count, timing.begin.dtype)
+        return none, none
+    # The step before the window's first has a length of its own.
+    times = timing.begin + jnp.arange(count) * timing.length
+    found = pressure.at(jnp.append(timing.begin - timing.before, times), None)
+    return found[1:], 0.5 * (found[:-1] + found[1:])
+
+
+def kicks(timing: Timing, count: int) -> jax.Array:
+    """The step that the velocity takes in each of the `count` steps of a window [s]."""
+    first = 0.5 * (timing.before + timing.length)
+    return jnp.where(jnp.arange(count) == 0, first, timing.length)
+
+
+def kicked(
+    nodal: Any,
+    velocities: Any,
+    nodes: tuple[jax.Array, jax.Array, Any],
+    kick: jax.Array,
+    damping: jax.Array | None,
+) -> tuple[membrane.Vector, jax.Array | None]:
+    """New velocities, and the loss (n,) [J] by damping where there is any, of nodes stuck or not, mass, compliance."""
+    stuck, mass, compliance = nodes
+    gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
+    if damping is None:
+        return once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
+    half = 0.5 * damping * kick
+    rest = 1.0 / (1.0 + half)  # one division, not three at every node
+    # Kept, since the positions and the loss would each work them, and the force, out again.
+    gains = once(vector(0.5 * gain for gain in gains))
+    # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
+    mean = once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
+    new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
+    return new, kick * damping * mass * membrane.dot(mean, mean)
+
+
+def caught_up(state: State, scene: Scene, sheet_body: Body, working: Working | None = None) -> State:
+    """The state with velocities at the time of the positions, and its account closed.
+
+    Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
+
+    Args:
+        state: In the mesh's order.
+        scene: The scene.
+        sheet_body: The sheet with that mesh.
+        working: What of it can move, and maybe more; found here by default, differentiably.
+    """
+    working = working or worked_through(state, scene, sheet_body, differentiable=True)
+    packed = working.taken(state)
+    volume = enclosed_volume(state.nodes.positions, sheet_body.sheet)
+    load = Load(packed.nodes.positions, working.thickness, scene.pressure.at(state.time, volume), scene.material)
+    nodes, damping = (packed.nodes.stuck, working.mass, working.compliance), scene.solver.damping
+    nodal, _ = force(load, working.packed.elements)
+    velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
+    account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
+    return dataclasses.replace(
+        state,
+        nodes=dataclasses.replace(state.nodes, velocities=working.packed.put_back(jnp.stack(velocities))),
+        control=dataclasses.replace(state.control, step_length=jnp.zeros_like(state.control.step_length)),
+        account=dataclasses.replace(
+            account,
+            volume=volume,
+            pressure=None if account.pressure is None else load.pressure,
+            external_work=account.external_work + last_work(state, scene, volume),
+            damping_loss=account.damping_loss + lost,
+        ),
+    )

@@ -1,0 +1,207 @@
+"""The state of a simulation, and what can be said of it: energies, volume, whether it is finished."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from typing import Any, NamedTuple, NewType, Self
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import as_real, pytree
+from jaxform.mechanics import membrane
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene
+from jaxform.sheet.discretization import Mesh
+
+
+class Status(enum.IntFlag):
+    """Why a run stopped early, or why it is not to be trusted (UNBALANCED); no bit is set when all went well."""
+
+    NON_FINITE = 1
+    UNSTABLE = 2
+    WINDOWS_EXHAUSTED = 4
+    CONTACT_OVERFLOW = 8
+    CONTACT_MISSED = 16
+    STOPPED = 32
+    REFINEMENT_OVERFLOW = 64
+    RUNAWAY = 128
+    UNBALANCED = 256
+    INPUT = 512
+
+
+Taken = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)
+
+
+@pytree
+class Schedule:
+    """The decisions of a run, taken at its windows' borders; given to another run, they are taken as they are.
+
+    Attributes:
+        lengths: Of the steps of each window (n_window,) [s].
+        counts: Steps of each window (n_window,); 0 for windows that were not taken, or tried in vain.
+        bounds: The elements' bound on the step at their begin (n_window,) [s].
+        durations: What they were to last (n_window,) [s], before contact cut them short: where nodes were expected.
+        split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
+    """
+
+    lengths: jax.Array
+    counts: jax.Array
+    bounds: jax.Array
+    durations: jax.Array
+    split_at: jax.Array | None
+
+    def upcoming(self, row: jax.Array) -> jax.Array:
+        """The first window from `row` on that has steps; the number of windows where none has."""
+        index = jnp.arange(self.counts.size, dtype=row.dtype)
+        return jnp.min(jnp.where((index >= row) & (self.counts > 0), index, index.size))
+
+
+_LOSS = {"loss": True}
+"""Marks energy that leaves the sheet: a term of the balance, of the same name in `Energy` and in the summary."""
+
+
+@pytree
+class Account:
+    """Energy account of a run so far [J].
+
+    Attributes:
+        volume: Enclosed before the last step [m^3].
+        pressure: Before the last step [Pa]; None where it follows from the time alone.
+        external_work: Sum of P dV.
+        damping_loss, contact_loss: Taken by damping, and by the mold.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
+        peak_work: Largest magnitude of the external work.
+        kinetic_peak: Largest kinetic energy at the end of a window.
+        kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end.
+        imbalance: Energy held and lost beyond the external work, at the last window's end.
+    """
+
+    volume: jax.Array
+    pressure: jax.Array | None
+    external_work: jax.Array
+    damping_loss: jax.Array = dataclasses.field(metadata=_LOSS)
+    contact_loss: jax.Array = dataclasses.field(metadata=_LOSS)
+    refinement_loss: jax.Array = dataclasses.field(metadata=_LOSS)
+    peak_work: jax.Array
+    kinetic_peak: jax.Array
+    kinetic_excess: jax.Array
+    imbalance: jax.Array
+
+    def losses(self) -> dict[str, jax.Array]:
+        """The terms by which energy left, by name."""
+        return {name: getattr(self, name) for name in LOSSES}
+
+
+LOSSES = [part.name for part in dataclasses.fields(Account) if part.metadata.get("loss")]
+
+
+@pytree
+class Control:
+    """What the choice of the step and of a window's length is made from.
+
+    Attributes:
+        step_length: Of the last step [s]; 0 before the first.
+        span: Steps that the next window takes, unless it is cut short or the end is near.
+        retries: Times that the present window was retried with half the step: it blew up, or may have missed the mold.
+        bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
+        last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
+        last_duration: What it was to last [s].
+    """
+
+    step_length: jax.Array
+    span: jax.Array
+    retries: jax.Array
+    bound: jax.Array
+    sharpness: jax.Array
+    last_length: jax.Array
+    last_count: jax.Array
+    last_duration: jax.Array
+
+
+@pytree
+class Replay:
+    """Where a run is in the schedule that it follows: whose steps come next, and how much of their time is over [s]."""
+
+    row: jax.Array
+    row_time: jax.Array
+
+
+@pytree
+class State:
+    """Where a simulation is.
+
+    Attributes:
+        nodes: Its nodal fields, in the mesh's order; see `PackedState`.
+        account: Its energies.
+        control: How long its steps and windows are.
+        replay: Where it is in a schedule.
+        mesh: Which triangles of the forest there are; None without refinement.
+        time: [s].
+        steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
+        status: Bits of `Status`.
+    """
+
+    nodes: Nodes
+    account: Account
+    control: Control
+    replay: Replay
+    mesh: Mesh | None
+    time: jax.Array
+    steps: jax.Array
+    windows: jax.Array
+    shortened: jax.Array
+    status: jax.Array
+
+    def with_nodes(self, **fields: Any) -> Self:
+        """The same with other values of some nodal fields."""
+        return dataclasses.replace(self, nodes=dataclasses.replace(self.nodes, **fields))
+
+
+PackedState = NewType("PackedState", State)
+"""A state whose nodes are in the packed order of `working.Working`, as windows have them."""
+
+
+class AtStart(NamedTuple):
+    """Of nodes (n,) when a run begins: whether they stick, their contact time [s] and wall, as in `State`."""
+
+    stuck: jax.Array
+    contact_time: jax.Array
+    wall: jax.Array
+
+
+def at_start(scene: Scene, node: jax.Array | None = None) -> AtStart:
+    """Of these nodes (n,) of the parison, or of all: those that cannot move stick, and those that lie on the mold."""
+    mobility, lying = scene.tables.mobility, scene.tables.lying
+    if node is not None:
+        mobility, lying = mobility[:, node], None if lying is None else lying[node]
+    held = jnp.all(mobility == 0.0, axis=0)
+    time = jnp.where(held, 0.0, as_real(-1.0))
+    if lying is None:
+        return AtStart(held, time, jnp.zeros(held.size, jnp.int32))
+    lies = ~held & (lying != 0)
+    # Sooner than any step, but later than what was clamped beforehand.
+    return AtStart(held | lies, jnp.where(lies, jnp.finfo(time.dtype).tiny, time), jnp.where(lies, lying, 0))
+
+
+def any_mode(positions: jax.Array) -> jax.Array:
+    """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
+    # The same for a node whatever room there is for others.
+    number = jnp.arange(3, dtype=jnp.uint32)[:, None] + 3 * jnp.arange(positions.shape[1], dtype=jnp.uint32)
+    mixed = (number + 1) * jnp.uint32(2654435761)
+    mixed = (mixed ^ (mixed >> 15)) * jnp.uint32(2246822519)
+    return (mixed >> 8).astype(positions.dtype) / 2**23 - 1.0
+
+
+def finished(state: State, scene: Scene) -> jax.Array:
+    """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
+    slack = 16 * jnp.finfo(state.time.dtype).eps
+    done = (state.time >= scene.solver.end_time * (1.0 - slack)) | (state.status != 0)
+    return done | jnp.all(state.nodes.stuck) if scene.solver.end_early and scene.rests else done
+
+
+def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Array:
+    """Elements (n_element,) in use of which a node can still move; stuck (n_node,), triangles (3, n_element)."""
+    first, second, third = (membrane.gather(stuck, corner) for corner in triangles)
+    return ~(first & second & third) & (area > 0.0)

@@ -1,0 +1,1 @@
+"""The mold: its shapes, its search structure, distances to it and what penetrates it."""

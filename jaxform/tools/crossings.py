@@ -1,0 +1,192 @@
+"""Where segments and triangles cross the mold. On the host.
+
+What may meet is looked up in the mold's search grid, box by box, so that a sheet of n elements is compared with a few
+triangles each, however many there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import CLASSES, SearchGrid, cut
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.integer]
+
+_CHUNK = 1_000_000  # pairs looked at together, to bound the memory
+_SLACK = 1e-5  # of a radius, for rounding in a grid of float32
+_STEEP = 1e-9  # of the mold's size: a path that changes its height over a triangle by less touches it
+
+
+class Pairs(NamedTuple):
+    """Which of the given pieces (n,) may meet which triangles of the mold (n,)."""
+
+    piece: NDArray[np.int64]
+    triangle: Integers
+
+
+class _Cells(NamedTuple):
+    """A search grid in NumPy's arrays."""
+
+    corner: Array
+    width: float
+    reach: float
+    bound: Array
+    start: Integers
+    ends: Integers
+    listed: Integers
+    number: Integers
+    shape: Integers
+
+
+def _cells(grid: SearchGrid) -> _Cells:
+    arrays = {name: np.asarray(getattr(grid, name)) for name in ("bound", "start", "ends", "listed", "number", "shape")}
+    return _Cells(np.asarray(grid.corner, float), float(grid.width), float(grid.reach), **arrays)
+
+
+def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: float = 0.0) -> Iterator[Pairs]:
+    """Pairs of pieces, with k corners (n, k, 3) [m], and mold triangles whose boxes overlap, part by part.
+
+    Args:
+        corners: Of segments, with k = 2, or of triangles, with k = 3. The boxes are widened by the margin [m].
+        mold_corners: Of the mold's triangles (n_triangle, 3, 3) [m].
+        grid: The mold's search structure.
+        margin: What the boxes are widened by [m].
+    """
+    cells = _cells(grid)
+    box = mold_corners.min((0, 1)) - margin, mold_corners.max((0, 1)) + margin
+    pieces, owner = _short(corners, cells.reach, *box)
+    low, high = pieces.min(1) - margin, pieces.max(1) + margin
+    middle = pieces.mean(1)
+    radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
+    # The mold is inside the grid: what is in reach from a place outside is also in reach from the nearest cell.
+    index = np.clip(np.floor((middle - cells.corner) / cells.width), 0, cells.shape - 1).astype(np.int64)
+    cell = np.asarray(np.ravel_multi_index(tuple(index.T), tuple(cells.shape)))
+    near = np.flatnonzero(cells.bound[cell] * (1 - _SLACK) <= radius)
+    cell = cell[near]
+    kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
+    begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
+    count = (end - begin).astype(np.int64)
+    mold_low, mold_high = mold_corners.min(1), mold_corners.max(1)
+    total = np.cumsum(count)
+    parts = np.searchsorted(total, np.arange(_CHUNK, total[-1] if len(total) else 0, _CHUNK)) + 1
+    for part in np.split(np.arange(len(near)), parts):
+        row = np.repeat(part, count[part])
+        place = np.arange(len(row)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
+        piece, triangle = near[row], cells.number[cells.listed[begin[row] + place]]
+        for axis in range(3):
+            over = low[piece, axis] <= mold_high[triangle, axis]
+            over &= high[piece, axis] >= mold_low[triangle, axis]
+            piece, triangle = piece[over], triangle[over]
+        yield Pairs(owner[piece], triangle)
+
+
+def _short(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
+    """What of segments or triangles may be in a box, in parts that are no longer, and which each is part of.
+
+    They are halved again and again, and what is outside is left out each time: of one that is far larger than the box
+    little is cut small.
+    """
+    owner = np.arange(len(corners))
+    while True:
+        inside = np.all((corners.min(1) <= high) & (corners.max(1) >= low), axis=1)
+        corners, owner = corners[inside], owner[inside]
+        side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
+        if side <= longest:
+            return corners, owner
+        halve = cut if corners.shape[1] == 3 else _halved
+        corners, part = halve(corners, max(longest, 0.5 * side))
+        owner = owner[part]
+
+
+def _halved(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
+    """Segments (n, 2, 3) [m] of which those that are longer are halved, and which each is part of."""
+    long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > longest
+    middle = corners[long].mean(1)
+    first, second = np.stack([corners[long, 0], middle], 1), np.stack([middle, corners[long, 1]], 1)
+    number = np.flatnonzero(long)
+    return np.concatenate([corners[~long], first, second]), np.concatenate([np.flatnonzero(~long), number, number])
+
+
+def crosses(begin: Array, end: Array, corners: Array) -> NDArray[np.bool_]:
+    """Whether segments from `begin` to `end`, (n, 3) each, cross triangles (n, 3, 3), pair by pair.
+
+    One that ends in a triangle's plane ends below it; one in it does not cross it.
+    """
+    edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge1, edge2)
+    one, other = (np.einsum("ij,ij->i", place - corners[:, 0], normal) for place in (begin, end))
+    found = np.flatnonzero((one > 0) != (other > 0))
+    edge1, edge2, normal = edge1[found], edge2[found], normal[found]
+    share = one[found] / (one[found] - other[found])
+    away = begin[found] + share[:, None] * (end - begin)[found] - corners[found, 0]
+    gamma = np.einsum("ij,ij->i", np.cross(away, edge2), normal)
+    delta = np.einsum("ij,ij->i", np.cross(edge1, away), normal)
+    square = np.einsum("ij,ij->i", normal, normal)
+    result = np.zeros(len(begin), bool)
+    result[found] = (gamma >= 0) & (delta >= 0) & (gamma + delta <= square)
+    return result
+
+
+def intersect(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Whether triangles (n, 3, 3) and others (n, 3, 3) cut each other, pair by pair."""
+    result = np.zeros(len(one), bool)
+    apart = _on_one_side(one, other)
+    rest = np.flatnonzero(~apart)
+    rest = rest[~_on_one_side(other[rest], one[rest])]
+    for cutting, crossed in ((one, other), (other, one)):
+        for k in range(3):
+            rest = rest[~result[rest]]
+            result[rest] = crosses(cutting[rest, k], cutting[rest, (k + 1) % 3], crossed[rest])
+    return result
+
+
+def _on_one_side(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Whether all corners of triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair."""
+    normal = np.cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0])
+    height = np.einsum("nkj,nj->nk", one - other[:, :1], normal)
+    return (height > 0).all(1) | (height < 0).all(1)
+
+
+def proper_crossings(
+    begin: Array, end: Array, mold: Mold, grid: SearchGrid, margin: float = 1e-6
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The segments (from `begin` to `end`, each (n, 3) [m]) that properly cross the mold, ascending, with a triangle.
+
+    Touching does not count: the crossing must lie inside segment and triangle by the relative margin.
+    """
+    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    found = [np.zeros((2, 0), np.int64)]
+    for pairs in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):
+        inside = _crosses_inside(begin, end, mold_corners, pairs, margin, _STEEP * float(grid.size))
+        found.append(np.stack([pairs.piece[inside], np.asarray(pairs.triangle[inside], np.int64)]))
+    segment, triangle = np.concatenate(found, axis=1)
+    segment, first = np.unique(segment, return_index=True)
+    return segment, triangle[first]
+
+
+def _crosses_inside(
+    begin: Array, end: Array, mold_corners: Array, pairs: Pairs, margin: float, steep: float
+) -> NDArray[np.bool_]:
+    """Whether segments cross triangles, pair by pair, inside both by the relative margin and by more than `steep`."""
+    corners = mold_corners[pairs.triangle]
+    b, path = begin[pairs.piece], (end - begin)[pairs.piece]
+    d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge1, edge2)
+    square = np.einsum("ij,ij->i", normal, normal)
+    height = np.einsum("ij,ij->i", b - d, normal)
+    slope = np.einsum("ij,ij->i", path, normal)
+    # A path that hardly leaves the triangle's plane is a touch.
+    leaves = np.abs(slope) > steep * np.sqrt(square)
+    beta = -height / np.where(leaves, slope, 1.0)
+    meet = b + beta[:, None] * path - d
+    gamma = np.einsum("ij,ij->i", np.cross(meet, edge2), normal) / square
+    delta = np.einsum("ij,ij->i", np.cross(edge1, meet), normal) / square
+    # Strictly inside, for a sheet may rest on the rim of an open mold.
+    inside = (gamma > margin) & (delta > margin) & (gamma + delta < 1 - margin)
+    return leaves & inside & (beta > margin) & (beta < 1 - margin)

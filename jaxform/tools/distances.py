@@ -1,0 +1,140 @@
+"""How far points are from the mold. On the host."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import topology
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import cut
+
+Array = NDArray[np.float64]
+
+_TIE = 1e-9  # of the mold's size: triangles as near as that are equally near
+_AT_FIRST = 8  # pieces of triangles that are looked for near a point
+_FINEST = 200  # pieces of triangles along the mold's longest side
+_CHUNK = 200_000  # pairs of point and triangle looked at together
+
+
+class Distances:
+    """Distances from a mold, where they are no more than `farthest` [m]."""
+
+    def __init__(self, mold: Mold, farthest: float) -> None:
+        from scipy.spatial import KDTree  # takes a tenth of a second to import
+
+        triangles = np.asarray(mold.triangles)
+        self.corners = np.asarray(mold.vertices, float)[triangles]
+        self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
+        self.farthest = farthest
+        self.open_side, self.open_corner = _rims(triangles, len(mold.vertices))
+        longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
+        pieces, self.owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / _FINEST))
+        middle = pieces.mean(1)
+        self.radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
+        self.tree = KDTree(middle)
+
+    def about(self, points: Array) -> Array:
+        """Upper bounds (n,) [m] of the distances of points (n, 3): those from the triangle with the nearest middle."""
+        piece = np.asarray(self.tree.query(points, workers=-1)[1])
+        parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
+        found = [point_triangle_distance(points[part], self.corners[self.owner[piece[part]]]) for part in parts]
+        return np.concatenate(found)
+
+    def exact(self, points: Array) -> Array:
+        """Distances (n,) [m] of points (n, 3).
+
+        Zero where it is too far, or where the nearest place is on the rim of an open mold, beyond which there is no
+        wall.
+        """
+        if not len(points):
+            return np.zeros(0)
+        point, triangle = self._pairs(points)
+        parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
+        found = [self._examine(points[point[part]], triangle[part]) for part in parts]
+        distance, at_rim = (np.concatenate(values) for values in zip(*found, strict=True))
+        nearest = np.full(len(points), np.inf)
+        np.minimum.at(nearest, point, distance)
+        rim = np.zeros(len(points), bool)
+        rim[point[at_rim & (distance <= nearest[point] + _TIE * self.size)]] = True
+        return np.where(rim | (nearest > self.farthest), 0.0, nearest)
+
+    def _pairs(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Points and the triangles that may be nearest to them."""
+        asked, wanted, count = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), len(self.corners)
+        keys = [asked[:0]]
+        while len(asked):
+            # So many of the nearest at once; the few points with more of them in reach are asked again.
+            away, piece = self.tree.query(points[asked], k=wanted, workers=-1)
+            away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
+            within = away <= away[:, :1] + self.radius * (1 + _TIE)
+            within &= away[:, :1] <= self.farthest + self.radius
+            key = asked[:, None] * count + self.owner[piece]
+            keys.append(key[within])
+            asked = asked[within[:, -1] & (wanted < len(self.owner))]
+            wanted = min(4 * wanted, len(self.owner))
+        key = np.unique(np.concatenate(keys))
+        return key // count, key % count
+
+    def _examine(self, points: Array, triangle: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
+        """Distances, and whether the nearest place is on an open rim, pair by pair."""
+        distance, side, end = _nearest(points, self.corners[triangle])
+        on_corner = np.where(end == 0, side, (side + 1) % 3)
+        at_rim = (side >= 0) & self.open_side[triangle, side]
+        at_rim |= (side >= 0) & (end >= 0) & self.open_corner[triangle, on_corner]
+        return distance, at_rim
+
+
+def _rims(triangles: NDArray[np.integer], vertex_count: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which sides (n, 3), from each corner to the next, and which corners (n, 3) of triangles are on an open rim."""
+    rim = topology.boundary_edges(triangles)
+    side = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    name = np.array([vertex_count, 1], np.int64)
+    return np.isin(side @ name, rim @ name), np.isin(triangles, rim)
+
+
+def _nearest(points: Array, corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Distances of points (n, 3) from triangles (n, 3, 3), pair by pair, and where the nearest place is.
+
+    Returns:
+        The distance; the side that it is on, -1 inside; the end of that side (0 or 1), -1 between.
+    """
+    d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(edge1, edge2)
+    square = np.einsum("ij,ij->i", normal, normal)
+    away = points - d
+    gamma = np.einsum("ij,ij->i", np.cross(away, edge2), normal) / square
+    delta = np.einsum("ij,ij->i", np.cross(edge1, away), normal) / square
+    inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
+    flat = np.abs(np.einsum("ij,ij->i", away, normal)) / np.sqrt(square)
+    sides = [_segment(points, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)]
+    distances, places = (np.stack(values) for values in zip(*sides, strict=True))
+    side = np.argmin(distances, axis=0)
+    row = np.arange(len(points))
+    place = places[side, row]
+    end = np.select([place <= 0, place >= 1], [0, 1], -1)
+    distance = np.where(inside, flat, distances[side, row])
+    return distance, np.where(inside, -1, side), np.where(inside, -1, end)
+
+
+def _segment(points: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+    """Distance of points from segments and where on them the nearest place is, 0 to 1; pair by pair."""
+    along, away = end - begin, points - begin
+    t = np.clip(np.einsum("ij,ij->i", away, along) / np.einsum("ij,ij->i", along, along), 0.0, 1.0)
+    return np.linalg.norm(away - t[:, None] * along, axis=1), t
+
+
+def point_triangle_distance(points: Array, corners: Array) -> Array:
+    """Distances (n,) [m] from points (n, 3) to triangles (n, 3, 3), pair by pair."""
+    return _nearest(points, corners)[0]
+
+
+def nearest_places(points: Array, corners: Array) -> Array:
+    """The places (n, 3) [m] of triangles (n, 3, 3) that are nearest to points (n, 3), pair by pair."""
+    _, side, _ = _nearest(points, corners)
+    row, first = np.arange(len(points)), np.maximum(side, 0)
+    begin, end = corners[row, first], corners[row, (first + 1) % 3]
+    share = _segment(points, begin, end)[1]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    height = np.einsum("ij,ij->i", points - corners[:, 0], normal) / np.einsum("ij,ij->i", normal, normal)
+    return np.where((side < 0)[:, None], points - height[:, None] * normal, begin + share[:, None] * (end - begin))

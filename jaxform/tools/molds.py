@@ -1,0 +1,253 @@
+"""Shapes of molds on the host: revolved profiles, a box with an insert, half a bottle, and a user's mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import meshes
+from jaxform.mesh.meshes import Mesh
+
+MOST_TRIANGLES = 2_000_000
+
+
+@dataclass(frozen=True)
+class MoldShape:
+    """The surface of a mold; which way its triangles turn does not matter.
+
+    Attributes:
+        vertices: Vertex positions [m], shape (n, 3), float64.
+        triangles: Vertex indices, shape (m, 3), int32.
+        dropped: How many degenerate triangles were left out.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    dropped: int = 0
+
+
+def revolved(*, profile: ArrayLike, segments: int) -> MoldShape:
+    """A profile turned about the z axis.
+
+    Each stretch of the profile makes one band of `segments` facets; a band that reaches the axis is a fan.
+
+    Args:
+        profile: Points r, z [m] from the axis outwards, shape (k, 2). A first r > 0 leaves a hole.
+        segments: Facets of the full circle; the vertices are on the circle.
+
+    Returns:
+        The mold; vertices run point by point, counter-clockwise, beginning at y = 0, x > 0.
+
+    Raises:
+        InputError: The profile has fewer than two points, a negative radius, a point twice or a stretch along
+            the axis; fewer than three segments, or too many.
+    """
+    points = _profile_points(profile)
+    if isinstance(segments, bool) or not isinstance(segments, int | np.integer) or segments < 3:
+        raise InputError("is not a number of facets", "use 3 or more", "mold.segments", segments)
+    if 2 * int(segments) * len(points) > MOST_TRIANGLES:
+        raise InputError("makes too many triangles", f"keep them under {MOST_TRIANGLES}", "mold.segments", segments)
+    angle = 2 * np.pi * np.arange(segments) / segments
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle[np.abs(circle) < 1e-14] = 0.0
+    rings = [np.insert(r * (circle if r else circle[:1]), 2, z, axis=1) for r, z in points]
+    starts = np.cumsum([0, *map(len, rings)])
+    # Vertex numbers around each point of the profile, the one on the axis repeated.
+    around = [start + np.arange(segments) % len(ring) for start, ring in zip(starts, rings, strict=False)]
+    bands = [_band(inner, outer) for inner, outer in pairwise(around)]
+    return MoldShape(np.concatenate(rings), np.concatenate(bands).astype(np.int32))
+
+
+def box_insert(
+    *,
+    size: Sequence[float] = (0.3, 0.2),
+    depth: float = 0.08,
+    insert_size: Sequence[float] = (0.12, 0.08),
+    insert_height: float = 0.04,
+    draft: float = 0.0,
+    divisions: int = 1,
+) -> MoldShape:
+    """A box, open at z = 0, with a raised block in the middle of its bottom (paper, Fig. 11); 26 triangles.
+
+    The opening is [0, a] x [0, b], as a rectangular sheet's; the bottom is at z = depth, the block rises from it
+    towards the opening.
+
+    Args:
+        size: Sides a, b [m] of the opening.
+        depth: Of the bottom [m].
+        insert_size: Sides [m] of the block where it stands on the bottom.
+        insert_height: Of the block [m], less than the depth.
+        draft: Angle [degrees] by which the walls of box and block lean back from the vertical.
+        divisions: Every edge is cut in so many, every triangle in its square.
+
+    Returns:
+        The mold, normals towards the sheet's side.
+
+    Raises:
+        InputError: A number is out of range, or the parts do not fit into each other.
+    """
+    outer, block = _sides("mold.size", size), _sides("mold.insert_size", insert_size)
+    depth, height = _positive("mold.depth", depth), _positive("mold.insert_height", insert_height)
+    if not 0 <= draft < 60:
+        raise InputError("is no draft angle", "give 0 to 60 degrees", "mold.draft", draft)
+    if height >= depth:
+        raise InputError(f"is not less than the depth ({depth:g} m)", "lower it", "mold.insert_height", insert_height)
+    if isinstance(divisions, bool) or not isinstance(divisions, int | np.integer) or not 1 <= divisions <= 200:
+        raise InputError("is not a number of parts", "use 1 to 200", "mold.divisions", divisions)
+    slope = np.tan(np.radians(draft))
+    floor, top = outer - 2 * slope * depth, block - 2 * slope * height
+    if np.any(block >= floor):
+        raise InputError("does not fit on the bottom", "make it smaller", "mold.insert_size", list(insert_size))
+    if np.any(top <= 0):
+        raise InputError("leaves no top on the insert", "lower it", "mold.draft", draft)
+    levels = [(outer, 0.0), (floor, depth), (block, depth), (top, depth - height)]
+    corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    rings = [np.column_stack([0.5 * outer + corner * side, np.full(4, z)]) for side, z in levels]
+    numbers = [4 * k + np.arange(4) for k in range(4)]
+    bands = [_band(outside, inside)[:, ::-1] for outside, inside in pairwise(numbers)]
+    lid = numbers[3][[[0, 1, 2], [0, 2, 3]]]
+    return divided(MoldShape(np.concatenate(rings), np.concatenate([*bands, lid]).astype(np.int32)), int(divisions))
+
+
+def bottle_half(
+    *,
+    height: float = 0.23,
+    radius: float = 0.04,
+    neck_radius: float = 0.014,
+    hole: Sequence[float] = (0.0075, 0.027),
+    element_size: float = 0.00595,
+) -> MoldShape:
+    """Half of a soap bottle with a handle, z >= 0, open at the neck (paper, 4.3); 1215 triangles or so.
+
+    Args:
+        height: From the bottom, y = 0, to the neck [m].
+        radius: Of the body [m].
+        neck_radius: [m].
+        hole: Half width and half height of the handle's hole [m].
+        element_size: Length of the edges [m] in the plane of the outline.
+
+    Returns:
+        The mold, outward normals.
+
+    Raises:
+        InputError: The parts do not fit into each other.
+    """
+    from jaxform.mesh import bottle
+
+    shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
+    try:
+        vertices, triangles = bottle.half(shape, element_size)
+    except InputError as error:
+        raise replace(error, key=f"mold.{error.key}") from None
+    return MoldShape(vertices, triangles)
+
+
+def divided(mold: MoldShape, parts: int) -> MoldShape:
+    """The same surface with every edge cut in `parts` and every triangle in `parts` squared."""
+    if parts == 1:
+        return mold
+    # Barycentric places of the corners of the small triangles, in parts, pointing up and down.
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(parts), np.arange(parts), indexing="ij"))
+    base = np.stack([parts - 1 - i - j, i, j], axis=1)
+    up = base[base[:, 0] >= 0][:, None] + np.eye(3, dtype=int)
+    down = (base - [1, 0, 0])[base[:, 0] >= 1][:, None] + 1 - np.eye(3, dtype=int)
+    places = np.concatenate([up, down])
+    corners = np.einsum("pck,tkx->tpcx", places / parts, mold.vertices[mold.triangles])
+    # Nodes are known by their numbers, not by where rounding puts them.
+    numbers = np.sort(np.where(places, mold.triangles[:, None, None] + 1, 0), axis=-1)
+    order = np.argsort(np.where(places, mold.triangles[:, None, None] + 1, 0), axis=-1)
+    shares = np.take_along_axis(np.broadcast_to(places, order.shape), order, axis=-1)
+    keys = np.concatenate([numbers, shares], axis=-1).reshape(-1, 6)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    return MoldShape(corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int32), mold.dropped)
+
+
+def from_mesh(mesh: Mesh, *, translate: Sequence[float] = (0, 0, 0), rotate: Sequence[float] = (0, 0, 0)) -> MoldShape:
+    """A user's mesh as a mold: welded, degenerate triangles left out, turned, then moved.
+
+    Args:
+        mesh: The mesh, positions in m.
+        translate: Displacement [m], shape (3,).
+        rotate: Angles [degrees] about the x, y and z axes, applied in that order, shape (3,).
+
+    Returns:
+        The mold, and how many triangles were left out.
+
+    Raises:
+        InputError: No triangle is left, or `translate` or `rotate` are not three finite numbers.
+    """
+    shift, turn = _triple("mold.translate", translate, "metres"), _triple("mold.rotate", rotate, "degrees")
+    clean, dropped = meshes.drop_degenerate(meshes.weld(mesh))
+    if not len(clean.triangles):
+        problem = f"no triangle with an area is left of {len(mesh.triangles)}"
+        raise InputError(problem, "check the file and the scale", key="mold.path")
+    return MoldShape(clean.positions @ _rotation(turn).T + shift, clean.triangles, dropped)
+
+
+def _profile_points(profile: ArrayLike) -> NDArray[np.float64]:
+    key = "mold.profile"
+    try:
+        points = np.asarray(profile, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    if points.ndim != 2 or points.shape[-1] != 2 or not np.isfinite(points).all():
+        raise InputError("is not a list of points", "give [[r, z], ...] in m", key, profile)
+    if len(points) < 2:
+        raise InputError(f"has {len(points)} points", "give two or more", key, profile)
+    if points[:, 0].min() < 0:
+        raise InputError("has a negative radius", "give r >= 0", key, profile)
+    if len(np.unique(points, axis=0)) < len(points):
+        raise InputError("has a point twice", "give each point once", key, profile)
+    if np.any((points[:-1, 0] == 0) & (points[1:, 0] == 0)):
+        raise InputError("runs along the axis", "begin with the last point on the axis", key, profile)
+    return points + 0.0
+
+
+def _band(inner: NDArray[np.int64], outer: NDArray[np.int64]) -> NDArray[np.int64]:
+    inner_next, outer_next = np.roll(inner, -1), np.roll(outer, -1)
+    halves = np.stack([np.stack([inner, outer, outer_next], 1), np.stack([inner, outer_next, inner_next], 1)], 1)
+    triangles = halves.reshape(-1, 3)
+    ordered = np.sort(triangles, axis=1)
+    # At the axis one half of every facet has no area.
+    return triangles[(ordered[:, 0] < ordered[:, 1]) & (ordered[:, 1] < ordered[:, 2])]
+
+
+def _positive(key: str, value: float) -> float:
+    if not (np.isfinite(value) and value > 0):
+        raise InputError("is not a positive length", "give metres above 0", key, value)
+    return float(value)
+
+
+def _sides(key: str, values: Sequence[float]) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (2,):
+        raise InputError("is not two lengths", "give [a, b] in m", key, values)
+    return np.array([_positive(key, side) for side in array])
+
+
+def _triple(key: str, values: Sequence[float], unit: str) -> NDArray[np.float64]:
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError("is not three finite numbers", f"give [x, y, z] in {unit}", key, values)
+    return array
+
+
+def _rotation(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix that turns about x, then y, then z, quarter turns exact: (3, 3)."""
+    matrix = np.eye(3)
+    for axis, angle in enumerate(np.radians(degrees)):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[[i, j], [i, j]] = np.cos(angle)
+        turn[j, i], turn[i, j] = np.sin(angle), -np.sin(angle)
+        turn[np.abs(turn) < 1e-15] = 0.0
+        matrix = turn @ matrix
+    return matrix

@@ -1,0 +1,146 @@
+"""Whether a sheet is through the mold, and how far. On the host.
+
+Nodes never pass the mold, but an element can span a convex edge of it and cut it. Which side of the mold a place is on
+is told by how often the way to it crosses the mold, from a node whose side is known: that which sticks to the mold is
+on the side from which it came. So neither the mold's triangles need turn the same way, nor must all that is on one
+part of a mold be on one side of it: a sheet may well lie on both sides of a flange.
+
+To stand clear of what it lies on, the sheet is looked at lifted: what sticks, by a millionth of the mold's size to the
+side from which it came.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.tools.distances import Distances, point_triangle_distance
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid, build_grid
+from jaxform.tools.sides import Ways, beyond_mold
+
+__all__ = ["Penetration", "penetration", "point_triangle_distance"]
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.integer]
+
+_LIFT = 1e-6  # of the mold's size
+_RESTING_LIFT = 5e-5  # the same of what began on the mold, to within the rounding of its file
+_TRUST_IN_RESTING = 0.3  # what its word counts: a clamped rim may well be a little outside of a mold that is a polygon
+_RESTING = 1e-4  # of the sheet's size: what moved by less is where it began
+_DIVISIONS = 6  # of an element's sides
+_MOST_DIVIDED = 8192  # elements, the deepest by their middles, that are measured all over
+
+
+class Penetration(NamedTuple):
+    """How far a sheet is beyond the mold [m]: its nodes, its elements, and where these are deepest (3,) [m]."""
+
+    nodes: float
+    elements: float
+    place: Array
+
+
+def penetration(
+    positions: Array,
+    triangles: Integers,
+    wall: Integers,
+    mold: Mold,
+    *,
+    grid: SearchGrid | None = None,
+    resting: Array | None = None,
+) -> Penetration:
+    """How far a sheet is beyond the mold.
+
+    Args:
+        positions: Of the nodes (n_node, 3) [m].
+        triangles: Their elements (n_element, 3).
+        wall: What each node sticks to (n_node,), see `Result.wall`.
+        mold: The mold.
+        grid: The mold's search structure; made here by default.
+        resting: Of nodes that are where they began, the unit direction (n_node, 3) away from where the pressure pushes
+            them; 0 of the others. Where they lie on the mold, that is the side on which they are, whatever `wall` says.
+    """
+    mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
+    if grid is None:
+        grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    resting = np.zeros_like(positions) if resting is None else resting
+    rests = resting.any(1)
+    landed = (wall != 0) & ~rests
+    lift, below = _lift(positions, wall, landed, mold_corners, size)
+    lifted = positions + lift + _RESTING_LIFT * size * resting
+    ways = Ways(triangles, lifted[triangles], mold_corners, grid)
+    if not len(ways.element):
+        return Penetration(below, 0.0, np.zeros(3))
+    trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
+    beyond = beyond_mold(triangles, ways, landed, trust)
+    corners = positions[triangles]
+    distances = Distances(mold, float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max()))
+    deepest = distances.exact(positions[beyond & ~rests]).max(initial=below)
+    return Penetration(
+        float(deepest), *_deepest(corners[ways.element], ways, np.where(beyond, -trust, trust), distances)
+    )
+
+
+def resting_directions(start: Array, end: Array, triangles: Integers, pressure: float) -> Array:
+    """Of nodes that are where they began, the unit direction (n_node, 3) from which the pressure pushes; else 0.
+
+    Args:
+        start: Where the nodes began (n_node, 3) [m].
+        end: Where they are (n_node, 3) [m].
+        triangles: The elements (n_element, 3), whose normals are those along which pressure acts.
+        pressure: The pressure [Pa]; its sign alone counts.
+    """
+    rests = np.linalg.norm(end - start, axis=1) <= _RESTING * np.ptp(start, axis=0).max()
+    corners = start[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.stack([np.bincount(triangles.ravel(), np.repeat(part, 3), len(start)) for part in normal.T], axis=1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    away = -np.sign(pressure) * total / np.where(length > 0, length, 1.0)
+    return np.where(rests[:, None], away, 0.0)
+
+
+def _lift(
+    positions: Array, wall: Integers, landed: NDArray[np.bool_], mold_corners: Array, size: float
+) -> tuple[Array, float]:
+    """What lifts the nodes that landed off the mold (n_node, 3) [m], and how far they are below its planes [m]."""
+    node = np.flatnonzero(landed)
+    corners = mold_corners[np.abs(wall[node]) - 1]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal *= (np.sign(wall[node]) / np.linalg.norm(normal, axis=1))[:, None]
+    height = np.einsum("ij,ij->i", positions[node] - corners[:, 0], normal)
+    lift = np.zeros_like(positions)
+    lift[node] = _LIFT * size * normal
+    return lift, 0.0 - float(height.min(initial=0.0))
+
+
+def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> tuple[float, Array]:
+    """How deep the cut elements, with corners (n, 3, 3) [m], are beyond the mold, and where (3,) [m].
+
+    The side of the nodes (n_node,) is negative beyond the mold, and the larger the surer it is.
+    """
+    row = np.arange(len(corners))
+    if len(row) > _MOST_DIVIDED:
+        row = np.argsort(-distances.about(corners.mean(1)), kind="stable")[:_MOST_DIVIDED]
+    shares = _lattice(_DIVISIONS)
+    element, point = np.nonzero(_hidden(ways, row, shares, side))
+    points = np.einsum("pc,pck->pk", shares[point], corners[row[element]])
+    depth = distances.exact(points)
+    if not depth.any():
+        return 0.0, np.zeros(3)
+    return float(depth.max()), points[np.argmax(depth)]
+
+
+def _hidden(ways: Ways, row: Integers, shares: Array, side: Array) -> NDArray[np.bool_]:
+    """Which points (n, p), at shares (p, 3) of the corners of cut elements (n,), are beyond the mold."""
+    here = np.where(ways.odd(row, shares), -1.0, 1.0)
+    return np.einsum("ncp,nc->np", here, side[ways.triangles[row]]) < 0
+
+
+def _lattice(divisions: int) -> Array:
+    """Barycentric points (n, 3) all over a triangle."""
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(divisions + 1), np.arange(divisions + 1)))
+    kept = i + j <= divisions
+    return np.stack([divisions - i - j, i, j], axis=1)[kept] / divisions
