@@ -11,7 +11,6 @@ left to JAX.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -34,10 +33,8 @@ from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import idle_volume, packed_moving
 from jaxform.sheet.discretization import NEVER, Body, Mesh, present_body
 from jaxform.sheet.scheme import Timing, kicked, kicks, pressures
-from jaxform.sheet.state import LOSSES, Schedule, State
+from jaxform.sheet.state import LOSSES, Schedule, State, carries
 from jaxform.tools.mold import Mold
-
-_SMOOTH = ("volume", "external_work", *LOSSES)  # of the account
 
 
 @pytree
@@ -112,15 +109,6 @@ def _can_be_taken_back(damping: jax.Array, timing: Timing, count: jax.Array) -> 
 @jax.checkpoint
 def _plain(state: State, scene: Scene, sheet_body: Body, _: Body, schedule: Schedule | None) -> State:
     return window(state, scene, sheet_body, schedule)
-
-
-def carries(state: State) -> State:
-    """Which leaves of a state carry a derivative."""
-    none: Any = jax.tree.map(lambda _: False, state)
-    smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
-    pressure = None if state.account.pressure is None else True
-    account = dataclasses.replace(none.account, **dict.fromkeys(_SMOOTH, True), pressure=pressure)
-    return dataclasses.replace(none, nodes=smooth, account=account)
 
 
 def _end_of(kept: _Kept, now: Window) -> End:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.candidates import TEST_BLOCK, Near
+from jaxform.contact.lists import TEST_BLOCK, Near
 from jaxform.kernels.blocks import cut, over_blocks, put
 from jaxform.mechanics.membrane import dot, gather, minus
 

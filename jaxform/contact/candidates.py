@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.cells import cell_of, distance, distance_bound, looked_up, rows_of_table, touch_distance
+from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, Lists, Near, no_lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, over_blocks, put
 from jaxform.mechanics.membrane import dot, gather
@@ -21,64 +22,10 @@ from jaxform.tools.search import CLASSES, FarCells, SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
 # the room for them, and nothing is compiled twice. No derivative goes through these loops.
-TEST_BLOCK = 128
-_LANES, _DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
-PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a window can hold, where nothing else is asked for
-_CANDIDATES = 8  # for each of these pairs, from which they are chosen: where a mold is flat, many planes are near
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
 # How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
 _GLANCE, _ALARM = 0.05, 0.1
 _MOST_HALVINGS = 10  # of the balls, until the pairs find room
-
-
-@pytree
-class Lists:
-    """What a list is written into: all of it is written before it is read.
-
-    Attributes:
-        node, triangle: The pairs (room,) that can meet.
-        planes: Geometry of the pairs' triangles (12, room).
-        candidates: The pairs (room,) that these were chosen from, and others.
-        balls: Of nodes, as `_Balls` has them: three components, radius and bound (5, n_node), the cells (1, n_node),
-            and whether the mold may be in them (1, n_node).
-        clear: The distance (n_node,) [m] that a node can go without touching.
-        squares: The four squares of `Near`, in its order (4, n_node).
-    """
-
-    node: jax.Array
-    triangle: jax.Array
-    planes: jax.Array
-    candidates: tuple[jax.Array, jax.Array]
-    balls: tuple[jax.Array, jax.Array, jax.Array]
-    clear: jax.Array
-    squares: jax.Array
-
-
-@pytree
-class Near:
-    """What a window knows of the mold; of nodes beyond the blocks in use it knows nothing.
-
-    Attributes:
-        lists: The pairs of node and triangle that can meet.
-        count: How many they are.
-        start: Positions (3, n_node) [m] at the border.
-        center: Of the balls (3, n_node) [m].
-        clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
-        near_square: The same less what any node goes between two looks.
-        limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
-        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
-        overflow: Whether pairs were lost, so that the window must not be trusted.
-    """
-
-    lists: Lists
-    count: jax.Array
-    start: jax.Array
-    center: jax.Array
-    clear_square: jax.Array
-    near_square: jax.Array
-    limit_square: jax.Array
-    alarm_square: jax.Array
-    overflow: jax.Array
 
 
 @pytree
@@ -106,27 +53,6 @@ class _Pairs(NamedTuple):
 def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) -> _Pairs:
     """With a block of pairs (n,) after those found, of which the first `more` count; what finds no room is lost."""
     return _Pairs(put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more)
-
-
-def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> Lists:
-    """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
-    least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
-    room = -(-least // TEST_BLOCK) * TEST_BLOCK
-    candidates = jnp.zeros(_CANDIDATES * room + _LANES * _DEPTH, jnp.int32)
-    pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
-    return Lists(
-        node=pairs,
-        triangle=pairs,
-        planes=jnp.zeros((12, room + TEST_BLOCK), real),
-        candidates=(candidates, candidates),
-        balls=(
-            jnp.zeros((5, node_count), real),
-            jnp.zeros((1, node_count), jnp.int32),
-            jnp.zeros((1, node_count), bool),
-        ),
-        clear=jnp.zeros(node_count, real),
-        squares=jnp.zeros((4, node_count), real),
-    )
 
 
 class _Found(NamedTuple):
@@ -169,7 +95,7 @@ def list_near(
     """
     into = into or no_lists(free.size, positions.dtype)
     blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
-    room, most = into.node.size - TEST_BLOCK, into.candidates[0].size - _LANES * _DEPTH
+    room, most = into.node.size - TEST_BLOCK, into.candidates[0].size - LANES * DEPTH
 
     # Where there are too many pairs the balls shrink, and the window will halt the sooner.
     def too_many(found: _Found) -> jax.Array:
@@ -290,35 +216,35 @@ def _listed_near(
 
 def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs, blocks: jax.Array) -> _Pairs:
     """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
-    member, total = listed(balls.near, -(-balls.near.size // _LANES) * _LANES, BLOCK * blocks)
+    member, total = listed(balls.near, -(-balls.near.size // LANES) * LANES, BLOCK * blocks)
 
     def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
         return carry[0] < total
 
     def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
         first, found = carry
-        node = cut(member, first, _LANES)
+        node = cut(member, first, LANES)
         center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
         begin, end = _listed_near(center, radius, cell, grid)
-        length = jnp.where(first + jnp.arange(_LANES) < total, end - begin, 0)
-        nodes = jnp.broadcast_to(node[:, None], (_LANES, _DEPTH)).ravel()
+        length = jnp.where(first + jnp.arange(LANES) < total, end - begin, 0)
+        nodes = jnp.broadcast_to(node[:, None], (LANES, DEPTH)).ravel()
 
         def more_triangles(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
             return carry[0] < jnp.max(length)
 
         def list_triangles(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
             level, found = carry
-            slot = level + jnp.arange(_DEPTH, dtype=jnp.int32)
+            slot = level + jnp.arange(DEPTH, dtype=jnp.int32)
             used = slot < length[:, None]
             triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot, 0))
             keep = used & (distance_bound(center, triangle, grid) <= radius[:, None])
             # The barrier keeps the distances from being worked out again for each use of what they decide.
             keep, triangle = once((keep.ravel(), triangle.ravel()))
             place, more = listed(keep, keep.size)
-            return level + _DEPTH, _with(found, gather(nodes, place), gather(triangle, place), more)
+            return level + DEPTH, _with(found, gather(nodes, place), gather(triangle, place), more)
 
         _, found = jax.lax.while_loop(more_triangles, list_triangles, (jnp.int32(0), found))
-        return first + _LANES, found
+        return first + LANES, found
 
     return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), into._replace(count=jnp.int32(0))))[1]
 

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.broad_phase import Due
-from jaxform.contact.candidates import TEST_BLOCK, Near
 from jaxform.contact.cells import touch_distance
+from jaxform.contact.lists import TEST_BLOCK, Near
 from jaxform.kernels.blocks import cut, entry, once, only_if, put, rows_read
 from jaxform.mechanics.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
 from jaxform.mechanics.nodes import Nodes

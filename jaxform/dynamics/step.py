@@ -21,7 +21,7 @@ from jaxform.contact.broad_phase import (
     unwatched,
     watch,
 )
-from jaxform.contact.candidates import Near
+from jaxform.contact.lists import Near
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import once, only_if, over_blocks, total
 from jaxform.mechanics import membrane

@@ -19,7 +19,8 @@ from jaxform.contact.broad_phase import (
     LOOK_EVERY,
     unseen,
 )
-from jaxform.contact.candidates import Lists, Near, list_near, no_lists
+from jaxform.contact.candidates import list_near
+from jaxform.contact.lists import Lists, Near, no_lists
 from jaxform.dynamics.closing import SLACK, close, looked_over
 from jaxform.dynamics.step import Moving, Row, Window, step
 from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from jaxform.mesh import grids, meshes, topology
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
+from jaxform.mesh.resolution import as_length, check_count, check_resolution
 from jaxform.mesh.surfaces import check_surface, held_rim, snapped
 
 Symmetry = Literal["none", "half", "quarter"]
@@ -22,7 +23,6 @@ PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
 """How many copies of the modelled part make the whole."""
 PLANES: dict[str, tuple[int, ...]] = {"none": (), "half": (0,), "quarter": (0, 1)}
 """Components of the position that the cut planes fix."""
-FEWEST_ELEMENTS, MOST_ELEMENTS = 4, 2_000_000
 
 
 @dataclass(frozen=True)
@@ -72,15 +72,15 @@ def disc(
         InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
     """
     density = 6 / _parts(symmetry)
-    radius = _length("parison.radius", radius)
+    radius = as_length("parison.radius", radius)
     if isinstance(element_size, Profile):
         radii, segments = _graded_rings(radius, element_size, density)
     else:
-        _check_resolution(element_size, elements, largest=radius)
+        check_resolution(element_size, elements, largest=radius)
         ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
         if elements and symmetry != "none":
             ring_count = max(2, ring_count)
-        _check_count(density * ring_count**2, element_size)
+        check_count(density * ring_count**2, element_size)
         segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
         radii = radius * (np.arange(ring_count + 1) / ring_count)
     ring_count = len(segments) - 1
@@ -116,7 +116,7 @@ def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray
     if size.along != "radius":
         raise InputError("a disc is graded along its radius", "use radius", f"{size.key}.along", size.along)
     size.positive()
-    _check_count(density * (radius / min(size.value)) ** 2, min(size.value))
+    check_count(density * (radius / min(size.value)) ** 2, min(size.value))
     fine = np.linspace(0.0, radius, 20_001)
     local = np.interp(fine, size.at, size.value)
     rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (1 / local[1:] + 1 / local[:-1]))])
@@ -154,13 +154,13 @@ def rectangle(
     _parts(symmetry)
     if not isinstance(size, Sequence | np.ndarray) or len(size) != 2:
         raise InputError("is not two lengths", "give [a, b] in m", key="parison.size", value=size)
-    whole = [_length("parison.size", side) for side in size]
+    whole = [as_length("parison.size", side) for side in size]
     extent = [side / 2 if axis in PLANES[symmetry] else side for axis, side in enumerate(whole)]
-    _check_resolution(element_size, elements, largest=min(extent))
+    check_resolution(element_size, elements, largest=min(extent))
     cells = grids.cell_counts(extent, element_size, elements)
     # An even number between clamped edges: then no diagonal cuts off a corner, where it would never move.
     cells = [n if axis in PLANES[symmetry] else n + n % 2 for axis, n in enumerate(cells)]
-    _check_count(2 * math.prod(cells), element_size)
+    check_count(2 * math.prod(cells), element_size)
 
     x, y = (length * (np.arange(n + 1) / n) for length, n in zip(extent, cells, strict=True))
     x, y = (grid.ravel() for grid in np.meshgrid(x, y, indexing="ij"))
@@ -197,13 +197,13 @@ def sphere(
         InputError: A number is out of range, or not just one of `element_size` and `elements` is given.
     """
     parts = _parts(symmetry)
-    radius = _length("parison.radius", radius)
+    radius = as_length("parison.radius", radius)
     arc = radius * math.pi / 2
-    _check_resolution(element_size, elements, largest=arc)
+    check_resolution(element_size, elements, largest=arc)
     division = grids.whole(arc / element_size if element_size else math.sqrt((elements or 0) * parts / 8))
     if elements and symmetry == "quarter":
         division = max(2, division)
-    _check_count(8 * division**2 / parts, element_size)
+    check_count(8 * division**2 / parts, element_size)
 
     octants = [(a, b, c) for a in (1, -1) for b in (1, -1) for c in (1, -1)]
     kept = [signs for signs in octants if all(signs[axis] > 0 for axis in PLANES[symmetry])]
@@ -264,43 +264,6 @@ def _parts(symmetry: str) -> int:
     if symmetry not in PARTS:
         raise InputError("is no symmetry", f"use {', '.join(PARTS)}", "parison.symmetry", symmetry)
     return PARTS[symmetry]
-
-
-def _number(value: Any) -> float:
-    """The value as a float, NaN when it is no number."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        return math.nan
-    return float(value) if abs(value) < 1e300 else math.inf
-
-
-def _length(key: str, value: Any) -> float:
-    number = _number(value)
-    if not (math.isfinite(number) and number > 0):
-        raise InputError("is not a positive length", "give metres above 0", key, value)
-    return number
-
-
-def _check_resolution(element_size: float | None, elements: int | None, *, largest: float) -> None:
-    if (element_size is None) == (elements is None):
-        problem = "nothing says how fine the mesh is" if elements is None else "is given together with elements"
-        raise InputError(problem, "give element_size or elements, one of them", "parison.element_size", element_size)
-    if element_size is not None and _length("parison.element_size", element_size) > largest:
-        raise InputError(
-            f"is larger than the shape ({largest:.6g} m)",
-            "make it smaller",
-            "parison.element_size",
-            element_size,
-        )
-    if elements is not None and not FEWEST_ELEMENTS <= _number(elements) <= MOST_ELEMENTS:
-        mend = f"use {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
-        raise InputError("is not a possible number of elements", mend, "parison.elements", elements)
-
-
-def _check_count(count: float, element_size: float | None) -> None:
-    if element_size is not None and not FEWEST_ELEMENTS <= count <= MOST_ELEMENTS:
-        problem = f"gives {count:.3g} elements, not {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
-        mend = "make it smaller" if count < FEWEST_ELEMENTS else "make it larger"
-        raise InputError(problem, mend, "parison.element_size", element_size)
 
 
 def _sheet(

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.contact.candidates import PAIRS_PER_NODE
+from jaxform.contact.lists import PAIRS_PER_NODE
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import check_part, is_declared, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_index, as_real

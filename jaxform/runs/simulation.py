@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jax.core import ShapedArray, Tracer
 
 from jaxform.adapt.refinement import refined
-from jaxform.adjoint.reversed_scheme import carries
 from jaxform.adjoint.strategies import Adjoint, adjoint_of
 from jaxform.core.ranges import RANGES
 from jaxform.dynamics.initial import initial_state
@@ -23,7 +22,7 @@ from jaxform.results.result import Result, make_result
 from jaxform.runs.loop import closed, latest, unless_full
 from jaxform.runs.padding import on_rungs
 from jaxform.sheet.discretization import Body, body, present_body
-from jaxform.sheet.state import Schedule, State, Status, Taken, finished
+from jaxform.sheet.state import Schedule, State, Status, Taken, carries, finished
 
 
 def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint | None = None) -> Result:

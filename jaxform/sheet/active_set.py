@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.candidates import Lists
+from jaxform.contact.lists import Lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
 from jaxform.mechanics import membrane

@@ -205,3 +205,14 @@ def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Arr
     """Elements (n_element,) in use of which a node can still move; stuck (n_node,), triangles (3, n_element)."""
     first, second, third = (membrane.gather(stuck, corner) for corner in triangles)
     return ~(first & second & third) & (area > 0.0)
+
+
+def carries(state: State) -> State:
+    """Which leaves of a state carry a derivative."""
+    none: Any = jax.tree.map(lambda _: False, state)
+    smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
+    pressure = None if state.account.pressure is None else True
+    account = dataclasses.replace(
+        none.account, **dict.fromkeys(("volume", "external_work", *LOSSES), True), pressure=pressure
+    )
+    return dataclasses.replace(none, nodes=smooth, account=account)

@@ -12,7 +12,7 @@ import pytest
 
 from jaxform.io import schema
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs"))
 
 import reference_pages  # noqa: E402  (found by the line above)

@@ -26,7 +26,7 @@ from jaxform.results import energy, summary
 from jaxform.sheet.state import Status
 from tests import scenes
 
-_PROJECT = Path(__file__).parent.parent / "pyproject.toml"
+_PROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 @functools.cache

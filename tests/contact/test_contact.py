@@ -13,7 +13,7 @@ import trimesh
 import jaxform
 from benchmarks import contact as figures
 from jaxform import molds, shapes
-from jaxform.contact import broad_phase, cells
+from jaxform.contact import broad_phase, cells, lists
 from jaxform.contact import candidates as nearness
 from jaxform.contact.cells import cell_of
 from jaxform.core.store import Store
@@ -301,7 +301,7 @@ def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
     # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
     monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
-    monkeypatch.setattr(nearness, "PAIRS_PER_NODE", 1)
+    monkeypatch.setattr(lists, "PAIRS_PER_NODE", 1)
     monkeypatch.setattr(nearness, "_CANDIDATES", 1)
     tight = jax.jit(jaxform.simulate)(narrow)
     assert jaxform.explain(tight) == "ok"

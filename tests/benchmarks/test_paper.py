@@ -25,7 +25,7 @@ from jaxform.results.result import Result, make_result
 from jaxform.sheet import discretization
 from tests import scenes
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def _at_rest(sheet: shapes.Sheet) -> tuple[jaxform.Scene, Result]:

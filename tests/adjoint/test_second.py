@@ -15,7 +15,7 @@ import jaxform
 from jaxform.mechanics import force
 from jaxform.mechanics.force import Load
 from tests import scenes
-from tests.test_force import LAWS, _case, _random_like
+from tests.mechanics.test_force import LAWS, _case, _random_like
 
 _QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 _WAY = jnp.asarray([0.3, -0.5, 0.7, 0.2])

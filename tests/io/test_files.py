@@ -16,7 +16,7 @@ from jaxform.io import fields, files, output, rewriting
 from jaxform.mesh import meshes
 from tests import scenes
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def test_a_scene_written_with_changes_runs_the_same_from_its_new_folder(tmp_path: Path) -> None:

@@ -1,0 +1,84 @@
+"""What a window lists of the mold near the sheet: pairs of node and triangle, and each node's ball."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import pytree
+
+TEST_BLOCK = 128  # pairs that are tested together
+LANES, DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
+_CANDIDATES = 8  # for each of these pairs, from which they are chosen: where a mold is flat, many planes are near
+PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a window can hold, where nothing else is asked for
+
+
+@pytree
+class Lists:
+    """What a list is written into: all of it is written before it is read.
+
+    Attributes:
+        node, triangle: The pairs (room,) that can meet.
+        planes: Geometry of the pairs' triangles (12, room).
+        candidates: The pairs (room,) that these were chosen from, and others.
+        balls: Of nodes, as `_Balls` has them: three components, radius and bound (5, n_node), the cells (1, n_node),
+            and whether the mold may be in them (1, n_node).
+        clear: The distance (n_node,) [m] that a node can go without touching.
+        squares: The four squares of `Near`, in its order (4, n_node).
+    """
+
+    node: jax.Array
+    triangle: jax.Array
+    planes: jax.Array
+    candidates: tuple[jax.Array, jax.Array]
+    balls: tuple[jax.Array, jax.Array, jax.Array]
+    clear: jax.Array
+    squares: jax.Array
+
+
+@pytree
+class Near:
+    """What a window knows of the mold; of nodes beyond the blocks in use it knows nothing.
+
+    Attributes:
+        lists: The pairs of node and triangle that can meet.
+        count: How many they are.
+        start: Positions (3, n_node) [m] at the border.
+        center: Of the balls (3, n_node) [m].
+        clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
+        near_square: The same less what any node goes between two looks.
+        limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
+        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
+        overflow: Whether pairs were lost, so that the window must not be trusted.
+    """
+
+    lists: Lists
+    count: jax.Array
+    start: jax.Array
+    center: jax.Array
+    clear_square: jax.Array
+    near_square: jax.Array
+    limit_square: jax.Array
+    alarm_square: jax.Array
+    overflow: jax.Array
+
+
+def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> Lists:
+    """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
+    least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
+    room = -(-least // TEST_BLOCK) * TEST_BLOCK
+    candidates = jnp.zeros(_CANDIDATES * room + LANES * DEPTH, jnp.int32)
+    pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
+    return Lists(
+        node=pairs,
+        triangle=pairs,
+        planes=jnp.zeros((12, room + TEST_BLOCK), real),
+        candidates=(candidates, candidates),
+        balls=(
+            jnp.zeros((5, node_count), real),
+            jnp.zeros((1, node_count), jnp.int32),
+            jnp.zeros((1, node_count), bool),
+        ),
+        clear=jnp.zeros(node_count, real),
+        squares=jnp.zeros((4, node_count), real),
+    )
