@@ -37,8 +37,8 @@ from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.runs import loop
 from jaxform.sheet import account
-from jaxform.sheet.active_set import Working, packed_moving, worked_through
-from jaxform.sheet.discretization import Body
+from jaxform.sheet.active_set import ActiveSet, active_set_of, packed_moving
+from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import PackedState, State, can_move
 
 SIZES = (128, 512, 2048, 8192, 32768, 131072)
@@ -290,7 +290,7 @@ def show_parts(window: int = 20) -> Table:
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
-    def border(state: PackedState, scene: jaxform.Scene, working: Working) -> Any:
+    def border(state: PackedState, scene: jaxform.Scene, working: ActiveSet) -> Any:
         return windows.window_in_place(state, with_windows_of(1, scene), working)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
@@ -304,7 +304,7 @@ def show_parts(window: int = 20) -> Table:
             scene.tables.grid,
         )
 
-    def balance(state: State, scene: jaxform.Scene, working: Working) -> Any:
+    def balance(state: State, scene: jaxform.Scene, working: ActiveSet) -> Any:
         return account.account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
 
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
@@ -337,7 +337,7 @@ def show_parts(window: int = 20) -> Table:
 _TIMES = 200  # in one program: called by itself a part takes longer to start than to work
 
 
-def _packed(state: State, scene: jaxform.Scene, body: Body) -> Any:
+def _packed(state: State, scene: jaxform.Scene, body: Discretization) -> Any:
     # Read from the positions, so that it is not taken out of the loop; in packed order, where nothing sticks, it is a
     # list of as many nodes.
     stuck = state.nodes.positions[0, : body.mass.size] > 1e9
@@ -350,7 +350,7 @@ def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> C
         state = state.with_nodes(mode=None)
 
     @functools.partial(jax.jit, compiler_options=compiler_options())
-    def several(state: State, scene: jaxform.Scene, working: Working) -> jax.Array:
+    def several(state: State, scene: jaxform.Scene, working: ActiveSet) -> jax.Array:
         def once(_: jax.Array, last: jax.Array) -> jax.Array:
             moved = state.with_nodes(positions=state.nodes.positions + 1e-30 * last)
             results = jax.tree.leaves(part(moved, scene, working))
@@ -358,7 +358,7 @@ def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> C
 
         return jax.lax.fori_loop(0, _TIMES, once, jnp.zeros(()))
 
-    working = jax.jit(worked_through)(state, scene, loop.begin(scene)[1])
+    working = jax.jit(active_set_of)(state, scene, loop.begin(scene)[1])
     taken = working.taken(state)
     return lambda: several(taken, scene, working)
 

@@ -216,7 +216,7 @@ def show_overhead() -> list[Row]:
         state, first, _ = loop.begin(scene)
         look = jax.jit(functools.partial(_look, scene))
         advance = jax.jit(lambda state, now, scene=scene: windows.window(state, scene, now, differentiable=False))
-        now, spent, growths = discretization.present_body(scene, state.mesh, first), 0.0, 0
+        now, spent, growths = discretization.present_discretization(scene, state.mesh, first), 0.0, 0
         while not finished(state, scene):
             if refinement.looks(state.windows, scene):
                 # Calling the program, and copies of all it gives, take time too, which a run does not spend: so beside
@@ -235,8 +235,10 @@ def show_overhead() -> list[Row]:
     return rows
 
 
-def _look(scene: jaxform.Scene, state: State, now: discretization.Body) -> tuple[State, discretization.Body]:
-    packed = active_set.worked_through(state, scene, now)
+def _look(
+    scene: jaxform.Scene, state: State, now: discretization.Discretization
+) -> tuple[State, discretization.Discretization]:
+    packed = active_set.active_set_of(state, scene, now)
     refined, now = refinement.refined_in_place(packed.taken(state), scene, now, packed)
     return packed.put_back(refined), now
 

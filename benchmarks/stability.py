@@ -35,7 +35,7 @@ from jaxform.results.result import Result
 from jaxform.results.summary import wall_statistics
 from jaxform.runs import loop, simulation
 from jaxform.sheet import packing
-from jaxform.sheet.discretization import body
+from jaxform.sheet.discretization import discretize
 from jaxform.sheet.state import State, finished
 
 _FILE = DOCS / "stability.json"
@@ -76,11 +76,11 @@ def edge_scene(sheet: Sheet, law: Law, *, sudden: bool, ratio: float, pressure: 
 
 def _loaded(state: State, scene: Scene) -> tuple[Load, packing.Packed, jax.Array]:
     """The whole sheet as it is: what makes its forces, its packed elements, and mobility over mass (3, place)."""
-    sheet_body = body(scene)
+    discrete = discretize(scene)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-    load = Load(whole.taken(state.nodes.positions), sheet_body.thickness[whole.element], scene.pressure.at(state.time),
+    load = Load(whole.taken(state.nodes.positions), discrete.thickness[whole.element], scene.pressure.at(state.time),
                 scene.material)  # fmt: skip
-    return load, whole, whole.taken(sheet_body.compliance)
+    return load, whole, whole.taken(discrete.compliance)
 
 
 @jax.jit
@@ -127,7 +127,7 @@ def measure_edge(scene: Scene, most: int = 60) -> Found:
 
 @jax.jit
 def _stretches(state: State, scene: Scene) -> jax.Array:
-    return simulation.make_result(state, scene, body(scene)).stretches
+    return simulation.make_result(state, scene, discretize(scene)).stretches
 
 
 def blow_up(scene: Scene, most: int, factors: tuple[float, ...], steps: int = 4000) -> float:

@@ -43,7 +43,7 @@ def _edge(found: Found, folder: Path) -> str:
         "the window ran unstably for a while. *Taken anew* are windows that were tried again with half the step. The "
         "last steps, which divide the rest of the time, are left out.\n",
         "| sheet | material | pressure [c h/a] | thickness between neighbours | stretch up to | windows | at the begin "
-        "| at the end | taken anew |",
+        "| at the end | retried |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
@@ -62,7 +62,7 @@ def _edge(found: Found, folder: Path) -> str:
         f"limits at begin and end, times the safety, {_share(lower < 0.9)} of the steps are below 0.9. "
         f"{_share(end > 1)} of the windows end above the true limit, the worst at {end.max():.3f}: a sheet that snaps "
         "through stiffens within one window. What comes of it is seen at the window's end, by the account of energy, "
-        "and the window is taken anew.\n",
+        "and the window is retried.\n",
         "Observed: an inflated sheet, at rest, is stepped at factors of its true limit until it leaves its shape.\n",
         "| sheet | material | stays at | leaves at |",
         "|---|---|---|---|",

@@ -61,7 +61,7 @@ def measured(scene: Scene, error: Callable[[Scene, Result], float], group: str, 
         "steps": int(part.steps),
         "error": error(scene, parts[-1]),
         "seconds": min(accuracy.seconds(each) for each in parts),
-        "haste": float(part.energy.haste),
+        "haste": float(part.energy.quasi_static_error),
         "added_mass": float(part.added_mass),
         "status": jaxform.explain(part),
     }
@@ -210,7 +210,7 @@ def hurried(scene: Scene, slow: Result) -> Found:
     energy, off = result.energy, np.asarray(result.element_thickness) / np.asarray(slow.element_thickness) - 1
     return {
         "error": accuracy.rms(off, np.asarray(result.element_volume)),
-        "haste": float(energy.haste),
+        "haste": float(energy.quasi_static_error),
         "kinetic": float(energy.kinetic_peak / energy.external_work),
         "damped": float(energy.damping_loss / energy.external_work),
         "hit": float(energy.contact_loss / energy.external_work),

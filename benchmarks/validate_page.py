@@ -233,7 +233,8 @@ def _slow(found: Found, folder: Path) -> str:
         "mesh, over the time of the ramp; a ramp by the cube of time needs a fraction of the time of a linear one, "
         "and too little damping costs as much as too much of it.\n",
         "![Deviation over ramp time](ramps.png)\n",
-        "A run predicts it: `energy.haste` in summary.json is the largest kinetic energy at the end of a window, over "
+        "A run predicts it: `energy.quasi_static_error` in summary.json"
+        " is the largest kinetic energy at the end of a window, over "
         "the work done, plus a fifth of the square of the share of the work that damping took. "
         f"Over {len(seen)} runs that are off by 0.05 to 30 %, the prediction is {middle:.1f} times the "
         f"deviation in the middle, and {low:.2f} to {high:.1f} times in nine out of ten.\n",

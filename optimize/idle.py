@@ -35,7 +35,7 @@ def look(search: Search, point: Point, first: Result, warn: Callable[[str], obje
     size = max(abs(point.value), abs(point.objective))
     if not np.all(np.isfinite(point.gradient)) or not 0.0 < size < np.inf:
         return
-    slow = float(first.energy.haste) <= SLOW_ENOUGH
+    slow = float(first.energy.quasi_static_error) <= SLOW_ENOUGH
     begin, found = 0, []
     for index, (variable, own) in enumerate(search.parts(point.free)):
         gradient = point.gradient[begin : begin + own.size]
@@ -69,15 +69,16 @@ def _sentence(index: int, variable: Variable, change: float, first: Result, ever
     what = f"variable[{index}] ({_kind(variable)}) does next to nothing"
     if everything:
         what = f"this search can hardly gain anything: {what}"
-    haste = float(first.energy.haste)
-    mend = "widen its bounds, or design something else"
-    if not isinstance(variable, SheetVariable) and haste <= SLOW_ENOUGH:
-        mend = (
-            f"the process is slow (energy.haste is {100 * haste:.2g} %), and the wall of a slow process depends on "
-            "neither pressure nor stiffness nor density: design the sheet's thickness (thickness-profile), or make the "
+    error = float(first.energy.quasi_static_error)
+    remedy = "widen its bounds, or design something else"
+    if not isinstance(variable, SheetVariable) and error <= SLOW_ENOUGH:
+        remedy = (
+            f"the process is slow (energy.quasi_static_error is {100 * error:.2g} %), and the wall of a slow process "
+            "depends on neither pressure nor stiffness nor density: design the sheet's thickness "
+            "(thickness-profile), or make the "
             "process faster (a steeper pressure, a shorter solver.end_time)"
         )
-    return f"{what}: by the first gradient a search over it changes the objective by {100 * change:.2g} %; {mend}"
+    return f"{what}: by the first gradient a search over it changes the objective by {100 * change:.2g} %; {remedy}"
 
 
 def _kind(variable: Variable) -> str:

@@ -174,8 +174,8 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
                 return spans
             raise _damaged(path, len(spans) + 1)
         if not spans and entry.get("study") != study:
-            mend = "name its own folder, or search anew with --force"
-            raise InputError("is of another study, or of another version of it", mend, "--resume", str(path))
+            remedy = "name its own folder, or search anew with --force"
+            raise InputError("is of another study, or of another version of it", remedy, "--resume", str(path))
         if spans and entry.get("number") != len(spans):
             raise _damaged(path, len(spans) + 1)
         spans.append(_Span(begin, len(line)))
@@ -198,8 +198,10 @@ def _was_cut(line: bytes) -> bool:
 
 def _damaged(path: Path, number: int) -> InputError:
     problem = f"is damaged in line {number}, which is not what a search wrote"
-    mend = "delete that line and all after it to go on from there, or search anew with --force" if number > 1 else _ANEW
-    return InputError(problem, mend, "--resume", str(path))
+    remedy = (
+        "delete that line and all after it to go on from there, or search anew with --force" if number > 1 else _ANEW
+    )
+    return InputError(problem, remedy, "--resume", str(path))
 
 
 def _unread(path: Path, error: OSError) -> InputError:

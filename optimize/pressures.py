@@ -54,8 +54,8 @@ class PressureKnots:
 
     def _check_rate(self, rate: float) -> None:
         if not 0.0 < rate < np.inf or len(self._time) < 2:
-            mend = "give Pa/s > 0 and a history of two knots or more"
-            raise InputError("limits nothing", mend, "variable.rate", rate)
+            remedy = "give Pa/s > 0 and a history of two knots or more"
+            raise InputError("limits nothing", remedy, "variable.rate", rate)
         if self._first is not None and not self.bounds[0] <= self._first <= self.bounds[1]:
             problem = f"do not hold the history's first value, {self._first:g} Pa, which stays"
             raise InputError(problem, "widen them", "variable.bounds", self.bounds)
@@ -63,8 +63,8 @@ class PressureKnots:
     def _start_of_time(self, end_time: Bounds, simulated: float) -> np.ndarray:
         last = float(self._time[-1])
         if not 0.0 < end_time[0] < end_time[1] or self._time[0] != 0.0:
-            mend = "give 0 < lower < upper, and a history from time 0"
-            raise InputError("leaves no room", mend, "variable.end_time", end_time)
+            remedy = "give 0 < lower < upper, and a history from time 0"
+            raise InputError("leaves no room", remedy, "variable.end_time", end_time)
         if end_time[1] > simulated * (1 + 1e-12):
             problem = f"is longer than the simulation, {simulated:g} s"
             raise InputError(problem, "raise solver.end_time in the scene", "variable.end_time", end_time)

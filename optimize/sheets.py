@@ -148,8 +148,8 @@ def _along(place: Array, knots: int | None, at: Sequence[float] | None, interpol
 def _spline(place: Array, knots: int | None, at: Sequence[float] | None) -> tuple[Array, Array]:
     """Cubic B-splines: not negative and 1 together, so the spline keeps bounds and slopes of the numbers."""
     if knots is None or knots < 4:
-        mend = "give the number of knots, at least 4"
-        raise InputError("does not go with these knots", mend, "variable.interpolation", "cubic")
+        remedy = "give the number of knots, at least 4"
+        raise InputError("does not go with these knots", remedy, "variable.interpolation", "cubic")
     low, high = place.min(), place.max()
     inner = np.linspace(low, high, knots - 2)
     edges = np.concatenate([[low] * 3, inner, [high] * 3])

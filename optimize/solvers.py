@@ -139,7 +139,7 @@ def solve(
     reach.check(study)
     first = jaxform.run(study.scene)
     if int(first.status):
-        raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "mend the scene first", "scene")
+        raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
     forward_seconds = _cost(study.scene)
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule
@@ -205,17 +205,17 @@ def _check(study: Study) -> None:
             raise InputError("is designed by two variables", "keep one of them", "variable", path)
     objective = study.objective
     if study.method == "least-squares" and (not objective.squares or objective.constrained):
-        mend = "use the method lbfgs, or the objective target or uniform"
-        raise InputError("needs a sum of squares without limits", mend, "solver.method", study.method)
+        remedy = "use the method lbfgs, or the objective target or uniform"
+        raise InputError("needs a sum of squares without limits", remedy, "solver.method", study.method)
     rule = {"fixed-point": "solver.method"}.get(study.method) or (study.warm_start and "solver.warm_start")
     if not rule:
         return
     if not objective.aims:
-        mend = "use target, uniform or least-mass, or leave it out"
-        raise InputError("needs an objective that says how thick the wall shall be", mend, rule)
+        remedy = "use target, uniform or least-mass, or leave it out"
+        raise InputError("needs an objective that says how thick the wall shall be", remedy, rule)
     if not any(isinstance(variable, SheetVariable) for variable in study.variables):
-        mend = "add a thickness-profile or thickness-field, or leave it out"
-        raise InputError("changes the sheet, which is no variable here", mend, rule)
+        remedy = "add a thickness-profile or thickness-field, or leave it out"
+        raise InputError("changes the sheet, which is no variable here", remedy, rule)
 
 
 def _searched(

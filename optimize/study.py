@@ -122,7 +122,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
         raise error.within(key=key) from None
     result = jaxform.run(other)
     if int(result.status):
-        raise InputError(f"fails: {jaxform.explain(result)}", "mend that scene first", key, name)
+        raise InputError(f"fails: {jaxform.explain(result)}", "remedy that scene first", key, name)
     other, result = only_used(other, result)
     places, triangles = np.asarray(other.parison.positions, float), np.asarray(result.triangles)
     try:

@@ -16,7 +16,7 @@ from jaxform.materials import Law
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 from jaxform.sheet import active_set
-from jaxform.sheet.discretization import NEVER, Body
+from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.state import State
 
 FILE = """
@@ -115,7 +115,7 @@ def refinable(sheet: Sheet, elements: int) -> Scene:
 
 
 @jax.jit
-def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tuple[State, Body]:
+def bisected(scene: Scene, state: State, sheet: Discretization, wanted: jax.Array) -> tuple[State, Discretization]:
     """A state with wanted elements (element_room,) bisected, and what that asks for; and its body."""
     mesh, forest = state.mesh, scene.tables.forest
     assert mesh is not None and forest is not None
@@ -125,8 +125,8 @@ def bisected(scene: Scene, state: State, sheet: Body, wanted: jax.Array) -> tupl
 
 
 @jax.jit
-def looked_at(state: State, scene: Scene, sheet: Body) -> tuple[State, Body]:
+def looked_at(state: State, scene: Scene, sheet: Discretization) -> tuple[State, Discretization]:
     """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
-    packed = active_set.worked_through(state, scene, sheet)
+    packed = active_set.active_set_of(state, scene, sheet)
     refined, sheet = refinement.refined_in_place(packed.taken(state), scene, sheet, packed)
     return packed.put_back(refined), sheet

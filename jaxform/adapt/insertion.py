@@ -35,7 +35,7 @@ _BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is 
 _CALM = 0.5  # of its edge: a new node that is nearer to the mold is at rest; from a whole one on it moves as it would
 
 
-class _Births(NamedTuple):
+class _Insertions(NamedTuple):
     """A block of places from `begin` on: which (n,) have a new node, which node, and the places of its edge's ends."""
 
     begin: jax.Array
@@ -94,7 +94,7 @@ class _Older(NamedTuple):
         return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), up, place)
 
 
-def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differentiable: bool = True) -> State:
+def insert_nodes(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differentiable: bool = True) -> State:
     """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
 
     Args:
@@ -108,16 +108,16 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differen
     assert forest is not None and old is not None
     size = min(BLOCK, mesh.node.size)
 
-    def births(block: jax.Array) -> _Births:
+    def births(block: jax.Array) -> _Insertions:
         nominal = old.node_count + block * size
         begin = jnp.minimum(nominal, mesh.node.size - size)
         place = begin + jnp.arange(size)
         new = (place >= nominal) & (place < mesh.node_count)
         node = cut(mesh.node, begin, size)
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
-        return _Births(begin, new, node, (first, second), differentiable)
+        return _Insertions(begin, new, node, (first, second), differentiable)
 
-    def worked(nodes: Nodes, work: Callable[[Nodes, _Births], Nodes]) -> Nodes:
+    def worked(nodes: Nodes, work: Callable[[Nodes, _Insertions], Nodes]) -> Nodes:
         if not differentiable:
             blocks = -(-(mesh.node_count - old.node_count) // size)
             return jax.lax.fori_loop(0, blocks, lambda block, nodes: work(nodes, births(block)), nodes)
@@ -137,7 +137,7 @@ def born(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differen
     return dataclasses.replace(state, nodes=nodes).with_nodes(mode=state.nodes.mode)
 
 
-def _between(nodes: Nodes, births: _Births, scene: Scene, volumes: jax.Array) -> Nodes:
+def _between(nodes: Nodes, births: _Insertions, scene: Scene, volumes: jax.Array) -> Nodes:
     """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
@@ -193,7 +193,7 @@ class _Outlook(NamedTuple):
     seen: Sight
 
 
-def _settled(nodes: Nodes, births: _Births, scene: Scene, older: _Older, time: jax.Array) -> Nodes:
+def _settled(nodes: Nodes, births: _Insertions, scene: Scene, older: _Older, time: jax.Array) -> Nodes:
     """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
     mold, grid, forest, refinement = scene.mold, scene.tables.grid, scene.tables.forest, scene.refinement
     assert mold is not None and grid is not None and forest is not None and refinement is not None
@@ -234,7 +234,7 @@ def _settled(nodes: Nodes, births: _Births, scene: Scene, older: _Older, time: j
 
 
 def _outlook(
-    points: jax.Array, free: jax.Array, nodes: Nodes, births: _Births, older: _Older, scene: Scene
+    points: jax.Array, free: jax.Array, nodes: Nodes, births: _Insertions, older: _Older, scene: Scene
 ) -> _Outlook:
     """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
 

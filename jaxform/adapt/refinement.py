@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.insertion import born
+from jaxform.adapt.insertion import insert_nodes
 from jaxform.adapt.remeshing import Queue, bisected, closed, queued
 from jaxform.contact.cells import cell_of
 from jaxform.kernels import sizes
@@ -23,15 +23,17 @@ from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import account, kinetic_energy
-from jaxform.sheet.active_set import Working
-from jaxform.sheet.discretization import NEVER, Body, levels, node_room, refined_body
+from jaxform.sheet.active_set import ActiveSet
+from jaxform.sheet.discretization import NEVER, Discretization, levels, node_room, refined_discretization
 from jaxform.sheet.scheme import caught_up
 from jaxform.sheet.state import PackedState, Schedule, State, Status
 
 _SPARE_BLOCKS = 2
 
 
-def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None) -> tuple[State, Body]:
+def refined(
+    state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None = None
+) -> tuple[State, Discretization]:
     """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
 
     With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
@@ -39,12 +41,12 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
     Args:
         state: The state.
         scene: The scene.
-        sheet_body: The sheet with the state's mesh.
+        discrete: The sheet with the state's mesh.
         schedule: The decisions that are taken; None where the mesh decides.
     """
     mesh = state.mesh
     if mesh is None:
-        return state, sheet_body
+        return state, discrete
     if schedule is not None and schedule.split_at is not None:
         planned = schedule.split_at <= schedule.upcoming(state.replay.row)
         due = jnp.any(planned & (mesh.split_at == NEVER))
@@ -52,23 +54,25 @@ def refined(state: State, scene: Scene, sheet_body: Body, schedule: Schedule | N
     else:
         due, wanted = _is_due(state, scene), _wanted
 
-    def look(now: tuple[State, Body]) -> tuple[State, Body]:
+    def look(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         return _grown(now[0], scene, now[1], *wanted(now[0], scene, now[1]), None)
 
-    return only_if(due, look, (state, sheet_body), differentiable=True)
+    return only_if(due, look, (state, discrete), differentiable=True)
 
 
-def refined_in_place(state: PackedState, scene: Scene, sheet_body: Body, working: Working) -> tuple[PackedState, Body]:
-    """The same of a state in the order of what the last window worked through; no derivative is taken."""
+def refined_in_place(
+    state: PackedState, scene: Scene, discrete: Discretization, working: ActiveSet
+) -> tuple[PackedState, Discretization]:
+    """The same of a state in the order of the last window's active set; no derivative is taken."""
     if state.mesh is None:
-        return state, sheet_body
+        return state, discrete
 
-    def look(now: tuple[PackedState, Body]) -> tuple[PackedState, Body]:
+    def look(now: tuple[PackedState, Discretization]) -> tuple[PackedState, Discretization]:
         state, body = working.put_back(now[0]), now[1]
         state, body = _grown(state, scene, body, *_wanted(state, scene, body), working)
         return working.taken(state), body
 
-    return only_if(_is_due(state, scene), look, (state, sheet_body))
+    return only_if(_is_due(state, scene), look, (state, discrete))
 
 
 def _is_due(state: State | PackedState, scene: Scene) -> jax.Array:
@@ -82,7 +86,7 @@ def looks(window: jax.Array, scene: Scene) -> jax.Array:
     return window % -(-scene.refinement.interval // SHORT_WINDOW) == 0
 
 
-def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[jax.Array, Queue]:
+def _planned(state: State, scene: Scene, _: Discretization, planned: jax.Array) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) where that is planned by now, and those of it that are not yet."""
     mesh, forest = state.mesh, scene.tables.forest
     assert mesh is not None and forest is not None
@@ -90,11 +94,11 @@ def _planned(state: State, scene: Scene, _: Body, planned: jax.Array) -> tuple[j
     return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
 
 
-def _wanted(state: State, scene: Scene, sheet_body: Body) -> tuple[jax.Array, Queue]:
+def _wanted(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
     mesh, forest = state.mesh, scene.tables.forest
     assert mesh is not None and forest is not None
-    place, count = listed(_marked(state, scene, sheet_body), mesh.element.size)
+    place, count = listed(_marked(state, scene, discrete), mesh.element.size)
     return closed(mesh.split_at, mesh.element[place], count, forest, state.windows)
 
 
@@ -159,13 +163,13 @@ def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+def _marked(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
     """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
-    state, scene, sheet_body = jax.lax.stop_gradient((state, scene, sheet_body))
+    state, scene, discrete = jax.lax.stop_gradient((state, scene, discrete))
     refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
     assert refinement is not None and forest is not None and mesh is not None
-    shapes = _shapes(state, scene, sheet_body)
-    sheet, fine = sheet_body.sheet, 0.5 * sheet_body.sheet.area < refinement.min_area
+    shapes = _shapes(state, scene, discrete)
+    sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < refinement.min_area
     room = padded(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
 
@@ -186,12 +190,12 @@ def _marked(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
     return marks[0, : mesh.element.size]
 
 
-def _shapes(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+def _shapes(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
     """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
-    elements, grid, forest = sheet_body.whole.elements, scene.tables.grid, scene.tables.forest
+    elements, grid, forest = discrete.whole.elements, scene.tables.grid, scene.tables.forest
     assert forest is not None
     rows = membrane.rows_of(state.nodes.positions)
-    thickness = sheet_body.thickness[sheet_body.whole.element]
+    thickness = discrete.thickness[discrete.whole.element]
 
     def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
         first, edge1, edge2 = membrane.edges(rows, triangles)
@@ -236,8 +240,8 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
 
 
 def _grown(
-    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, working: Working | None
-) -> tuple[State, Body]:
+    state: State, scene: Scene, discrete: Discretization, split_at: jax.Array, queue: Queue, working: ActiveSet | None
+) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
     mesh = state.mesh
     assert mesh is not None
@@ -247,33 +251,33 @@ def _grown(
     full = jnp.where(fits, 0, Status.REFINEMENT_OVERFLOW).astype(state.status.dtype)
     state = dataclasses.replace(state, status=state.status | full)
 
-    def grow(now: tuple[State, Body]) -> tuple[State, Body]:
+    def grow(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         state, body = now
         return _with_parts(state, scene, body, split_at, queue, working)
 
-    return only_if(fits & (queue.count > 0), grow, (state, sheet_body), differentiable=working is None)
+    return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=working is None)
 
 
 def _with_parts(
-    state: State, scene: Scene, sheet_body: Body, split_at: jax.Array, queue: Queue, working: Working | None
-) -> tuple[State, Body]:
+    state: State, scene: Scene, discrete: Discretization, split_at: jax.Array, queue: Queue, working: ActiveSet | None
+) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected."""
     differentiable = working is None
     forest, old = scene.tables.forest, state.mesh
-    assert forest is not None and old is not None and sheet_body.volumes is not None
-    before, state = state, caught_up(state, scene, sheet_body, working)
+    assert forest is not None and old is not None and discrete.volumes is not None
+    before, state = state, caught_up(state, scene, discrete, working)
     mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
-    body = refined_body(scene, mesh, sheet_body.volumes)
-    new = born(state, mesh, scene, sheet_body.volumes, differentiable=differentiable)
+    body = refined_discretization(scene, mesh, discrete.volumes)
+    new = insert_nodes(state, mesh, scene, discrete.volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
         account(
             *jax.lax.stop_gradient((s.nodes.positions, b.whole.elements, b.thickness[b.whole.element], scene.material))
         )
-        for s, b in ((state, sheet_body), (new, body))
+        for s, b in ((state, discrete), (new, body))
     )
     kinetic, new_kinetic = (
-        jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, sheet_body), (new, body))
+        jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))
     )
     loss = strain + kinetic - new_strain - new_kinetic
     made = dataclasses.replace(
@@ -288,4 +292,4 @@ def _with_parts(
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
     sound = jnp.isfinite(loss)
-    return only_if(~sound, lambda _: (before, sheet_body), (made, body), differentiable=differentiable)
+    return only_if(~sound, lambda _: (before, discrete), (made, body), differentiable=differentiable)

@@ -31,7 +31,7 @@ from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import idle_volume, packed_moving
-from jaxform.sheet.discretization import NEVER, Body, Mesh, present_body
+from jaxform.sheet.discretization import NEVER, Discretization, Mesh, present_discretization
 from jaxform.sheet.scheme import Timing, kicked, kicks, pressures
 from jaxform.sheet.state import LOSSES, Schedule, State, carries
 from jaxform.tools.mold import Mold
@@ -51,7 +51,7 @@ class _Kept:
     """
 
     scene: Scene
-    first: Body
+    first: Discretization
     stuck: jax.Array
     time: jax.Array
     before: jax.Array
@@ -67,9 +67,14 @@ class _Kept:
 
 
 def _value(
-    _: tuple[bool, ...], state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None
+    _: tuple[bool, ...],
+    state: State,
+    scene: Scene,
+    discrete: Discretization,
+    first: Discretization,
+    schedule: Schedule | None,
 ) -> tuple[State, _Kept]:
-    end, landed, impact = window_and_impacts(state, scene, sheet_body, schedule)
+    end, landed, impact = window_and_impacts(state, scene, discrete, schedule)
     positions, velocities, control = end.nodes.positions, end.nodes.velocities, end.control
     if impact is not None:
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
@@ -107,8 +112,8 @@ def _can_be_taken_back(damping: jax.Array, timing: Timing, count: jax.Array) -> 
 
 
 @jax.checkpoint
-def _plain(state: State, scene: Scene, sheet_body: Body, _: Body, schedule: Schedule | None) -> State:
-    return window(state, scene, sheet_body, schedule)
+def _plain(state: State, scene: Scene, discrete: Discretization, _: Discretization, schedule: Schedule | None) -> State:
+    return window(state, scene, discrete, schedule)
 
 
 def _end_of(kept: _Kept, now: Window) -> End:
@@ -203,8 +208,8 @@ def _landings(
 def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     """Of a window's begin and of all that it depends on, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
-    sheet_body = present_body(scene, kept.mesh, kept.first)
-    packed = packed_moving(kept.stuck, kept.mesh, scene, sheet_body)
+    discrete = present_discretization(scene, kept.mesh, kept.first)
+    packed = packed_moving(kept.stuck, kept.mesh, scene, discrete)
     timing, longest = Timing(kept.time, kept.before, kept.length), scene.tables.window_room
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
     number = jnp.arange(longest)
@@ -213,9 +218,9 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     now = Window(
         scene=scene,
         packed=packed,
-        thickness=sheet_body.thickness[packed.element],
-        mass=packed.taken(sheet_body.mass),
-        compliance=packed.taken(sheet_body.compliance),
+        thickness=discrete.thickness[packed.element],
+        mass=packed.taken(discrete.mass),
+        compliance=packed.taken(discrete.compliance),
         landed=jnp.where(held, -1, packed.taken(kept.landed)),
         pressure=jnp.append(pressure, 0.0),
         kick=jnp.append(jnp.where(taken, kicks(timing, longest), 0.0), 0.0),
@@ -227,7 +232,7 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     work = end.account.external_work
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
-    idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, sheet_body, packed), kept.end)
+    idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, discrete, packed), kept.end)
     back = _steps_back(kept, now, cotangents, end, volume)
     nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
     gains = jnp.where(taken, work * gains, 0.0)
@@ -250,15 +255,15 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
     put(of[2].compliance, packed.put_back(share * now.compliance))
     if cotangents.want(of[2].thickness):
-        none = jnp.zeros_like(sheet_body.thickness)
+        none = jnp.zeros_like(discrete.thickness)
         put(of[2].thickness, none.at[packed.element].add(back.summed[0][0] / now.thickness))
 
 
 class _Back(NamedTuple):
-    """On the way back: the next step, the nodes, and room for what corners get.
+    """On the way back: the next step, the nodes, and room for corner forces.
 
     With them the elements' sums; at every step, and after the last, the cotangents of the pressure, and the volume
-    enclosed by what is worked through [m^3]; the cotangents of the law's parameters.
+    enclosed by what is active [m^3]; the cotangents of the law's parameters.
     """
 
     number: jax.Array

@@ -14,7 +14,7 @@ from jaxform.adjoint.reversed_scheme import differentiable_window
 from jaxform.core.errors import InputError
 from jaxform.dynamics.window import window
 from jaxform.model.scene import Scene
-from jaxform.sheet.discretization import Body
+from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import Schedule, State
 
 
@@ -42,7 +42,9 @@ class Adjoint:
         """What a window's border does, with what is kept of it."""
         return jax.checkpoint(look)  # pyright: ignore[reportArgumentType, reportReturnType]
 
-    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+    def window(
+        self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
+    ) -> State:
         """The state after a window."""
         raise NotImplementedError
 
@@ -62,18 +64,22 @@ class Reversed(Adjoint):
             )
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
 
-    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+    def window(
+        self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
+    ) -> State:
         """The state after a window, with its reverse derivative written by hand."""
-        return differentiable_window(state, scene, sheet_body, first, schedule)
+        return differentiable_window(state, scene, discrete, first, schedule)
 
 
 @dataclass(frozen=True)
 class Checkpointed(Adjoint):
     """JAX's own derivative of each window, whose steps are worked out once more for it: for any scene."""
 
-    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+    def window(
+        self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
+    ) -> State:
         """The state after a window, of which the begin is kept."""
-        return jax.checkpoint(window)(state, scene, sheet_body, schedule)
+        return jax.checkpoint(window)(state, scene, discrete, schedule)
 
 
 @dataclass(frozen=True)
@@ -84,9 +90,11 @@ class Stored(Adjoint):
         """All of it is kept."""
         return look
 
-    def window(self, state: State, scene: Scene, sheet_body: Body, first: Body, schedule: Schedule | None) -> State:
+    def window(
+        self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
+    ) -> State:
         """The state after a window."""
-        return window(state, scene, sheet_body, schedule)
+        return window(state, scene, discrete, schedule)
 
 
 def adjoint_of(scene: Scene, chosen: Adjoint | None) -> Adjoint:

@@ -152,7 +152,8 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
         wait = _SECONDS_TO_COMPILE[refinement is not None]
         yield f"compiles first, for about {wait} s: no scene of this kind and size was run here before"
     if scene.solver.quasi_static:
-        yield f"meant to be slow: it is warned of if the wall is more than {100 * SLOW_ENOUGH:.2g} % off for haste"
+        most = f"{100 * SLOW_ENOUGH:.2g} %"
+        yield f"meant to be slow: it is warned of if inertia or damping change the wall by more than {most}"
 
 
 def _duration(seconds: float) -> str:

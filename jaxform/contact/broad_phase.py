@@ -4,7 +4,7 @@ Every few steps a look at all nodes says whether any can touch the mold, or leav
 none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from where
 the window began, and the window halts where a node is about to leave its ball. A look trusts the velocities; where one
 was wrong, so that a node may have touched unseen, the next one sees that it was, or the window's end does, and the
-window is taken anew without trust in any look.
+window is retried without trust in any look.
 """
 
 from __future__ import annotations

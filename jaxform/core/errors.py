@@ -20,14 +20,14 @@ class InputError(ValueError):
 
     Attributes:
         problem: What is wrong, in words.
-        mend: What to do about it, in words.
+        remedy: What to do about it, in words.
         key: Dotted key in the scene or study file, or the name of the argument.
         value: The offending value.
         file: The file it was read from.
     """
 
     problem: str
-    mend: str = ""
+    remedy: str = ""
     key: str = ""
     value: Any = None
     file: str = ""
@@ -41,7 +41,7 @@ class InputError(ValueError):
         key, value = cut(self.key), None if self.value is None else _short(self.value)
         named = key if value is None else f"{key} = {value}" if key else value
         head = ": ".join(part for part in (cut(self.file), named, cut(self.problem)) if part)
-        line = f"{head}; {self.mend}" if self.mend else head
+        line = f"{head}; {self.remedy}" if self.remedy else head
         return " ".join(line.split())
 
 

@@ -21,7 +21,7 @@ from jaxform.mechanics.force import Load, corner_forces
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import account, energy_rounding, last_work
-from jaxform.sheet.active_set import Working
+from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.scheme import kicked
 from jaxform.sheet.state import PackedState, Replay, State, Status
 
@@ -31,7 +31,7 @@ _ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it 
 _FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
 _STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
 _QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
-_JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then taken anew at most so often
+_JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
 
 
 def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Window) -> PackedState:
@@ -59,7 +59,7 @@ def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Windo
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
     # What blew up, and what may have missed the mold since a node flew out of its ball or faster than it looked, is
-    # taken anew with half the step: the sheet may have stiffened within the window.
+    # retried with half the step: the sheet may have stiffened within the window.
     status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
@@ -160,7 +160,7 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
 
 
 def _health(
-    state: PackedState, end: End, rounding: jax.Array, scene: Scene, working: Working
+    state: PackedState, end: End, rounding: jax.Array, scene: Scene, working: ActiveSet
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     state, scene, working = jax.lax.stop_gradient((state, scene, working))

@@ -31,7 +31,7 @@ from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.field import Surroundings, stepped
 from jaxform.model.scene import Scene
-from jaxform.sheet.active_set import Working
+from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.scheme import kicked
 from jaxform.sheet.state import Account
 
@@ -65,7 +65,7 @@ class Window:
     """What stays the same within a window, in packed order.
 
     Attributes:
-        working: The elements and nodes that are worked through.
+        working: The elements and nodes that are active.
         begin: Its begin [s].
         length: The step [s].
         bound: The elements' bound on it [s].
@@ -76,7 +76,7 @@ class Window:
         wary: Whether no look at the nodes is trusted, since the last window was not taken.
     """
 
-    working: Working
+    working: ActiveSet
     begin: jax.Array
     length: jax.Array
     bound: jax.Array

@@ -22,7 +22,7 @@ from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
 from jaxform.mechanics.force import Load, corner_changes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.sheet.active_set import Room, Working
+from jaxform.sheet.active_set import ActiveSet, Room
 from jaxform.sheet.state import PackedState, any_mode, can_move
 
 RUNGS_PER_OCTAVE = 16
@@ -60,7 +60,7 @@ class Chosen(NamedTuple):
     room: Room | None = None
 
 
-def choose_step(state: PackedState, scene: Scene, working: Working) -> Chosen:
+def choose_step(state: PackedState, scene: Scene, working: ActiveSet) -> Chosen:
     """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
 
     The state is in packed order.
@@ -97,7 +97,7 @@ def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
     return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
 
 
-def _fastest(state: PackedState, working: Working) -> jax.Array:
+def _fastest(state: PackedState, working: ActiveSet) -> jax.Array:
     """The highest speed [m/s]."""
 
     def work(velocities: jax.Array) -> Any:
@@ -107,7 +107,7 @@ def _fastest(state: PackedState, working: Working) -> jax.Array:
     return jnp.sqrt(square)
 
 
-def _limit(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Array, Limit, Room | None]:
+def _limit(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Array, Limit, Room | None]:
     """The longest stable step [s], how it was found, and the room that was written in.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
@@ -149,7 +149,7 @@ def _limit(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Arra
     return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, Limit(mode, bound, sharpness), room
 
 
-def elements_bound(state: PackedState, scene: Scene, working: Working) -> jax.Array:
+def elements_bound(state: PackedState, scene: Scene, working: ActiveSet) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
     rows, elements = membrane.rows_of(state.nodes.positions), working.packed.elements
 
@@ -169,7 +169,7 @@ def elements_bound(state: PackedState, scene: Scene, working: Working) -> jax.Ar
     return 2.0 / jnp.sqrt(jnp.square(2.0 / step) + more)
 
 
-def _falling(state: PackedState, scene: Scene, working: Working) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _falling(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
     """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
     volume, rise = jax.value_and_grad(working.volume)(state.nodes.positions)
     slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume + working.idle_volume)
@@ -203,7 +203,7 @@ def no_basis(places: int, real: jnp.dtype) -> jax.Array:
 
 
 def _highest(
-    state: PackedState, scene: Scene, working: Working, thorough: jax.Array, room: tuple[Corners, jax.Array]
+    state: PackedState, scene: Scene, working: ActiveSet, thorough: jax.Array, room: tuple[Corners, jax.Array]
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
     """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
 

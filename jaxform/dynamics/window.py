@@ -29,8 +29,8 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners, no_corners
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.sheet.active_set import Room, Working, worked_through
-from jaxform.sheet.discretization import NEVER, Body
+from jaxform.sheet.active_set import ActiveSet, Room, active_set_of
+from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.scheme import Timing, kicks, pressures
 from jaxform.sheet.state import PackedState, Schedule, State
 
@@ -38,21 +38,26 @@ _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a s
 
 
 def window(
-    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None = None, *, differentiable: bool = True
+    state: State,
+    scene: Scene,
+    discrete: Discretization,
+    schedule: Schedule | None = None,
+    *,
+    differentiable: bool = True,
 ) -> State:
     """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
 
     A design may move faster than the one whose schedule it follows: contact then cuts its window short, and the next
-    one goes on with the steps that are left; or it is taken anew with shorter ones, as any other. Where no derivative
+    one goes on with the steps that are left; or it is retried with shorter ones, as any other. Where no derivative
     is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
-    working = worked_through(state, scene, sheet_body, differentiable=differentiable)
+    working = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed = working.taken(state)
     decisions = _decided(packed, scene, working, schedule)
     return working.put_back(_stepped(packed, scene, working, decisions, differentiable=differentiable)[0])
 
 
-def window_in_place(state: PackedState, scene: Scene, working: Working) -> tuple[PackedState, Working]:
+def window_in_place(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[PackedState, ActiveSet]:
     """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
     decisions = _decided_freely(state, scene, working)
 
@@ -65,7 +70,7 @@ def window_in_place(state: PackedState, scene: Scene, working: Working) -> tuple
     return state, dataclasses.replace(working, room=room)
 
 
-def with_room(working: Working, scene: Scene) -> Working:
+def with_room(working: ActiveSet, scene: Scene) -> ActiveSet:
     """With room for what is worked out in every window."""
     places, elements = working.compliance, working.packed.elements
     basis = no_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
@@ -74,13 +79,13 @@ def with_room(working: Working, scene: Scene) -> Working:
 
 
 def window_and_impacts(
-    state: State, scene: Scene, sheet_body: Body, schedule: Schedule | None
+    state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None
 ) -> tuple[State, jax.Array, jax.Array | None]:
     """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
 
     And its impact (6, n_node), as in `sticking.Landing`; None where there is no mold.
     """
-    working = worked_through(state, scene, sheet_body)
+    working = active_set_of(state, scene, discrete)
     impacts, packed = scene.mold is not None, working.packed
     begin = working.taken(state)
     decisions = _decided(begin, scene, working, schedule)
@@ -93,7 +98,7 @@ def window_and_impacts(
 def _stepped(
     state: PackedState,
     scene: Scene,
-    working: Working,
+    working: ActiveSet,
     decisions: _Decisions,
     *,
     differentiable: bool,
@@ -156,12 +161,12 @@ class _Decisions(NamedTuple):
     row: Row | None = None
 
 
-def _decided(state: PackedState, scene: Scene, working: Working, schedule: Schedule | None) -> _Decisions:
+def _decided(state: PackedState, scene: Scene, working: ActiveSet, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
         return _decided_freely(state, scene, working)
     row = schedule.upcoming(state.replay.row)
 
-    def as_planned(state: PackedState, scene: Scene, working: Working) -> _Decisions:
+    def as_planned(state: PackedState, scene: Scene, working: ActiveSet) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
         # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
@@ -184,7 +189,7 @@ def _decided(state: PackedState, scene: Scene, working: Working, schedule: Sched
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
 
 
-def _decided_freely(state: PackedState, scene: Scene, working: Working) -> _Decisions:
+def _decided_freely(state: PackedState, scene: Scene, working: ActiveSet) -> _Decisions:
     chosen = choose_step(state, scene, working)
     return _Decisions(chosen, chosen.most * chosen.length)
 
@@ -229,7 +234,7 @@ def _until_halted(advance: Callable[[Moving, jax.Array], Moving], moving: Moving
 
 
 def _list_near(
-    state: PackedState, scene: Scene, working: Working, duration: jax.Array, length: jax.Array, room: Room | None
+    state: PackedState, scene: Scene, working: ActiveSet, duration: jax.Array, length: jax.Array, room: Room | None
 ) -> Near | None:
     if scene.mold is None or scene.tables.grid is None:
         return None

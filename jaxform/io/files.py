@@ -170,8 +170,8 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
         except (KeyError, TypeError, ValueError, csv.Error):
             columns = {}
         if not columns or not all(len(x) and np.isfinite(x).all() for x in columns.values()):
-            mend = f"give the columns {', '.join(REFERENCE_COLUMNS)}"
-            raise InputError("is not a table of numbers with a header", mend, value=str(path))
+            remedy = f"give the columns {', '.join(REFERENCE_COLUMNS)}"
+            raise InputError("is not a table of numbers with a header", remedy, value=str(path))
         return columns
 
 

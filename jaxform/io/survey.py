@@ -206,18 +206,20 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
 def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
     size = seen.sheet.size
     if size > _LARGE:
-        mend = "give metres (parison.scale of a file, or its lengths)"
-        warn_of(f"the sheet is {size:.4g} m wide: are its lengths in mm?", mend, key="parison", file=file)
+        remedy = "give metres (parison.scale of a file, or its lengths)"
+        warn_of(f"the sheet is {size:.4g} m wide: are its lengths in mm?", remedy, key="parison", file=file)
     if not _THIN <= seen.thinness <= _THICK:
         guess = " is it in mm?" if seen.thinness > _THICK else ""
         many = f"{seen.thinness:.3g} times the sheet's size of {size:.4g} m"
-        mend = "give thickness and sizes in m"
+        remedy = "give thickness and sizes in m"
         mean = float(np.asarray(scene.parison.thickness, float).mean())
-        warn_of(f"the thickness is {many}:{guess or ' a film?'}", mend, key="parison.thickness", value=mean, file=file)
+        warn_of(
+            f"the thickness is {many}:{guess or ' a film?'}", remedy, key="parison.thickness", value=mean, file=file
+        )
     density = float(scene.material.density)
     if not _LIGHT <= density <= _HEAVY:
-        mend = "give kg/m^3" + (f": {1e3 * density:.4g} where it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
-        warn_of("no plastic or rubber has such a density", mend, key="material.density", value=density, file=file)
+        remedy = "give kg/m^3" + (f": {1e3 * density:.4g} where it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
+        warn_of("no plastic or rubber has such a density", remedy, key="material.density", value=density, file=file)
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
@@ -228,13 +230,13 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
-        mend = f"a sheet as stiff as this wants {stiffness * seen.thinness:.1g} Pa and more; give Pa"
+        remedy = f"a sheet as stiff as this wants {stiffness * seen.thinness:.1g} Pa and more; give Pa"
     elif load > _STRONG:
         what = f"the pressure is {load:.1g} times what the sheet bears, as an explosion's"
-        mend = "give pressure and stiffness in Pa"
+        remedy = "give pressure and stiffness in Pa"
     else:
         return
-    warn_of(what, mend, key="pressure.value", value=scene.pushes().tolist(), file=file)
+    warn_of(what, remedy, key="pressure.value", value=scene.pushes().tolist(), file=file)
 
 
 def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any) -> None:
@@ -244,10 +246,10 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any) -> None
     boxes = f"mold {seen.mold}, sheet {seen.sheet}"
     if not 1 / _ALIKE <= ratio <= _ALIKE:
         scale = getattr(table, "scale", None)
-        guess, mend = _units(ratio, scale, getattr(sheet_table, "scale", None))
+        guess, remedy = _units(ratio, scale, getattr(sheet_table, "scale", None))
         times = f"{ratio:.3g} times the sheet" if ratio > 1 else f"{1 / ratio:.3g} times smaller than the sheet"
         key = "mold" if scale is None else "mold.scale"
-        warn_of(f"the mold is {times}{guess} ({boxes})", mend, key=key, value=scale, file=file)
+        warn_of(f"the mold is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
     elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
         _warn_of_side(seen, boxes, file)
     elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:
@@ -258,8 +260,8 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any) -> None
 def _warn_of_side(seen: Survey, boxes: str, file: str) -> None:
     what = f"the pressure pushes the sheet {seen.direction}, away from the mold"
     share = f"{100 * seen.ahead:.2g} % of its area lies on that side, {100 * seen.behind:.2g} % on the other"
-    mend = "turn the sign of pressure.value, turn the sheet (parison.flip), or move or turn the mold"
-    warn_of(f"{what}: {share} ({boxes})", mend, key="mold", file=file)
+    remedy = "turn the sign of pressure.value, turn the sheet (parison.flip), or move or turn the mold"
+    warn_of(f"{what}: {share} ({boxes})", remedy, key="mold", file=file)
 
 
 def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tuple[str, str]:

@@ -87,16 +87,16 @@ class Table(BaseModel):
         return data
 
 
-def wrong(problem: str, mend: str, key: str = "", value: Any = None) -> PydanticCustomError:
+def wrong(problem: str, remedy: str, key: str = "", value: Any = None) -> PydanticCustomError:
     """The error to raise in a validator.
 
     Args:
         problem: What is wrong, in words.
-        mend: What to do about it.
+        remedy: What to do about it.
         key: Where, below the table that is validated.
         value: The offending value, where it is not the one that is validated.
     """
-    return PydanticCustomError("wrong", "wrong", {"problem": problem, "mend": mend, "key": key, "value": value})
+    return PydanticCustomError("wrong", "wrong", {"problem": problem, "remedy": remedy, "key": key, "value": value})
 
 
 def choice(key: str, known: Sequence[str], later: Sequence[str] = ()) -> tuple[Discriminator, BeforeValidator]:
@@ -152,11 +152,11 @@ def _input_error(error: ErrorDetails) -> InputError:
     context = error.get("ctx", {})
     if error["type"] == "wrong":
         key = _dotted([*error["loc"], *([context["key"]] if context["key"] else [])])
-        return InputError(context["problem"], context["mend"], key, context["value"])
-    problem, mend = _WORDS.get(error["type"], (error["msg"], ""))
+        return InputError(context["problem"], context["remedy"], key, context["value"])
+    problem, remedy = _WORDS.get(error["type"], (error["msg"], ""))
     key = _dotted(error["loc"])
     value = None if error["type"] == "missing" else error["input"]
-    return InputError(problem.format(**context), mend.format(**context), key, value)
+    return InputError(problem.format(**context), remedy.format(**context), key, value)
 
 
 def _dotted(location: Sequence[int | str]) -> str:

@@ -1,7 +1,7 @@
 """The ladder of sizes: how long arrays are for which compiled programs are made.
 
 A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same rungs share all their
-programs, whatever their meshes and molds are; what is beyond a mesh is not worked through. A rung is twice the one
+programs, whatever their meshes and molds are; what is beyond a mesh is not active. A rung is twice the one
 below, or half as long again where room that is not used takes some time all the same, or four times as long.
 """
 
@@ -83,7 +83,7 @@ def valence(count: int) -> int:
     return rung(count, 16, 1.5)
 
 
-def spill(count: int) -> int:
+def overflow(count: int) -> int:
     """Room for shares beyond an assembly's table."""
     return rung(count, _SPILL, _FAR_APART)
 

@@ -34,15 +34,15 @@ class Elements:
         triangles: Places of the nodes (3, room).
         inverse_metric: Inverse of the initial metric (3, room) [1/m^2].
         area: Initial area (room,) [m^2].
-        turn: Where elements stand in pairs, the first in a block's first half and the second in its second: whether
-            the order of the nodes, which begins with the common edge, is that of the element's normal (room,), 1, or
-            is not, -1; 0 beyond them. None where they stand one by one.
+        orientation: Where elements stand in pairs, the first in a block's first half and the second in its second:
+            whether the order of the nodes, which begins with the common edge, is that of the element's normal (room,),
+            1, or is not, -1; 0 beyond them. None where they stand one by one.
         origin: A point (3,) [m] on every symmetry plane, from which the enclosed volume is counted.
         slots: Where the corners' shares of each node are (depth, place): corner times room plus element. Of a pair
             both ends of the common edge share the first row, half by half, and the nodes apart have the second.
-        spill, spill_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares of
-            these nodes that they are added to.
-        spill_count: How many of them are in use.
+        overflow, overflow_into: Further shares (k,), of nodes with more elements than `slots` is deep, and the shares
+            of these nodes that they are added to.
+        overflow_count: How many of them are in use.
         block_count, node_block_count: Blocks of elements, and of nodes, in use.
         row_count: Rows of `slots` in use, of each block of nodes (n_node_block,).
     """
@@ -50,12 +50,12 @@ class Elements:
     triangles: jax.Array
     inverse_metric: jax.Array
     area: jax.Array
-    turn: jax.Array | None
+    orientation: jax.Array | None
     origin: jax.Array
     slots: jax.Array
-    spill: jax.Array
-    spill_into: jax.Array
-    spill_count: jax.Array
+    overflow: jax.Array
+    overflow_into: jax.Array
+    overflow_count: jax.Array
     block_count: jax.Array
     node_block_count: jax.Array
     row_count: jax.Array
@@ -67,39 +67,41 @@ def usual_rows(paired: bool) -> int:
 
 
 class Shares(NamedTuple):
-    """Where nodes find what is theirs of what corners get, for `over_blocks`; as in `Elements`."""
+    """Where nodes find their shares of corner forces, for `over_blocks`; as in `Elements`."""
 
     slots: jax.Array
     row_count: Any
 
 
 def shares(elements: Elements) -> Shares:
-    """The nodes' shares of what corners get."""
+    """The nodes' shares of corner forces."""
     return Shares(elements.slots, PerBlock(elements.row_count))
 
 
-def with_spill(corners: Corners, elements: Elements) -> Corners:
-    """What corners get, and with it the shares that `slots` has no room for: added to others of the same nodes."""
-    if elements.spill.size == 0:
+def with_overflow(corners: Corners, elements: Elements) -> Corners:
+    """Corner forces, and with them the shares that `slots` has no room for: added to others of the same nodes."""
+    if elements.overflow.size == 0:
         return corners
     flat = [corner.reshape(-1) for corner in corners]
 
     def add(k: jax.Array, flat: Corners) -> Corners:
-        share, into = entry(elements.spill, k), entry(elements.spill_into, k)
+        share, into = entry(elements.overflow, k), entry(elements.overflow_into, k)
         # All is read before anything is written, or XLA would copy the arrays for every share.
         sums = once([entry(corner, share) + entry(corner, into) for corner in flat])
         return [put(corner, sum_[None], into) for corner, sum_ in zip(flat, sums, strict=True)]
 
     if on_cpu():
-        flat = jax.lax.fori_loop(0, elements.spill_count, add, flat)
+        flat = jax.lax.fori_loop(0, elements.overflow_count, add, flat)
     else:
-        used = jnp.arange(elements.spill.size) < elements.spill_count
-        flat = [corner.at[elements.spill_into].add(jnp.where(used, corner[elements.spill], 0.0)) for corner in flat]
+        used = jnp.arange(elements.overflow.size) < elements.overflow_count
+        flat = [
+            corner.at[elements.overflow_into].add(jnp.where(used, corner[elements.overflow], 0.0)) for corner in flat
+        ]
     return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
 
 
 def assembled(corners: Corners, own: Shares) -> list[jax.Array]:
-    """Sum (n,) at nodes of their `own` shares of what corners get, component by component."""
+    """Sum (n,) at nodes of their `own` shares of corner forces, component by component."""
     flat, slots = [corner.reshape(-1) for corner in corners], own.slots
 
     def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
@@ -132,8 +134,8 @@ def over_elements(
 
 
 def no_corners(positions: jax.Array, elements: Elements) -> Corners:
-    """Room for what the corners get, for elements whose nodes are at positions (3, place)."""
-    shape = 3 if elements.turn is None else 2, elements.area.size
+    """Room for corner forces, for elements whose nodes are at positions (3, place)."""
+    shape = 3 if elements.orientation is None else 2, elements.area.size
     return [jnp.zeros(shape, positions.dtype) for _ in range(3)]
 
 
@@ -143,12 +145,12 @@ class Own(NamedTuple):
     triangles: jax.Array
     inverse_metric: jax.Array
     area: jax.Array
-    turn: jax.Array | None
+    orientation: jax.Array | None
 
 
 def own_of(elements: Elements) -> Own:
     """What a pass over elements reads of each."""
-    return Own(elements.triangles, elements.inverse_metric, elements.area, elements.turn)
+    return Own(elements.triangles, elements.inverse_metric, elements.area, elements.orientation)
 
 
 class Sides(NamedTuple):
@@ -163,14 +165,14 @@ def sides_of(own: Own, *nodal: Vector) -> list[Sides]:
     """Of several at once, since they lie at the same nodes; kept for all their uses."""
     rows = [row for values in nodal for row in values]
     places = list(own.triangles)
-    if own.turn is not None:
+    if own.orientation is not None:
         # Both elements of a pair have the nodes of the common edge.
         places[:2] = [halves(nodes).first for nodes in places[:2]]
     corners = [looked_up(rows, nodes) for nodes in places]
 
     def one(first: Vector, second: Vector, third: Vector) -> Sides:
         edge1 = minus(second, first)
-        if own.turn is not None:
+        if own.orientation is not None:
             first, edge1 = (once(_doubled(v)) for v in once((first, edge1)))
         return Sides(first, *once((edge1, minus(third, first))))
 
@@ -183,8 +185,8 @@ def _doubled(v: Vector) -> Vector:
 
 
 def together(corners: Sequence[Vector], own: Own) -> list[Any]:
-    """What corners get, component by component; of a pair's elements it is summed up at the common edge's ends."""
-    if own.turn is None:
+    """Corner forces, component by component; of a pair's elements they are summed up at the common edge's ends."""
+    if own.orientation is None:
         return list(corners)
 
     def summed(part: jax.Array) -> jax.Array:
@@ -199,14 +201,14 @@ def together(corners: Sequence[Vector], own: Own) -> list[Any]:
 def normal_of(sides: Sides, own: Own) -> Vector:
     """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
     normal = cross(sides.edge1, sides.edge2)
-    if own.turn is not None:
-        return once(vector(own.turn * x for x in normal))
+    if own.orientation is not None:
+        return once(vector(own.orientation * x for x in normal))
     return once(vector(jnp.where(own.area > 0.0, x, 0.0) for x in normal))
 
 
 def turned(v: Vector, own: Own) -> Vector:
     """A change (n,) of what `normal_of` makes the normal of; it is masked elsewhere where the place is not in use."""
-    return v if own.turn is None else vector(own.turn * x for x in v)
+    return v if own.orientation is None else vector(own.orientation * x for x in v)
 
 
 def used(area: jax.Array) -> jax.Array:

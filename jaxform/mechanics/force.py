@@ -33,7 +33,7 @@ from jaxform.mechanics.elements import (
     together,
     turned,
     used,
-    with_spill,
+    with_overflow,
 )
 from jaxform.mechanics.membrane import (
     Metric,
@@ -75,7 +75,7 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
 
 
 def corner_changes(load: Load, elements: Elements, moved: jax.Array, into: Corners) -> Corners:
-    """Change of what each element's corners get of the force [N] as positions change by `moved` (3, place) [m].
+    """Change of the corner forces [N] of each element as positions change by `moved` (3, place) [m].
 
     Not differentiable; written `into` room as by `corner_forces`.
     """
@@ -84,7 +84,7 @@ def corner_changes(load: Load, elements: Elements, moved: jax.Array, into: Corne
 
 
 def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corners, jax.Array]:
-    """What each element's corners get of the force [N], and the enclosed volume [m^3]; not differentiable.
+    """The corner forces [N] of each element, and the enclosed volume [m^3]; not differentiable.
 
     It is written `into` room from `no_corners`: carried from step to step, it is neither cleared nor copied.
     """
@@ -104,7 +104,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         return together(_shares(push, pull2, pull3), own), [dot(arm, normal)]
 
     corners, (volume,) = over_elements(work, elements, (load.thickness,), into)
-    return with_spill(corners, elements), volume / 6.0
+    return with_overflow(corners, elements), volume / 6.0
 
 
 def _pressure_share(pressure: jax.Array, area: jax.Array) -> jax.Array:
@@ -117,7 +117,7 @@ def _scaled(factor: jax.Array | float, v: Vector) -> Vector:
 
 
 def _shares(push: Vector, pull2: Vector, pull3: Vector) -> list[Vector]:
-    """What the three corners get, component by component."""
+    """The forces of the three corners, component by component."""
     return [(p + a + b, p - a, p - b) for p, a, b in zip(push, pull2, pull3, strict=True)]
 
 
@@ -206,7 +206,7 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         return together(_shares(push, pull2, pull3), own), [volume]
 
     corners, (volume,) = over_elements(work, elements, (load.thickness, *thickened), into)
-    return with_spill(corners, elements), volume / 6.0
+    return with_overflow(corners, elements), volume / 6.0
 
 
 def _along_parameter(
@@ -240,14 +240,14 @@ def corner_cotangents(
         wanted: Which leaves of the load.
         nodal: Cotangent of the nodal force; None where there is none.
         volume: That of the volume; None where there is none.
-        into: Room for what corners get, from `no_corners`; empty where the positions' cotangent is not wanted.
+        into: Room for corner forces, from `no_corners`; empty where the positions' cotangent is not wanted.
         summed: Sums over steps that are added to: (1, room) of the cotangents of the thickness' logarithm where the
             thickness is wanted.
         forces: Whether `corner_forces` is worked out along with it, since most of it is at hand; `into` then has room
-            for what the corners get of the cotangent and, after it, of the force.
+            for the corners' cotangents and, after them, their forces.
 
     Returns:
-        What the corners get, the sums, and the cotangents of the pressure and of all the material's parameters, as
+        The corners' cotangents, the sums, and the cotangents of the pressure and of all the material's parameters, as
         far as they are wanted; with the forces the enclosed volume [m^3] comes last.
     """
     pushed = None if nodal is None else rows_of(nodal)
@@ -309,7 +309,9 @@ def corner_cotangents(
     inputs = own_of(elements), load.thickness
     room = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
-    corners = [array for k in range(len(summed), len(arrays), 3) for array in with_spill(arrays[k : k + 3], elements)]
+    corners = [
+        array for k in range(len(summed), len(arrays), 3) for array in with_overflow(arrays[k : k + 3], elements)
+    ]
     return corners, arrays[: len(summed)], sums
 
 

@@ -106,7 +106,7 @@ def build_forest(
         (topology.inconsistent_edges(triangles), "neighbours that turn opposite ways cannot be refined"),
     ):
         if len(bad):
-            raise InputError(problem, "mend the mesh or leave [refinement] out", "parison", bad[0].tolist())
+            raise InputError(problem, "remedy the mesh or leave [refinement] out", "parison", bad[0].tolist())
     count = len(positions)
     nodes = _Nodes(
         positions=np.asarray(positions, float),

@@ -91,8 +91,8 @@ def half(
     """
     shape.check()
     if not 0 < element_size <= 0.5 * shape.radius:
-        mend = f"use up to {0.5 * shape.radius:.4g} m"
-        raise InputError("does not fit the bottle", mend, "element_size", element_size)
+        remedy = f"use up to {0.5 * shape.radius:.4g} m"
+        raise InputError("does not fit the bottle", remedy, "element_size", element_size)
     lift = _lift(shape)
     try:
         points, triangles, rim, top = _meshed(shape, lambda at: element_size * _fineness(lift(at), shape), inset)

@@ -28,7 +28,7 @@ def as_length(key: str, value: Any) -> float:
 
 
 def check_resolution(element_size: float | None, elements: int | None, *, largest: float) -> None:
-    """Raises InputError unless one of an element size [m], no larger than the shape, and a number of elements is given."""
+    """Raises InputError unless an element size [m] that the shape allows, or a number of elements, is given."""
     if (element_size is None) == (elements is None):
         problem = "nothing says how fine the mesh is" if elements is None else "is given together with elements"
         raise InputError(problem, "give element_size or elements, one of them", "parison.element_size", element_size)
@@ -40,13 +40,13 @@ def check_resolution(element_size: float | None, elements: int | None, *, larges
             element_size,
         )
     if elements is not None and not FEWEST_ELEMENTS <= as_number(elements) <= MOST_ELEMENTS:
-        mend = f"use {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
-        raise InputError("is not a possible number of elements", mend, "parison.elements", elements)
+        remedy = f"use {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
+        raise InputError("is not a possible number of elements", remedy, "parison.elements", elements)
 
 
 def check_count(count: float, element_size: float | None) -> None:
     """Raises InputError where a mesh would have too few elements, or too many."""
     if element_size is not None and not FEWEST_ELEMENTS <= count <= MOST_ELEMENTS:
         problem = f"gives {count:.3g} elements, not {FEWEST_ELEMENTS} to {MOST_ELEMENTS}"
-        mend = "make it smaller" if count < FEWEST_ELEMENTS else "make it larger"
-        raise InputError(problem, mend, "parison.element_size", element_size)
+        remedy = "make it smaller" if count < FEWEST_ELEMENTS else "make it larger"
+        raise InputError(problem, remedy, "parison.element_size", element_size)

@@ -140,8 +140,8 @@ def _designable(scene: Scene, path: str) -> jax.Array:
         raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)
     known = list(_numbers(scene))
     close = difflib.get_close_matches(path, known, n=1)
-    mend = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
-    raise InputError("this scene has no such number", mend, path)
+    remedy = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
+    raise InputError("this scene has no such number", remedy, path)
 
 
 def _fitted(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Array:

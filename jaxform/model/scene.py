@@ -52,7 +52,7 @@ class Solver:
         end_time: When the simulation ends [s].
         damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
         safety: Fraction of the stable step that is taken.
-        skip_stuck: Whether elements whose nodes all stick leave the list of those that are worked through.
+        skip_stuck: Whether elements whose nodes all stick leave the list of those that are active.
         skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
         end_early: Whether the run ends when nothing can move any more.
         sharp_step: Whether the stable step is measured by Lanczos' method; else it is bounded element by element.

@@ -37,14 +37,14 @@ class Pairs:
         pair: The pair that each element (n_element,) is of.
         triangles: Node numbers (3, n_element) in that order.
         inverse_metric: Of the initial metric in that order (3, n_element) [1/m^2].
-        turn: Whether the order is that of the element's normal (n_element,): 1, or -1.
+        orientation: Whether the order is that of the element's normal (n_element,): 1, or -1.
     """
 
     element: jax.Array
     pair: jax.Array
     triangles: jax.Array
     inverse_metric: jax.Array
-    turn: jax.Array
+    orientation: jax.Array
 
 
 @pytree
@@ -55,13 +55,13 @@ class Assembly:
 
     Attributes:
         table: (depth, n_node), -1 where there are no more.
-        spill_node, spill: Nodes (k,) with more corners than the table is deep, and these corners (k,).
+        overflow_node, overflow: Nodes (k,) with more corners than the table is deep, and these corners (k,).
         pairs: None where elements are worked out one by one.
     """
 
     table: jax.Array
-    spill_node: jax.Array
-    spill: jax.Array
+    overflow_node: jax.Array
+    overflow: jax.Array
     pairs: Pairs | None = None
 
 

@@ -33,8 +33,8 @@ def with_room_for(refinement: Refinement, forest: bisection.Forest, fine: np.nda
 def check_room(refinement: Refinement, count: int) -> None:
     """Raises InputError where there is no room for so many elements."""
     if refinement.elements < count:
-        mend = f"make room for the {count} elements that there are at first, and more"
-        raise InputError("is too little", mend, "refinement.elements", refinement.elements)
+        remedy = f"make room for the {count} elements that there are at first, and more"
+        raise InputError("is too little", remedy, "refinement.elements", refinement.elements)
 
 
 def planted(parison: Parison, refinement: Refinement) -> tuple[bisection.Forest, Parison]:

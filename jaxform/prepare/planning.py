@@ -36,7 +36,7 @@ def planned_windows(bound: jax.Array, material: Law, solver: Solver) -> int:
 
 
 def spare_windows(grid: SearchGrid | None) -> int:
-    """For some that contact cuts short when nodes fly through the mold, and some that are taken anew."""
+    """For some that contact cuts short when nodes fly through the mold, and some that are retried."""
     return 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
 
 

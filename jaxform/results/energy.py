@@ -56,7 +56,7 @@ class Energy:
 
     @property
     @jax.jit
-    def haste(self) -> jax.Array:
+    def quasi_static_error(self) -> jax.Array:
         """About how far, relative, the wall is from that of the same process done slowly (0 where nothing moved).
 
         The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
@@ -65,6 +65,11 @@ class Energy:
         """
         work = jnp.where(self.measurable, jnp.abs(self.external_work), jnp.inf)
         return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
+
+    @property
+    def haste(self) -> jax.Array:
+        """An older name of `quasi_static_error`."""
+        return self.quasi_static_error
 
 
 def unmoved(energy: Energy) -> list[str]:

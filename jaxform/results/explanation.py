@@ -27,7 +27,7 @@ _WORDS = {
     Status.INPUT: "a number of the scene is out of its range, so nothing was simulated",
     Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
 }
-_MENDS = {
+_REMEDIES = {
     Status.NON_FINITE: "lower solver.safety or the pressure",
     Status.UNSTABLE: "lower solver.safety, or raise the pressure more slowly",
     Status.WINDOWS_EXHAUSTED: "raise solver.max_steps or lower the pressure; `jaxform.simulate`, which plans its steps "
@@ -66,11 +66,11 @@ def _explained(result: Result) -> str:
     if status == 0:
         return "ok"
     what = [words for bit, words in _WORDS.items() if status & bit]
-    mend = [words for bit, words in _MENDS.items() if status & bit]
+    remedy = [words for bit, words in _REMEDIES.items() if status & bit]
     if status & Status.INPUT:
-        return "; ".join([f"{what[0]}: {in_words(int(result.out_of_range or 0))}", *what[1:], *mend])
+        return "; ".join([f"{what[0]}: {in_words(int(result.out_of_range or 0))}", *what[1:], *remedy])
     speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
     node = int(np.argmax(speed))
     place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
     where = f"at t = {float(result.time):.6g} s, fastest node {node} at ({place}) m with {speed[node]:.3g} m/s"
-    return "; ".join([*what, where, *mend])
+    return "; ".join([*what, where, *remedy])

@@ -16,7 +16,7 @@ from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy
 from jaxform.results.recovery import nodal_ratio
 from jaxform.sheet.account import enclosed_volume, energy_rounding, kinetic_energy, last_work, strain_energy
-from jaxform.sheet.discretization import Body, Mesh, levels, present_body
+from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
 from jaxform.sheet.state import Schedule, State, Taken
 
 
@@ -89,7 +89,7 @@ class Result:
     out_of_range: jax.Array | None = None
 
 
-def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = None) -> Result:
+def make_result(state: State, scene: Scene, first: Discretization, taken: Taken | None = None) -> Result:
     """The result of a state; pure, so it can be traced.
 
     Args:
@@ -98,7 +98,7 @@ def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = N
         first: The sheet as it was at first.
         taken: The windows that were taken, as the first parts of a `Schedule`.
     """
-    now, forest, mesh = present_body(scene, state.mesh, first), scene.tables.forest, state.mesh
+    now, forest, mesh = present_discretization(scene, state.mesh, first), scene.tables.forest, state.mesh
     sheet = now.sheet
     _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
@@ -163,7 +163,7 @@ def make_result(state: State, scene: Scene, first: Body, taken: Taken | None = N
     )
 
 
-def _added_mass(scene: Scene, now: Body, mesh: Mesh | None) -> jax.Array:
+def _added_mass(scene: Scene, now: Discretization, mesh: Mesh | None) -> jax.Array:
     forest, volume = scene.tables.forest, now.sheet.area * now.thickness
     if forest is None or mesh is None:
         return jnp.zeros((), volume.dtype)

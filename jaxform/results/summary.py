@@ -41,7 +41,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
-    beyond = penetrated(result, scene)
+    beyond, slow = penetrated(result, scene), float(result.energy.quasi_static_error)
     return {
         "scene": scene.name,
         "status": explain(result),
@@ -61,7 +61,9 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
-        "energy": energy | {"balance_error": float(result.energy.balance_error), "haste": float(result.energy.haste)},
+        # Under its older name as well.
+        "energy": energy
+        | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow, "haste": slow},
         "warnings": [
             *warnings_of(result, scene),
             *warnings_of_part(result, scene),
@@ -71,17 +73,17 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
 
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:
-    """What to mind about a part that was formed as asked for: a sentence each, with the mend."""
+    """What to mind about a part that was formed as asked for: a sentence each, with the remedy."""
     still = int(result.status) == 0 and bool(np.any(scene.pushes()))
     return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
 
 
 def _hasty(result: Result, scene: Scene) -> list[str]:
-    haste = float(result.energy.haste)
-    if not scene.solver.quasi_static or not haste > SLOW_ENOUGH:
+    error = float(result.energy.quasi_static_error)
+    if not scene.solver.quasi_static or not error > SLOW_ENOUGH:
         return []
     peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.external_work))
-    drag = haste - peak
+    drag = error - peak
     what = (
         f"the kinetic energy came to {100 * peak:.2g} % of the work"
         if peak > drag
@@ -89,12 +91,12 @@ def _hasty(result: Result, scene: Scene) -> list[str]:
         "the work"
     )
     linear = isinstance(scene.pressure, Pressure) and scene.pressure.interpolation == "linear"
-    mend = 'interpolation = "cubic-ramp" or ' if linear else ""
-    mend = f"raise the pressure more slowly ({mend}later pressure.time and solver.end_time)"
-    mend += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
+    remedy = 'interpolation = "cubic-ramp" or ' if linear else ""
+    remedy = f"raise the pressure more slowly ({remedy}later pressure.time and solver.end_time)"
+    remedy += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
-        f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * haste:.2g} % off that "
-        f"of one; {mend}"
+        f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * error:.2g} % off that "
+        f"of one; {remedy}"
     ]
 
 

@@ -107,7 +107,7 @@ def assembly_with_room(assembly: Assembly, elements: int, nodes: int) -> Assembl
     table, rows = np.asarray(assembly.table), sizes.rows(len(assembly.table))
     deep: Any = np.full((rows, nodes), -1, np.int32)
     deep[: table.shape[0], : table.shape[1]] = table
-    spill = sizes.spill(len(assembly.spill))
+    overflow = sizes.overflow(len(assembly.overflow))
     pairs = assembly.pairs
     if pairs is not None:
         room = sizes.pairs(pairs.element.shape[1], elements)
@@ -120,12 +120,12 @@ def assembly_with_room(assembly: Assembly, elements: int, nodes: int) -> Assembl
             pair=padded_to(pairs.pair, elements, room - 1),
             triangles=like_first(pairs.triangles, elements),
             inverse_metric=like_first(pairs.inverse_metric, elements),
-            turn=padded_to(pairs.turn, elements, 1.0),
+            orientation=padded_to(pairs.orientation, elements, 1.0),
         )
     return Assembly(
         table=deep,
-        spill_node=padded_to(assembly.spill_node, spill, nodes - 1),
-        spill=padded_to(assembly.spill, spill, -1),
+        overflow_node=padded_to(assembly.overflow_node, overflow, nodes - 1),
+        overflow=padded_to(assembly.overflow, overflow, -1),
         pairs=pairs,
     )
 

@@ -20,8 +20,8 @@ from jaxform.results.energy import UNBALANCED
 from jaxform.results.result import Result, make_result
 from jaxform.runs.padding import on_rungs
 from jaxform.sheet.account import energy_rounding
-from jaxform.sheet.active_set import Working, still_worked_through, wholly_worked_through
-from jaxform.sheet.discretization import Body, body, present_body
+from jaxform.sheet.active_set import ActiveSet, repacked, whole_set
+from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.state import PackedState, State, Status, Taken, finished
 
 IN_MEMORY = Store()
@@ -37,7 +37,7 @@ def whole_run(scene: Scene) -> Result:
 
 
 @jax.jit
-def closed(state: State, scene: Scene, first: Body) -> State:
+def closed(state: State, scene: Scene, first: Discretization) -> State:
     """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
     short = jnp.where(finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
     least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
@@ -47,16 +47,18 @@ def closed(state: State, scene: Scene, first: Body) -> State:
 
 
 @jax.jit
-def begin(scene: Scene) -> tuple[State, Body, Taken]:
+def begin(scene: Scene) -> tuple[State, Discretization, Taken]:
     """The first state and body of a run, and room for what its windows take."""
     count = scene.tables.window_count
     state = initial_state(scene)
     none = jnp.zeros(count, state.time.dtype)
-    return state, body(scene), (none, jnp.zeros(count, jnp.int32), none, none)
+    return state, discretize(scene), (none, jnp.zeros(count, jnp.int32), none, none)
 
 
 @jax.jit
-def advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Array) -> tuple[State, Taken, jax.Array]:
+def advance(
+    state: State, scene: Scene, first: Discretization, taken: Taken, most: jax.Array
+) -> tuple[State, Taken, jax.Array]:
     """At most so many windows."""
 
     def going(carry: _Going) -> jax.Array:
@@ -69,26 +71,26 @@ def advance(state: State, scene: Scene, first: Body, taken: Taken, most: jax.Arr
             state, now = refined_in_place(state, scene, now, carry.working)
             assert state.mesh is not None
             stale |= state.mesh.element_count != before
-        state, working = still_worked_through(state, scene, now, carry.working, stale)
+        state, working = repacked(state, scene, now, carry.working, stale)
         whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
         after, working = unless_full(state.status, scene, whole_window, (state, working), differentiable=False)
         at = state.windows
         taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, latest(after))
         return _Going(after, now, working, taken, carry.count + 1)
 
-    now = present_body(scene, state.mesh, first, stepped=True)
-    working = with_room(wholly_worked_through(now), scene)
+    now = present_discretization(scene, state.mesh, first, stepped=True)
+    working = with_room(whole_set(now), scene)
     begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
     return gone.working.put_back(gone.state), gone.taken, finished(gone.state, scene)
 
 
 class _Going(NamedTuple):
-    """What goes from window to window: with the state, in packed order, the body and what of it is worked through."""
+    """What goes from window to window: with the state, in packed order, the body and what of it is active."""
 
     state: PackedState
-    now: Body
-    working: Working
+    now: Discretization
+    working: ActiveSet
     taken: Taken
     count: jax.Array
 
@@ -110,7 +112,7 @@ def unless_full[T](
 class _Programs(NamedTuple):
     """Compiled for a scene's sizes: what begins a run and takes windows; soon, what ends it and makes its result."""
 
-    begin: Callable[[Scene], tuple[State, Body, Taken]]
+    begin: Callable[[Scene], tuple[State, Discretization, Taken]]
     advance: Callable[..., tuple[State, Taken, jax.Array]]
     closed: Soon
     result: Soon
@@ -144,7 +146,7 @@ def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
 
 
 def compiled_advance(
-    state: State, scene: Scene, first: Body, taken: Taken
+    state: State, scene: Scene, first: Discretization, taken: Taken
 ) -> Callable[..., tuple[State, Taken, jax.Array]]:
     """`advance`, compiled for the shapes of a run, in memory."""
     return IN_MEMORY.program(advance, state, scene, first, taken, np.int32(1))

@@ -142,7 +142,7 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
         elements = sizes.roots(max(forest.root_count, least))
         order, pair_count = forest_order(forest, elements), None
         none: Any = np.zeros(0, np.int32)
-        # What the mesh was before it was refined is not worked through.
+        # What the mesh was before it was refined is not active.
         assembly = Assembly(none[None], none, none)
     numbers: list[Any] = [
         np.int32(count) for count in (len(scene.parison.triangles), scene.first_nodes, pair_count or 0)

@@ -21,7 +21,7 @@ from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
 from jaxform.runs.loop import closed, latest, unless_full
 from jaxform.runs.padding import on_rungs
-from jaxform.sheet.discretization import Body, body, present_body
+from jaxform.sheet.discretization import Discretization, discretize, present_discretization
 from jaxform.sheet.state import Schedule, State, Status, Taken, carries, finished
 
 
@@ -59,7 +59,7 @@ def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Resu
 
 def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
     given, (scene, out_of_range) = scene, with_stand_ins(scene)
-    first, state = body(scene), initial_state(scene)
+    first, state = discretize(scene), initial_state(scene)
     state = dataclasses.replace(state, status=jnp.where(out_of_range == 0, state.status, Status.INPUT))
     count = scene.tables.window_count
     if adjoint.windows > 1:
@@ -75,12 +75,12 @@ def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Res
 
 
 def _windows(
-    state: State, scene: Scene, first: Body, schedule: Schedule | None, *, count: int, adjoint: Adjoint
+    state: State, scene: Scene, first: Discretization, schedule: Schedule | None, *, count: int, adjoint: Adjoint
 ) -> tuple[State, Taken]:
     """So many windows, as far as there is anything to do."""
 
-    def look(state: State) -> tuple[State, Body]:
-        return refined(state, scene, present_body(scene, state.mesh, first), schedule)
+    def look(state: State) -> tuple[State, Discretization]:
+        return refined(state, scene, present_discretization(scene, state.mesh, first), schedule)
 
     def take(state: State) -> State:
         state, now = adjoint.border(look)(state)

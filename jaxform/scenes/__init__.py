@@ -69,7 +69,7 @@ def dish(
         The scene, with all host work done.
 
     Raises:
-        InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
+        InputError: A number is out of range or they do not fit together; it names argument or key, value and remedy.
     """
     changes = {"parison.radius": radius, "parison.symmetry": symmetry, "parison.thickness": thickness}
     document = files.read_scene("dish")
@@ -119,7 +119,7 @@ def box_insert(
         The scene, with all host work done.
 
     Raises:
-        InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
+        InputError: A number is out of range or they do not fit together; it names argument or key, value and remedy.
     """
     changes = {
         "parison.size": size,
@@ -178,7 +178,7 @@ def soap_bottle(
         The scene, with all host work done.
 
     Raises:
-        InputError: A number is out of range or they do not fit together; it names argument or key, value and mend.
+        InputError: A number is out of range or they do not fit together; it names argument or key, value and remedy.
     """
     shape = {"height": height, "radius": radius, "neck_radius": neck_radius, "hole": hole}
     changes = {f"{part}.{key}": value for part in ("mold", "parison") for key, value in shape.items()}
@@ -270,9 +270,9 @@ def _cup(profile: list[list[float]], radius: Any, depth: Any, wall_angle: Any) -
     bottom = r if angle == 90 else r - z / math.tan(math.radians(angle))
     if bottom <= 0:
         least = math.degrees(math.atan2(z, r))
-        mend = f"make it less deep, or give a wall_angle above {least:.3g} degrees"
+        remedy = f"make it less deep, or give a wall_angle above {least:.3g} degrees"
         raise InputError(
-            f"leaves no bottom: the walls meet at {r * math.tan(math.radians(angle)):.4g} m", mend, "depth", z
+            f"leaves no bottom: the walls meet at {r * math.tan(math.radians(angle)):.4g} m", remedy, "depth", z
         )
     return [[0.0, z], [bottom, z], [r, 0.0]]
 
@@ -282,8 +282,8 @@ def _ranged(key: str, value: Any, otherwise: float, least: float, most: float) -
     number = otherwise if value is None else _plain(key, value)
     good = isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)
     if not (good and least < number <= most):
-        mend = f"give a number above {least:g}" + (f", at most {most:g}" if math.isfinite(most) else "")
-        raise InputError("is out of range", mend, key, value)
+        remedy = f"give a number above {least:g}" + (f", at most {most:g}" if math.isfinite(most) else "")
+        raise InputError("is out of range", remedy, key, value)
     return float(number)
 
 

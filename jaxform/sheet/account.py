@@ -13,7 +13,7 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Elements
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Sheet
-from jaxform.sheet.discretization import Body
+from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import State
 
 
@@ -22,10 +22,10 @@ def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
     return 0.5 * jnp.sum(mass * membrane.dot(state.nodes.velocities, state.nodes.velocities))
 
 
-def strain_energy(state: State, scene: Scene, sheet_body: Body) -> jax.Array:
+def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
     """Strain energy [J]."""
-    sheet = sheet_body.sheet
-    volume = sheet.area * sheet_body.thickness
+    sheet = discrete.sheet
+    volume = sheet.area * discrete.thickness
     return membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
 
 
@@ -47,19 +47,19 @@ def account(
     """
     rows = membrane.rows_of(positions)
 
-    def work(own: Any, thickness: jax.Array, counted: Any, turn: Any) -> Any:
+    def work(own: Any, thickness: jax.Array, counted: Any, orientation: Any) -> Any:
         triangles, inverse, area = own
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = once((edge1, edge2))
         strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
         energy = area * thickness * material.energy(strain.i1, strain.i2)
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
-        share = share if turn is None else turn * share
+        share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
         return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
-    inputs = own, thickness, counted, elements.turn
+    inputs = own, thickness, counted, elements.orientation
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return energy, volume / 6.0
 

@@ -1,4 +1,4 @@
-"""What is worked through, in packed order: from the border where it is packed until it is packed anew.
+"""The active set: what can still move, in packed order: from the border where it is packed until it is packed anew.
 
 A run's state stays in this order from window to window; what does not move any more is neither looked up nor summed
 over again.
@@ -21,7 +21,7 @@ from jaxform.mechanics.nodes import Rule
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, Sheet
 from jaxform.sheet.account import account, enclosed_volume
-from jaxform.sheet.discretization import Body, Mesh
+from jaxform.sheet.discretization import Discretization, Mesh
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
 
@@ -31,7 +31,7 @@ class Room:
     """Arrays that are written before they are read: kept from window to window, they need not be cleared.
 
     Attributes:
-        corners: For what elements' corners get.
+        corners: For corner forces.
         basis: For the search for the stable step; None where it is not made.
         lists: For what is near the mold; None where there is none.
     """
@@ -42,8 +42,8 @@ class Room:
 
 
 @pytree
-class Working:
-    """The elements and nodes that are worked through, and what the others come to, which do not move.
+class ActiveSet:
+    """The elements and nodes that are active, and what the others come to, which do not move.
 
     Attributes:
         packed: Their order.
@@ -52,7 +52,7 @@ class Working:
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
         substance: Volume of the elements themselves [m^3].
-        idle_volume: Enclosed by what is not worked through [m^3].
+        idle_volume: Enclosed by what is not active [m^3].
         idle_energy: Its strain energy [J].
         room: Kept from the last window; None where each window has its own.
     """
@@ -68,11 +68,11 @@ class Working:
     room: Room | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
-        """Volume [m^3] enclosed by what is worked through, at positions (3, place) [m]; differentiable."""
+        """Volume [m^3] enclosed by what is active, at positions (3, place) [m]; differentiable."""
         elements = self.packed.elements
         first, edge1, edge2 = membrane.edges(positions, elements.triangles)
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
-        share = share if elements.turn is None else elements.turn * share
+        share = share if elements.orientation is None else elements.orientation * share
         return jnp.sum(jnp.where(elements.area > 0.0, share, 0.0)) / 6.0
 
     def taken(self, state: State) -> PackedState:
@@ -91,30 +91,30 @@ class Working:
         return dataclasses.replace(state, nodes=state.nodes.mapped(lambda values, _: self.packed.put_back(values)))
 
 
-def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, sheet_body: Body) -> Packed:
+def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: Discretization) -> Packed:
     """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
     if not scene.packs_moving:
-        return sheet_body.whole
-    sheet = sheet_body.sheet
+        return discrete.whole
+    sheet = discrete.sheet
     counts = scene.tables.counts if mesh is None else Counts(mesh.element_count, mesh.node_count)
-    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, sheet_body.assembly, counts)
+    return pack(can_move(stuck, sheet.triangles, sheet.area), sheet, discrete.assembly, counts)
 
 
-def worked_through(state: State, scene: Scene, sheet_body: Body, *, differentiable: bool = False) -> Working:
+def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
     """What a window works through that begins with a state in the mesh's order."""
-    packed = packed_moving(state.nodes.stuck, state.mesh, scene, sheet_body)
-    return _working(packed, state.nodes.positions, scene, sheet_body, differentiable=differentiable)
+    packed = packed_moving(state.nodes.stuck, state.mesh, scene, discrete)
+    return _working(packed, state.nodes.positions, scene, discrete, differentiable=differentiable)
 
 
-def wholly_worked_through(sheet_body: Body) -> Working:
+def whole_set(discrete: Discretization) -> ActiveSet:
     """All there is, in the mesh's own order."""
-    none = jnp.zeros((), sheet_body.mass.dtype)
-    return _with_masses(sheet_body.whole, sheet_body, none, none)
+    none = jnp.zeros((), discrete.mass.dtype)
+    return _with_masses(discrete.whole, discrete, none, none)
 
 
-def still_worked_through(
-    state: PackedState, scene: Scene, sheet_body: Body, working: Working, stale: jax.Array
-) -> tuple[PackedState, Working]:
+def repacked(
+    state: PackedState, scene: Scene, discrete: Discretization, working: ActiveSet, stale: jax.Array
+) -> tuple[PackedState, ActiveSet]:
     """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
     if not scene.packs_moving and state.mesh is None:
         return state, working
@@ -122,15 +122,15 @@ def still_worked_through(
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
         moving = can_move(state.nodes.stuck, triangles, area)
-        if elements.turn is not None:
+        if elements.orientation is not None:
             # Both elements of a pair stay where either can move.
             either = jnp.logical_or(*halves(moving))
             moving = Halves(either, either).whole()
         return [], [moving.astype(area.dtype)]
 
-    def anew(now: tuple[PackedState, Working]) -> tuple[PackedState, Working]:
+    def anew(now: tuple[PackedState, ActiveSet]) -> tuple[PackedState, ActiveSet]:
         state = now[1].put_back(now[0])
-        new = dataclasses.replace(worked_through(state, scene, sheet_body), room=working.room)
+        new = dataclasses.replace(active_set_of(state, scene, discrete), room=working.room)
         return new.taken(state), new
 
     if scene.packs_moving:
@@ -139,20 +139,20 @@ def still_worked_through(
     return only_if(stale, anew, (state, working))
 
 
-def idle_volume(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> jax.Array:
-    """Volume [m^3] enclosed by what is not worked through, of positions (3, n_node) [m]; differentiable."""
+def idle_volume(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> jax.Array:
+    """Volume [m^3] enclosed by what is not active, of positions (3, n_node) [m]; differentiable."""
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype)
-    return enclosed_volume(positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return enclosed_volume(positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
 
 
-def _idle(positions: jax.Array, scene: Scene, sheet_body: Body, packed: Packed) -> tuple[jax.Array, jax.Array]:
+def _idle(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> tuple[jax.Array, jax.Array]:
     """Its strain energy [J] and the volume [m^3], not differentiable."""
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
-    whole = sheet_body.whole
+    whole = discrete.whole
     counted = ~packed.kept[whole.element]
-    fixed = positions, whole.elements, sheet_body.thickness[whole.element], scene.material
+    fixed = positions, whole.elements, discrete.thickness[whole.element], scene.material
     return account(*jax.lax.stop_gradient(fixed), counted)
 
 
@@ -169,24 +169,26 @@ def _(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     return volume, jax.jvp(moved, (positions,), (tangents[1],))[1]
 
 
-def _working(packed: Packed, positions: jax.Array, scene: Scene, sheet_body: Body, *, differentiable: bool) -> Working:
-    energy, volume = _idle(positions, scene, sheet_body, packed)
+def _working(
+    packed: Packed, positions: jax.Array, scene: Scene, discrete: Discretization, *, differentiable: bool
+) -> ActiveSet:
+    energy, volume = _idle(positions, scene, discrete, packed)
     if differentiable:
-        volume = idle_volume(positions, scene, sheet_body, packed)
+        volume = idle_volume(positions, scene, discrete, packed)
     elif scene.packs_moving:
         # Second derivatives take this way as well.
-        volume = _with_slope(volume, positions, sheet_body.sheet, jnp.where(packed.kept, 0.0, 1.0))
-    return _with_masses(packed, sheet_body, volume, energy)
+        volume = _with_slope(volume, positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return _with_masses(packed, discrete, volume, energy)
 
 
-def _with_masses(packed: Packed, sheet_body: Body, idle_volume: jax.Array, idle_energy: jax.Array) -> Working:
-    thickness = sheet_body.thickness[packed.element]
-    return Working(
+def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
+    thickness = discrete.thickness[packed.element]
+    return ActiveSet(
         packed=packed,
         thickness=thickness,
-        bound=sheet_body.bound[packed.element],
-        mass=packed.taken(sheet_body.mass),
-        compliance=packed.taken(sheet_body.compliance),
+        bound=discrete.bound[packed.element],
+        mass=packed.taken(discrete.mass),
+        compliance=packed.taken(discrete.compliance),
         substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
         idle_volume=idle_volume,
         idle_energy=idle_energy,

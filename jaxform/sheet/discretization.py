@@ -1,4 +1,4 @@
-"""The sheet as it is worked through: elements, masses, and which triangles of the forest there are."""
+"""The discretization of the sheet: elements, masses, and which triangles of the forest there are."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Mesh:
 
 
 @pytree
-class Body:
-    """The sheet as it is worked through: without refinement the same over a run, with it until elements are added.
+class Discretization:
+    """The discretization of the sheet: without refinement the same over a run, with it until elements are added.
 
     What is not in use has the area 0.
 
@@ -70,11 +70,11 @@ class Body:
     volumes: jax.Array | None = None
 
 
-def body(scene: Scene) -> Body:
+def discretize(scene: Scene) -> Discretization:
     """The sheet of a scene; of a refined one as it is at first."""
     tables = scene.tables
     if tables.forest is not None:
-        return refined_body(scene, first_mesh(scene), forest_volumes(scene))
+        return refined_discretization(scene, first_mesh(scene), forest_volumes(scene))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     share = scene.material.density * sheet.area * thickness / 3.0
@@ -82,12 +82,18 @@ def body(scene: Scene) -> Body:
     if tables.counts is not None:
         mass = jnp.where(jnp.arange(mass.size) < tables.counts.nodes, mass, 1.0)
     whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
-    return Body(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
+    return Discretization(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
 
 
-def present_body(scene: Scene, mesh: Mesh | None, first: Body, *, stepped: bool = False) -> Body:
+def present_discretization(
+    scene: Scene, mesh: Mesh | None, first: Discretization, *, stepped: bool = False
+) -> Discretization:
     """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
-    return first if mesh is None or first.volumes is None else refined_body(scene, mesh, first.volumes, stepped=stepped)
+    return (
+        first
+        if mesh is None or first.volumes is None
+        else refined_discretization(scene, mesh, first.volumes, stepped=stepped)
+    )
 
 
 def forest_volumes(scene: Scene) -> jax.Array:
@@ -144,7 +150,7 @@ def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
     return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
 
 
-def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False) -> Body:
+def refined_discretization(scene: Scene, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False) -> Discretization:
     """The sheet of the elements that a mesh lists."""
     forest = scene.tables.forest
     assert forest is not None
@@ -163,7 +169,7 @@ def refined_body(scene: Scene, mesh: Mesh, volumes: jax.Array, *, stepped: bool 
     heavy = jnp.where(exists, mass, 1.0)
     none = jnp.zeros(0, jnp.int32)
     assembly, counts = Assembly(mesh.corner, none, none), Counts(mesh.element_count, mesh.node_count)
-    return Body(
+    return Discretization(
         sheet=sheet,
         assembly=assembly,
         bound=forest.bound[element],

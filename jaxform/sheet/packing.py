@@ -1,6 +1,6 @@
 """What can still move, packed: elements and nodes in the order in which a window works through them.
 
-Elements whose nodes all stick, and nodes that belong to no other element, come last and are not worked through: the
+Elements whose nodes all stick, and nodes that belong to no other element, come last and are not active: the
 problem becomes "a smaller and smaller free inflation problem" (paper, 3.2). Nothing is compiled anew, since the number
 of blocks in use is data.
 """
@@ -65,13 +65,13 @@ def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
 def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assembly:
     """The same with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
     pairs = paired(triangles)
-    corners, turn = turned(triangles, pairs)
+    corners, orientation = turned(triangles, pairs)
     inverse, _ = reference_metric(positions, corners)
     there = pairs >= 0
     pair = np.zeros(len(triangles), np.int32)
     pair[pairs[there]] = np.nonzero(there)[1]
     beyond = np.where(there[1], corners[pairs[1], 2], -1)
-    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), as_real(inverse), as_real(turn))
+    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), as_real(inverse), as_real(orientation))
     return _assembly(np.column_stack([corners[pairs[0]], beyond]), len(positions), kept)
 
 
@@ -87,11 +87,11 @@ def _assembly(nodes: np.ndarray, node_count: int, pairs: Pairs | None) -> Assemb
     table = np.full((depth, node_count), -1, np.int32)
     inside = rank < depth
     table[rank[inside], corner_node[order[inside]]] = code[inside]
-    spill = order[~inside]
+    overflow = order[~inside]
     return Assembly(
         table=as_index(table),
-        spill_node=as_index(corner_node[spill]),
-        spill=as_index(code[~inside]),
+        overflow_node=as_index(corner_node[overflow]),
+        overflow=as_index(code[~inside]),
         pairs=pairs,
     )
 
@@ -141,14 +141,14 @@ def pack(
         share, unused = listing.share(code & 3, listing.rank[owner]), listing.share(0, count)
         return jnp.where(there & (code >= 0) & kept[owner], share, unused).astype(jnp.int32)
 
-    spill = spill_into = assembly.spill
-    table, spill_count = assembly.table, jnp.int32(0)
-    if assembly.spill.size > 0:
+    overflow = overflow_into = assembly.overflow
+    table, overflow_count = assembly.table, jnp.int32(0)
+    if assembly.overflow.size > 0:
         home, added, table = _homes(assembly, kept)
-        order, spill_count = listed(added, spill.size)
-        spill, spill_into = (slots(code[order], jnp.asarray(True)) for code in (spill, home))
+        order, overflow_count = listed(added, overflow.size)
+        overflow, overflow_into = (slots(code[order], jnp.asarray(True)) for code in (overflow, home))
     block_count, node_block_count = count // listing.per_block + 1, -(-node_total // BLOCK)
-    triangles, inverse_metric, area, turn = _columns(sheet, pairs, place, listing, block_count)
+    triangles, inverse_metric, area, orientation = _columns(sheet, pairs, place, listing, block_count)
     shares = jnp.zeros((assembly.table.shape[0], places), jnp.int32)
     row_count = jnp.zeros(places // BLOCK, jnp.int32)
     if stepped:
@@ -157,12 +157,12 @@ def pack(
         triangles=triangles,
         inverse_metric=inverse_metric,
         area=area,
-        turn=turn,
+        orientation=orientation,
         origin=sheet.origin,
         slots=shares,
-        spill=spill,
-        spill_into=spill_into,
-        spill_count=spill_count,
+        overflow=overflow,
+        overflow_into=overflow_into,
+        overflow_count=overflow_count,
         block_count=block_count,
         node_block_count=node_block_count,
         row_count=row_count,
@@ -171,7 +171,7 @@ def pack(
 
 
 class _Listing(NamedTuple):
-    """The elements, or pairs of them, that are worked through.
+    """The elements, or pairs of them, that are active.
 
     Attributes:
         element: The element at each place (room,).
@@ -189,7 +189,7 @@ class _Listing(NamedTuple):
     per_block: int
 
     def share(self, corner: jax.Array | int, rank: jax.Array) -> jax.Array:
-        """Where a corner's share is, of the element or pair of that rank, in the arrays of what corners get."""
+        """Where a corner's share is, of the element or pair of that rank, in the arrays of corner forces."""
         room = self.element.size
         if self.per_block == BLOCK:
             return corner * room + rank
@@ -226,9 +226,9 @@ def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs, used: jax.Array | N
 def _columns(
     sheet: Sheet, pairs: Pairs | None, place: jax.Array, listing: _Listing, block_count: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
-    """Triangles (3, room) of places, inverse metric, area, and turn where there are pairs; 0 beyond the list."""
+    """Triangles (3, room) of places, inverse metric, area, and orientation where there are pairs; 0 beyond the list."""
     order = sheet if pairs is None else pairs
-    numbers = [sheet.area] if pairs is None else [sheet.area, pairs.turn]
+    numbers = [sheet.area] if pairs is None else [sheet.area, pairs.orientation]
 
     def work(element: jax.Array, there: jax.Array) -> Any:
         corners = [gather(place, row[element]) for row in order.triangles]
@@ -262,20 +262,20 @@ def _shares(
 
 
 def _homes(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Where nodes with surplus shares have them added: to the first of their shares that are worked through.
+    """Where nodes with surplus shares have them added: to the first of their shares that are active.
 
     Returns:
         That share of the node of each surplus one (k,); which of these are added to it; and the table with a surplus
         share in its first row where a node has none else: one that sticks, and whose position has a derivative.
     """
-    node, table = assembly.spill_node, assembly.table
-    rows, own = table[:, node], (assembly.spill >= 0) & kept[jnp.maximum(assembly.spill, 0) >> 2]
+    node, table = assembly.overflow_node, assembly.table
+    rows, own = table[:, node], (assembly.overflow >= 0) & kept[jnp.maximum(assembly.overflow, 0) >> 2]
     worked = (rows >= 0) & kept[jnp.maximum(rows, 0) >> 2]
     usual = jnp.any(worked, axis=0)
     first = jnp.take_along_axis(rows, jnp.argmax(worked, axis=0)[None], axis=0)[0]
-    home = jnp.where(usual, first, jnp.where(own, assembly.spill, -1))
+    home = jnp.where(usual, first, jnp.where(own, assembly.overflow, -1))
     home = jnp.full(table.shape[1], -1, home.dtype).at[node].max(home)[node]
-    return home, own & (home != assembly.spill), table.at[0, node].set(jnp.where(usual, rows[0], home))
+    return home, own & (home != assembly.overflow), table.at[0, node].set(jnp.where(usual, rows[0], home))
 
 
 def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:
@@ -290,10 +290,10 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
     into = [jnp.zeros((1, places), bool)]
     (found,), _ = over_blocks(work, -(-node_count // BLOCK), (jnp.arange(places, dtype=jnp.int32),), into)
     touched = found[0, : table.shape[1]]
-    if assembly.spill.size == 0:
+    if assembly.overflow.size == 0:
         return touched
-    spilt = (assembly.spill >= 0) & moving[jnp.maximum(assembly.spill, 0) >> 2]
-    return touched.at[assembly.spill_node].max(spilt)
+    spilt = (assembly.overflow >= 0) & moving[jnp.maximum(assembly.overflow, 0) >> 2]
+    return touched.at[assembly.overflow_node].max(spilt)
 
 
 def _ordered(touched: jax.Array, assembly: Assembly, node_count: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -18,8 +18,8 @@ from jaxform.mechanics.force import Load, force
 from jaxform.mechanics.membrane import vector
 from jaxform.model.scene import Scene
 from jaxform.sheet.account import enclosed_volume, last_work
-from jaxform.sheet.active_set import Working, worked_through
-from jaxform.sheet.discretization import Body
+from jaxform.sheet.active_set import ActiveSet, active_set_of
+from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import State
 
 
@@ -73,7 +73,7 @@ def kicked(
     return new, kick * damping * mass * membrane.dot(mean, mean)
 
 
-def caught_up(state: State, scene: Scene, sheet_body: Body, working: Working | None = None) -> State:
+def caught_up(state: State, scene: Scene, discrete: Discretization, working: ActiveSet | None = None) -> State:
     """The state with velocities at the time of the positions, and its account closed.
 
     Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
@@ -81,12 +81,12 @@ def caught_up(state: State, scene: Scene, sheet_body: Body, working: Working | N
     Args:
         state: In the mesh's order.
         scene: The scene.
-        sheet_body: The sheet with that mesh.
+        discrete: The sheet with that mesh.
         working: What of it can move, and maybe more; found here by default, differentiably.
     """
-    working = working or worked_through(state, scene, sheet_body, differentiable=True)
+    working = working or active_set_of(state, scene, discrete, differentiable=True)
     packed = working.taken(state)
-    volume = enclosed_volume(state.nodes.positions, sheet_body.sheet)
+    volume = enclosed_volume(state.nodes.positions, discrete.sheet)
     load = Load(packed.nodes.positions, working.thickness, scene.pressure.at(state.time, volume), scene.material)
     nodes, damping = (packed.nodes.stuck, working.mass, working.compliance), scene.solver.damping
     nodal, _ = force(load, working.packed.elements)

@@ -40,7 +40,7 @@ class Schedule:
 
     Attributes:
         lengths: Of the steps of each window (n_window,) [s].
-        counts: Steps of each window (n_window,); 0 for windows that were not taken, or tried in vain.
+        counts: Steps of each window (n_window,); 0 for windows that were not taken, or rejected.
         bounds: The elements' bound on the step at their begin (n_window,) [s].
         durations: What they were to last (n_window,) [s], before contact cut them short: where nodes were expected.
         split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
@@ -160,7 +160,7 @@ class State:
 
 
 PackedState = NewType("PackedState", State)
-"""A state whose nodes are in the packed order of `working.Working`, as windows have them."""
+"""A state whose nodes are in the packed order of `working.ActiveSet`, as windows have them."""
 
 
 class AtStart(NamedTuple):

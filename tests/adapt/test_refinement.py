@@ -53,12 +53,12 @@ def live(scene: Scene) -> Result:
     return jaxform.simulate(scene)
 
 
-def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Body, discretization.Body]:
+def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Discretization, discretization.Discretization]:
     """A state moved and set in motion at random, and the same with elements bisected at random, three times."""
     random = np.random.default_rng(seed)
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
     scene = jaxform.replace(scene, {"parison.thickness": thickness})
-    state, first = initial_state(scene), discretization.body(scene)
+    state, first = initial_state(scene), discretization.discretize(scene)
     stuck = state.nodes.stuck
     free = ~stuck & (jnp.arange(stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
     shape = state.nodes.positions.shape
@@ -145,9 +145,9 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
     )
 
 
-def looked_at(scene: Scene) -> tuple[discretization.Body, np.ndarray, np.ndarray, np.ndarray]:
+def looked_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, np.ndarray, np.ndarray]:
     """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
-    state, now = initial_state(scene), discretization.body(scene)
+    state, now = initial_state(scene), discretization.discretize(scene)
     for _ in range(6):
         state, now = scenes.looked_at(state, scene, now)
     forest, mold, mesh = scene.tables.forest, scene.mold, state.mesh
@@ -194,7 +194,7 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
     scene = flying_at_first(over_a_block(2.0, at_rest=at_rest))
     before = initial_state(scene)
     upwards = jnp.where(before.nodes.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
-    before, now = before.with_nodes(velocities=upwards), discretization.body(scene)
+    before, now = before.with_nodes(velocities=upwards), discretization.discretize(scene)
     state, _ = scenes.looked_at(before, scene, now)
     forest, grid, old, mesh = scene.tables.forest, scene.tables.grid, before.mesh, state.mesh
     assert forest is not None and grid is not None and old is not None and mesh is not None
@@ -217,7 +217,7 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
 
 def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> None:
     scene = flying_at_first(over_a_block(2.0, gap=0.0))
-    before, now = initial_state(scene), discretization.body(scene)
+    before, now = initial_state(scene), discretization.discretize(scene)
 
     @jax.jit
     @jax.value_and_grad
@@ -261,7 +261,7 @@ def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> No
         np.testing.assert_allclose(getattr(again, name), getattr(live, name), atol=1e-12, err_msg=name)
     schedule = live.schedule
     assert isinstance(schedule, Schedule) and int((schedule.counts > 0).sum()) == int(again.windows)
-    assert int(again.windows) < int(live.windows)  # one was tried in vain
+    assert int(again.windows) < int(live.windows)  # one was rejected
     assert schedule.split_at is not None and int((schedule.split_at != NEVER).sum()) > 10
 
 

@@ -35,7 +35,7 @@ def _at_rest(sheet: shapes.Sheet) -> tuple[jaxform.Scene, Result]:
         pressure=jaxform.make_pressure([0.0], [0.0]),
         solver=jaxform.make_solver(end_time=1.0),
     )
-    return scene, make_result(initial.initial_state(scene), scene, discretization.body(scene))
+    return scene, make_result(initial.initial_state(scene), scene, discretization.discretize(scene))
 
 
 def test_stretches_along_and_around_a_cone() -> None:

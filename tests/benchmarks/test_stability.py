@@ -58,7 +58,7 @@ def test_what_no_work_leaves_unbalanced_counts_as_wrong_unless_it_is_rounding_an
 
 
 def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
-    """The stress run's own loop is that of `run`, windows tried in vain included."""
+    """The stress run's own loop is that of `run`, windows rejected included."""
     drawn = random_scenes.draw(ONCE_BROKEN[0])
     _, ours = stress.run_drawn(drawn)
     state, first, taken = loop.begin(drawn.scene)
@@ -69,7 +69,7 @@ def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     counts, lengths = (np.asarray(x) for x in (ours.schedule.counts, ours.schedule.lengths))
     vain = (counts == 0) & (lengths > 0)
     assert vain.any()
-    # After a window in vain its successor has half the step, at most.
+    # After a rejected window its successor has half the step, at most.
     assert np.all(lengths[1:][vain[:-1]] <= 0.51 * lengths[:-1][vain[:-1]])
 
 

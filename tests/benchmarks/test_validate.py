@@ -55,11 +55,11 @@ def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         slow = jaxform.run(_hurried(40.0))
-    assert float(slow.energy.haste) < SLOW_ENOUGH < float(fast.energy.haste)
+    assert float(slow.energy.quasi_static_error) < SLOW_ENOUGH < float(fast.energy.quasi_static_error)
     off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
     moved = accuracy.rms(off, np.asarray(fast.element_volume))
     # A shallow cup: its wall feels haste less than that of the deep ones from which the prediction comes.
-    assert moved < float(fast.energy.haste) < 20 * moved
+    assert moved < float(fast.energy.quasi_static_error) < 20 * moved
     assert warnings_of(fast, scenes.cup(end_time=50.0)) == []
 
 

@@ -22,8 +22,8 @@ from jaxform.prepare import planning
 from jaxform.runs import batch, loop
 from jaxform.sheet import packing
 from jaxform.sheet.account import account
-from jaxform.sheet.active_set import worked_through
-from jaxform.sheet.discretization import body
+from jaxform.sheet.active_set import active_set_of
+from jaxform.sheet.discretization import discretize
 from jaxform.sheet.state import any_mode
 from tests import scenes
 
@@ -46,7 +46,7 @@ def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
 
 def test_what_sticks_is_packed_away() -> None:
     scene = scenes.cup()
-    state, sheet_body, _ = loop.begin(scene)
+    state, discrete, _ = loop.begin(scene)
     moving = np.zeros(scene.tables.sheet.area.size, bool)
     moving[[3, 4, 40]] = True
     packed = packing.pack(jnp.asarray(moving), scene.tables.sheet, scene.tables.assembly)
@@ -65,16 +65,16 @@ def test_what_sticks_is_packed_away() -> None:
     # The force on the nodes of these elements is that of these elements alone.
     random = np.random.default_rng(0).normal(0, 0.05, state.nodes.positions.shape)
     positions = state.nodes.positions + random
-    load = force.Load(packed.taken(positions), sheet_body.thickness[packed.element], scenes.real(0.1), scene.material)
+    load = force.Load(packed.taken(positions), discrete.thickness[packed.element], scenes.real(0.1), scene.material)
     got, volume = force.force(load, elements)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-    thickness = jnp.where(jnp.asarray(moving), sheet_body.thickness, 0.0)[whole.element]
-    area, turn = (
+    thickness = jnp.where(jnp.asarray(moving), discrete.thickness, 0.0)[whole.element]
+    area, orientation = (
         jnp.where(jnp.asarray(moving)[whole.element], values, 0.0)
-        for values in (whole.elements.area, jnp.asarray(whole.elements.turn))
+        for values in (whole.elements.area, jnp.asarray(whole.elements.orientation))
     )
     full = force.Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
-    expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area, turn=turn))
+    expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area, orientation=orientation))
     np.testing.assert_allclose(packed.put_back(got), whole.put_back(expected), atol=1e-15)
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 
@@ -97,7 +97,7 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list(
     else:
         assembly = packing.make_assembly(triangles, len(positions))
     assert assembly.table.shape[0] < (20 if paired else 40)
-    assert set(np.asarray(assembly.spill_node)) == {hub}
+    assert set(np.asarray(assembly.overflow_node)) == {hub}
     inverse, area = membrane.reference_metric(jnp.asarray(positions.T), jnp.asarray(triangles.T))
     moved = jnp.asarray(positions.T * 1.1 + np.random.default_rng(1).normal(0, 0.003, positions.T.shape))
     law = scenes.mooney(0.3)
@@ -139,13 +139,13 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
 
     @jax.jit
     def limit(positions: jax.Array, pressure: jax.Array) -> jax.Array:
-        sheet_body = body(scene)
+        discrete = discretize(scene)
         whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-        load = force.Load(whole.taken(positions.T), sheet_body.thickness[whole.element], pressure, scene.material)
+        load = force.Load(whole.taken(positions.T), discrete.thickness[whole.element], pressure, scene.material)
         count = positions.shape[0]
         tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
         stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
-        root = jnp.sqrt(sheet_body.compliance).ravel()
+        root = jnp.sqrt(discrete.compliance).ravel()
         matrix = root[:, None] * stiffness * root[None, :]
         return 2.0 / jnp.sqrt(jnp.linalg.eigvalsh(0.5 * (matrix + matrix.T)).max())
 
@@ -169,7 +169,7 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
 
 def _first_step(scene: jaxform.Scene) -> tuple[jax.Array, timestep.Limit]:
     state = initial_state(scene)
-    working = worked_through(state, scene, body(scene))
+    working = active_set_of(state, scene, discretize(scene))
     chosen = timestep.choose_step(working.taken(state), scene, working)
     return chosen.length, chosen.limit
 
@@ -328,23 +328,23 @@ def test_values_are_lowered_where_a_new_one_is_lower(backend: str, monkeypatch: 
 def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     """Also from that of a sheet of which most sticks, some nodes of which have many elements."""
     scene = scenes.cup()
-    start, sheet_body = initial_state(scene), body(scene)
+    start, discrete = initial_state(scene), discretize(scene)
     stuck = start.nodes.stuck | (jnp.linalg.norm(start.nodes.positions, axis=0) < 0.6)
     assert 5 < int(jnp.sum(~stuck)) < stuck.size / 2
     velocities = jnp.where(stuck, 0.0, any_mode(start.nodes.positions))
     state = start.with_nodes(stuck=stuck, velocities=velocities, mode=any_mode(start.nodes.positions))
-    working = worked_through(state, scene, sheet_body)
+    working = active_set_of(state, scene, discrete)
     taken = working.taken(state)
     assert not np.array_equal(working.packed.place, np.arange(stuck.size))
     for got, expected in zip(jax.tree.leaves(working.put_back(taken)), jax.tree.leaves(state), strict=True):
         np.testing.assert_array_equal(got, expected)
-    # What is not worked through makes up for what the account leaves out.
-    whole = sheet_body.whole
+    # What is not active makes up for what the account leaves out.
+    whole = discrete.whole
     energy, volume = account(
-        state.nodes.positions * 1.1, whole.elements, sheet_body.thickness[whole.element], scene.material
+        state.nodes.positions * 1.1, whole.elements, discrete.thickness[whole.element], scene.material
     )
     moved = state.with_nodes(positions=state.nodes.positions * 1.1)
-    working = worked_through(moved, scene, sheet_body)
+    working = active_set_of(moved, scene, discrete)
     elements = working.packed.elements
     own, inside = account(working.taken(moved).nodes.positions, elements, working.thickness, scene.material)
     assert 0.0 < float(own) < float(energy)

@@ -18,8 +18,8 @@ from jaxform.dynamics import window as windows
 from jaxform.dynamics.initial import initial_state
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.prepare import planning
-from jaxform.sheet.active_set import Room, Working, worked_through
-from jaxform.sheet.discretization import body
+from jaxform.sheet.active_set import ActiveSet, Room, active_set_of
+from jaxform.sheet.discretization import discretize
 from jaxform.sheet.state import State
 from tests import scenes
 
@@ -157,12 +157,12 @@ def test_with_refinement_all_windows_are_short() -> None:
 def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> None:
     scene = scenes.cup()
 
-    def begun(state: State) -> tuple[State, Working]:
-        working = windows.with_room(worked_through(state, scene, body(scene)), scene)
+    def begun(state: State) -> tuple[State, ActiveSet]:
+        working = windows.with_room(active_set_of(state, scene, discretize(scene)), scene)
         return working.taken(state), working
 
     @jax.jit
-    def several(state: State, working: Working) -> tuple[State, Working]:
+    def several(state: State, working: ActiveSet) -> tuple[State, ActiveSet]:
         window = lambda _, now: windows.window_in_place(now[0], scene, now[1])  # noqa: E731
         return jax.lax.fori_loop(0, 12, window, (state, working))
 

@@ -52,7 +52,7 @@ def test_replace_refuses_what_no_file_may_hold(path: str, value: Any) -> None:
     with pytest.raises(jaxform.InputError) as caught:
         jaxform.replace(_small(), {path: value})
     assert str(caught.value).startswith(f"{path} = ")
-    assert caught.value.mend
+    assert caught.value.remedy
 
 
 _FILES = {
@@ -194,7 +194,7 @@ def test_a_sheet_that_hardly_moves_is_warned_of_and_balanced() -> None:
     with pytest.warns(UserWarning, match=r"the sheet hardly moved.*material.density"):
         part = jaxform.run(scene)
     assert float(part.energy.balance_error) < energy.UNBALANCED
-    assert float(part.energy.haste) == 0.0
+    assert float(part.energy.quasi_static_error) == 0.0
     assert any("hardly moved" in sentence for sentence in jaxform.summarize(part, scene)["warnings"])
     still = jaxform.replace(_small(), {"pressure.value": 0.0})
     assert summary.warnings_of(part, still) == []

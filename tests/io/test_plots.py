@@ -36,7 +36,7 @@ def _at_rest(sheet: shapes.Sheet, end_time: float = 1.0) -> tuple[jaxform.Scene,
 
 
 def _result(scene: jaxform.Scene) -> Result:
-    return make_result(initial.initial_state(scene), scene, discretization.body(scene))
+    return make_result(initial.initial_state(scene), scene, discretization.discretize(scene))
 
 
 SHEETS = {
@@ -207,7 +207,7 @@ def test_pictures_of_a_search(tmp_path: Path) -> None:
 
 def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -> None:
     scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
-    first, begun = discretization.body(scene), initial.initial_state(scene)
+    first, begun = discretization.discretize(scene), initial.initial_state(scene)
     finer = scenes.bisected(scene, begun, first, jnp.arange(60) < 4)[0]
     before, after = (scene, make_result(begun, scene, first)), (scene, make_result(finer, scene, first))
     assert int(after[1].used.sum()) > int(before[1].used.sum())

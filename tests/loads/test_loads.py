@@ -18,8 +18,8 @@ from jaxform.dynamics.timestep import choose_step
 from jaxform.mechanics import membrane
 from jaxform.mesh import reference
 from jaxform.results.result import Result
-from jaxform.sheet.active_set import worked_through
-from jaxform.sheet.discretization import body
+from jaxform.sheet.active_set import active_set_of
+from jaxform.sheet.discretization import discretize
 from tests import scenes
 from tests.examples.sealed_gas import SealedGas
 from tests.scenes import real
@@ -71,8 +71,8 @@ def test_a_sphere_filled_with_gas() -> None:
 def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> None:
     """Against the largest eigenvalue of the exact Hessian, the gas included."""
     scene = sphere(32, outside, stretch=1.1)
-    state, sheet = initial_state(scene), body(scene)
-    working = worked_through(state, scene, sheet)
+    state, sheet = initial_state(scene), discretize(scene)
+    working = active_set_of(state, scene, sheet)
     mobile = np.asarray(sheet.compliance > 0).ravel()
 
     def force(flat: jax.Array) -> jax.Array:

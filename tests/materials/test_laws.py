@@ -62,7 +62,7 @@ BOTH = Both(real(1.0), real(0.03), real(1.0))
 
 
 def _retaken(result: Result) -> int:
-    """Windows that were tried in vain, before the last that was taken."""
+    """Windows that were rejected, before the last that was taken."""
     assert result.schedule is not None
     counts = np.asarray(result.schedule.counts)
     return int(np.sum(counts[: np.flatnonzero(counts)[-1]] == 0))
@@ -97,7 +97,7 @@ def test_a_law_by_its_energy_is_the_law_in_closed_form() -> None:
 
 @pytest.mark.parametrize("law", [YEOH, BOTH])
 def test_a_sphere_of_a_users_law(law: jaxform.Law) -> None:
-    """In equilibrium p = 4 (h0/r) (W1 + s^2 W2) (1/s - 1/s^7) at the stretch s; no window is taken anew."""
+    """In equilibrium p = 4 (h0/r) (W1 + s^2 W2) (1/s - 1/s^7) at the stretch s; no window is retried."""
     stretch = 1.4
     i1, i2 = real(2 * stretch**2 + stretch**-4), real(stretch**4 + 2 * stretch**-2)
     slope1, slope2 = law.slopes(i1, i2)

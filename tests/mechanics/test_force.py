@@ -45,7 +45,7 @@ def _case(law: Law, *, paired: bool = False, seed: int = 0) -> tuple[Load, Eleme
     else:
         assembly = packing.make_assembly(disc.triangles, len(disc.positions))
     packed = packing.pack(None, sheet, assembly)
-    assert (packed.elements.turn is not None) == paired
+    assert (packed.elements.orientation is not None) == paired
     return Load(packed.taken(moved), thickness[packed.element], real(0.3), law), packed.elements
 
 

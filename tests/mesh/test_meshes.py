@@ -146,7 +146,7 @@ HEADERS = {
 def test_garbage_behind_a_good_beginning(tmp_path, capfd, suffix, seed):
     path = tmp_path / f"garbage{suffix}"
     path.write_bytes(HEADERS[suffix] + np.random.default_rng(seed).bytes(1000))
-    assert refused(path, capfd).mend
+    assert refused(path, capfd).remedy
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind != "obj"])
@@ -155,7 +155,7 @@ def test_truncated(tmp_path, capfd, kind, kept):
     path = write(tmp_path, kind)
     content = path.read_bytes()
     path.write_bytes(content[: int(kept * len(content))])
-    assert refused(path, capfd).mend
+    assert refused(path, capfd).remedy
 
 
 @pytest.mark.filterwarnings("ignore::jaxform.errors.InputWarning")
@@ -203,7 +203,7 @@ def test_not_a_file(tmp_path, capfd):
     (tmp_path / "mesh.step").write_text("ISO-10303-21;")
     assert refused(tmp_path / "absent.stl", capfd).problem == "does not exist"
     assert "folder" in refused(tmp_path / "folder.stl", capfd).problem
-    assert ".vtu" in refused(tmp_path / "mesh.step", capfd).mend
+    assert ".vtu" in refused(tmp_path / "mesh.step", capfd).remedy
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e400"])

@@ -257,7 +257,7 @@ def test_elements_are_about_as_many_as_asked_for(make, symmetry):
 def test_bad_parameters(make, options, key, value):
     with pytest.raises(InputError) as caught:
         make(**options)
-    assert caught.value.key == key and caught.value.mend
+    assert caught.value.key == key and caught.value.remedy
     np.testing.assert_equal(caught.value.value, value)
 
 
@@ -295,7 +295,7 @@ def soup(sheet) -> Mesh:
 def rejected(key: str, mesh: Mesh, **options) -> str:
     with pytest.raises(InputError) as caught:
         from_mesh(mesh, **options)
-    assert caught.value.key == key and caught.value.mend
+    assert caught.value.key == key and caught.value.remedy
     return caught.value.problem
 
 
@@ -429,7 +429,7 @@ def test_profile_along_an_axis(axis):
 def test_bad_profiles(part, along, at, value):
     with pytest.raises(InputError) as caught:
         Profile(along, at, value, key="parison.thickness")
-    assert caught.value.key == f"parison.thickness.{part}" and caught.value.mend
+    assert caught.value.key == f"parison.thickness.{part}" and caught.value.remedy
 
 
 def test_positive_profile():

@@ -45,7 +45,7 @@ def _search(strength: float, centre: float, edge: float = 0.0) -> tuple[Search, 
 
 
 def _result(haste: float) -> Any:
-    return types.SimpleNamespace(energy=types.SimpleNamespace(haste=haste))
+    return types.SimpleNamespace(energy=types.SimpleNamespace(quasi_static_error=haste))
 
 
 @pytest.mark.parametrize(("haste", "words"), [(1e-4, "process is slow.*0.01 %.*thickness-profile"), (0.2, "widen")])

@@ -260,7 +260,7 @@ def _traced(scene: jaxform.Scene) -> set[str]:
                     collect(inner)
 
     def window(scene: jaxform.Scene) -> state.State:
-        return windows.window(initial.initial_state(scene), scene, discretization.body(scene))
+        return windows.window(initial.initial_state(scene), scene, discretization.discretize(scene))
 
     collect(jax.make_jaxpr(window)(scene).jaxpr)
     return found

@@ -85,14 +85,14 @@ def test_open_and_closed_profiles():
 def test_bad_profiles(profile, problem):
     with pytest.raises(InputError, match=problem) as caught:
         revolved(profile=profile, segments=12)
-    assert caught.value.key == "mold.profile" and caught.value.value == profile and caught.value.mend
+    assert caught.value.key == "mold.profile" and caught.value.value == profile and caught.value.remedy
 
 
 @pytest.mark.parametrize("segments", [2, 0, -5, 3.5, math.nan, "12", True, 10**6])
 def test_bad_segments(segments):
     with pytest.raises(InputError) as caught:
         revolved(profile=CUP, segments=segments)
-    assert caught.value.key == "mold.segments" and caught.value.mend
+    assert caught.value.key == "mold.segments" and caught.value.remedy
 
 
 def test_from_mesh_turns_about_x_then_y_then_z_and_then_moves():
@@ -134,7 +134,7 @@ def test_nothing_left():
 def test_bad_translate_and_rotate(option, values):
     with pytest.raises(InputError) as caught:
         from_mesh(BOX, **{option: values})
-    assert caught.value.key == f"mold.{option}" and caught.value.mend
+    assert caught.value.key == f"mold.{option}" and caught.value.remedy
 
 
 def test_box_with_insert_is_the_paper_s_26_triangles():

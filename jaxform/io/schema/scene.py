@@ -56,7 +56,7 @@ class Refinement(Table):
 
 
 class Solver(Table):
-    """Time integration; `quasi_static` says that the process is meant to be slow, so that haste is warned of.
+    """Time integration; `quasi_static` says that the process is meant to be slow: a quasi-static error is warned of.
 
     Attributes:
         end_time: When the simulation ends [s]; it ends earlier when nothing can move any more.
