@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, dataclass_transform
 
@@ -32,6 +33,11 @@ def pytree[T](cls: type[T]) -> type[T]:
         deserialize_auxdata=lambda text: ast.literal_eval(text.decode()),
     )
     return made
+
+
+def marked(parts: Any, mark: dict[str, Any]) -> list[str]:
+    """The names of a dataclass' fields whose metadata have what `mark` has."""
+    return [part.name for part in dataclasses.fields(parts) if mark.items() <= part.metadata.items()]
 
 
 def is_own(tree: Any) -> bool:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.pytree import pytree
+from jaxform.core.pytree import marked, pytree
+from jaxform.sheet.state import LOSS
 
 _DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
 UNBALANCED = 0.01  # of the largest work, that the account may miss
@@ -30,9 +33,9 @@ class Energy:
     strain: jax.Array
     kinetic: jax.Array
     external_work: jax.Array
-    damping_loss: jax.Array
-    contact_loss: jax.Array
-    refinement_loss: jax.Array
+    damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
     kinetic_peak: jax.Array
     peak_work: jax.Array
     rounding: jax.Array
@@ -44,7 +47,7 @@ class Energy:
 
         Of work so small that rounding shows in it, relative to a hundred times the rounding.
         """
-        kept = self.strain + self.kinetic + self.damping_loss + self.contact_loss + self.refinement_loss
+        kept = self.strain + self.kinetic + sum(getattr(self, name) for name in marked(self, LOSS))
         largest = jnp.maximum(jnp.abs(self.external_work), self.peak_work) + self.rounding / UNBALANCED
         return jnp.abs(kept - self.external_work) / largest
 

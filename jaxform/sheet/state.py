@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, NewType, Self
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.pytree import as_real, pytree
+from jaxform.core.pytree import as_real, marked, pytree
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
@@ -58,7 +58,7 @@ class Schedule:
         return jnp.min(jnp.where((index >= row) & (self.counts > 0), index, index.size))
 
 
-_LOSS = {"loss": True}
+LOSS = {"loss": True}
 """Marks energy that leaves the sheet: a term of the balance, of the same name in `Energy` and in the summary."""
 
 
@@ -81,9 +81,9 @@ class Account:
     volume: jax.Array
     pressure: jax.Array | None
     external_work: jax.Array
-    damping_loss: jax.Array = dataclasses.field(metadata=_LOSS)
-    contact_loss: jax.Array = dataclasses.field(metadata=_LOSS)
-    refinement_loss: jax.Array = dataclasses.field(metadata=_LOSS)
+    damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
     peak_work: jax.Array
     kinetic_peak: jax.Array
     kinetic_excess: jax.Array
@@ -94,7 +94,7 @@ class Account:
         return {name: getattr(self, name) for name in LOSSES}
 
 
-LOSSES = [part.name for part in dataclasses.fields(Account) if part.metadata.get("loss")]
+LOSSES = marked(Account, LOSS)
 
 
 @pytree
