@@ -180,7 +180,7 @@ def _landings(
             there = sticking.landed(flying, sticking.Step(turn.length, time, number), mass, triangle, none)
             return there.nodes.positions, there.nodes.contact_time, there.loss
 
-        # All is read before anything is written, or XLA would copy the arrays.
+        # All is read before anything is written (docs/explanation/kernels.md).
         old = once(jax.tree.map(own, nodes._replace(damping=None, vertices=None)))
         begin = own(before)
         triangle = mold.triangles[jnp.abs(own(wall)[0]) - 1]

@@ -206,7 +206,7 @@ def _taken_up(found: Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arra
     def take(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
         k, (best, chosen, nodes, count) = carry
         here = entry(node, k)
-        # All is read before anything is written, or XLA would copy the lists for every pair.
+        # All is read before anything is written (docs/explanation/kernels.md).
         pair = k, here, entry(beta, k), entry(triangle, k), entry(best, here), entry(chosen, here)
         k, here, own, number, least, last = once(pair)
         better = (own < least) | (own == least) & (number > last)
@@ -236,7 +236,7 @@ def _landed_in_place(
         def put_back(values: jax.Array, new: jax.Array) -> jax.Array:
             return new if values.ndim == 0 else put(values, new, node)
 
-        # All is read before anything is written, or XLA would copy the arrays.
+        # All is read before anything is written (docs/explanation/kernels.md).
         old, triangle = once((jax.tree.map(own, landing), own(chosen)))
         new = landed(old, now, own(mass), mold, triangle)
         nodes = dataclasses.replace(new.nodes, positions=rows_of(new.nodes.positions))

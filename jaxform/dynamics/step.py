@@ -237,7 +237,7 @@ def _looked(moving: Moving, now: Window) -> Moving:
     assert moving.seen is not None
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
     seen = only_if(due, again, moving.seen, differentiable=moving.room is None)
-    # In this order, or XLA would keep a copy of the positions for the look, at every step.
+    # Read before they are written (docs/explanation/kernels.md).
     seen, positions, velocities = once((seen, nodes.positions, nodes.velocities))
     return dataclasses.replace(
         moving, seen=seen, nodes=dataclasses.replace(nodes, positions=positions, velocities=velocities)

@@ -252,7 +252,7 @@ def _highest(
         def orthogonal(old: Any, mass: jax.Array, new: jax.Array) -> Any:
             unit = [scale * v for v in old[0]]
             vector = membrane.vector(x - rate * v - before * w for x, v, w in zip(new, unit, old[1], strict=True))
-            # Both are worked out before either is written, or XLA would copy the arrays for every block.
+            # Both are worked out before either is written (docs/explanation/kernels.md).
             vector, unit = once((vector, unit))
             return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
 

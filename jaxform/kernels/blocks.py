@@ -103,7 +103,7 @@ def over_blocks(
             return function(*_block(inputs, i))
         updated = zip(flat, arrays[:update], strict=False)
         old = [rows_read(each, len(array), i * BLOCK, BLOCK) for each, array in updated]
-        # All is read before anything is written, or XLA would copy the arrays for every block.
+        # All is read before anything is written (docs/explanation/kernels.md).
         return function(jax.lax.optimization_barrier(old) if kept else old, *_block(inputs, i))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
@@ -277,7 +277,7 @@ def lowered(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Arr
         return values.at[places].min(jnp.where(used, new, jnp.inf))
 
     def lower(i: jax.Array, values: jax.Array) -> jax.Array:
-        # A scatter would keep XLA from compiling the loop around into one function.
+        # No scatter in a loop (docs/explanation/kernels.md).
         place = entry(places, i)
         least = jnp.minimum(jax.lax.optimization_barrier(entry(values, place)), entry(new, i))
         return put(values, least[None], place)

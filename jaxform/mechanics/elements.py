@@ -86,7 +86,7 @@ def with_overflow(corners: Corners, elements: Elements) -> Corners:
 
     def add(k: jax.Array, flat: Corners) -> Corners:
         share, into = entry(elements.overflow, k), entry(elements.overflow_into, k)
-        # All is read before anything is written, or XLA would copy the arrays for every share.
+        # All is read before anything is written (docs/explanation/kernels.md).
         sums = once([entry(corner, share) + entry(corner, into) for corner in flat])
         return [put(corner, sum_[None], into) for corner, sum_ in zip(flat, sums, strict=True)]
 

@@ -158,7 +158,7 @@ def test_truncated(tmp_path, capfd, kind, kept):
     assert refused(path, capfd).remedy
 
 
-@pytest.mark.filterwarnings("ignore::jaxform.errors.InputWarning")
+@pytest.mark.filterwarnings("ignore::jaxform.core.errors.InputWarning")
 @pytest.mark.parametrize("kind", FORMATS)
 def test_damaged_files_give_a_mesh_or_an_input_error(tmp_path, capfd, kind):
     rng = np.random.default_rng(11)
