@@ -25,6 +25,7 @@ from benchmarks.strangers import OFF
 from jaxform.results.result import Result
 from jaxform.results.summary import penetrated, summarize, warnings_of_mold
 from jaxform.runs import loop
+from jaxform.runs.padding import on_rungs
 from jaxform.sheet.state import State, Status, finished
 
 Row = dict[str, Any]
@@ -36,7 +37,8 @@ _AT_ONCE = 100  # windows between two looks at the clock
 
 def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
     """What `jaxform.run` does, with the windows that the scene had planned, looking at the clock."""
-    scene, left = drawn.scene, drawn.planned
+    room, left = on_rungs(drawn.scene, recorded=True), drawn.planned
+    scene = room.scene
     state, first, taken = loop.begin(scene)
     loop.compiled_advance(state, scene, first, taken)  # not counted
     began = time.perf_counter()
@@ -47,7 +49,7 @@ def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
     state = loop.closed(state, scene, first)
-    return state, loop._make_result(state, scene, first, taken)
+    return state, room.result(loop._make_result(state, scene, first, taken))
 
 
 def examine(drawn: Drawn, state: State, result: Result) -> Row:

@@ -15,6 +15,7 @@ from benchmarks import random_scenes, stability, stability_page, stress
 from jaxform.dynamics import closing
 from jaxform.results.summary import summarize
 from jaxform.runs import loop
+from jaxform.runs.padding import on_rungs
 from jaxform.sheet.state import Status
 from tests import scenes
 
@@ -61,10 +62,12 @@ def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     """The stress run's own loop is that of `run`, windows rejected included."""
     drawn = random_scenes.draw(ONCE_BROKEN[0])
     _, ours = stress.run_drawn(drawn)
-    state, first, taken = loop.begin(drawn.scene)
-    state, taken, done = loop.advance(state, drawn.scene, first, taken, jnp.int32(drawn.planned))
+    room = on_rungs(drawn.scene, recorded=True)
+    state, first, taken = loop.begin(room.scene)
+    state, taken, done = loop.advance(state, room.scene, first, taken, jnp.int32(drawn.planned))
     assert bool(done)
-    np.testing.assert_array_equal(ours.positions, state.positions.T)
+    whole = room.result(loop._make_result(state, room.scene, first, taken))
+    np.testing.assert_array_equal(ours.positions, whole.positions)
     assert ours.schedule is not None
     counts, lengths = (np.asarray(x) for x in (ours.schedule.counts, ours.schedule.lengths))
     vain = (counts == 0) & (lengths > 0)

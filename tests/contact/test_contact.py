@@ -253,30 +253,30 @@ def test_inverted_copied_and_open_triangles_make_the_same_part() -> None:
 def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scenes.cup()
 
-    def windows() -> State:
+    def taken() -> State:
         state, body, _ = loop.begin(scene)
         advance = jax.jit(lambda state: windows.window(state, scene, body, differentiable=False))
         for _ in range(25):
             state = advance(state)
         return state
 
-    skipping = windows()
+    skipping = taken()
     monkeypatch.setattr(
         step, "watch", lambda *args: broad_phase.watch(*args)._replace(due=broad_phase.every_block(args[2]))
     )
     monkeypatch.setattr(step, "look", lambda *args: broad_phase.look(*args)._replace(close=jnp.asarray(True)))
-    always = windows()
+    always = taken()
     assert 0 < int((skipping.nodes.wall != 0).sum())
     np.testing.assert_array_equal(skipping.nodes.positions, always.nodes.positions)
     np.testing.assert_array_equal(skipping.nodes.wall, always.nodes.wall)
 
 
-def _taken_anew(result: jaxform.Result) -> int:
+def _retried(result: jaxform.Result) -> int:
     assert result.schedule is not None
     return int(np.sum((np.asarray(result.schedule.counts) == 0) & (np.asarray(result.schedule.lengths) > 0)))
 
 
-def test_what_touches_between_two_looks_unseen_is_taken_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_touches_between_two_looks_unseen_is_retried(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a look does not look ahead, the first nodes to touch are always seen too late."""
     scene = scenes.cup()
     seen = jaxform.run(scene)
@@ -288,7 +288,7 @@ def test_what_touches_between_two_looks_unseen_is_taken_anew(monkeypatch: pytest
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
     jax.clear_caches()
     assert jaxform.explain(blind) == "ok"
-    assert _taken_anew(seen) < _taken_anew(blind)
+    assert _retried(seen) < _retried(blind)
     assert penetrated(blind, scene).nodes < 1e-12
     np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
@@ -299,10 +299,10 @@ def test_where_pairs_find_no_room_the_windows_are_shorter_and_nothing_is_missed(
     scene = scenes.cup()
     roomy = jax.jit(jaxform.simulate)(scene)
     # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
-    monkeypatch.setattr(nearness, "_LEAST_ROOM", 128)
+    monkeypatch.setattr(lists, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
     monkeypatch.setattr(lists, "PAIRS_PER_NODE", 1)
-    monkeypatch.setattr(nearness, "_CANDIDATES", 1)
+    monkeypatch.setattr(lists, "_CANDIDATES", 1)
     tight = jax.jit(jaxform.simulate)(narrow)
     assert jaxform.explain(tight) == "ok"
     assert int(tight.shortened) > int(roomy.shortened)
@@ -403,7 +403,7 @@ def test_a_half_parison_lies_in_its_mold() -> None:
     assert np.asarray(scene.parison.clamped).sum() > 50
 
 
-def test_a_shot_that_flies_out_of_its_list_is_taken_anew_and_hits() -> None:
+def test_a_shot_that_flies_out_of_its_list_is_retried_and_hits() -> None:
     """A sudden pressure that moves the sheet far in its first steps; the window that missed something is repeated."""
     sudden = {"pressure.value": [3.0, 3.0], "solver.end_time": 3.0, "solver.damping": 1.0}
     scene = jaxform.replace(scenes.cup(), sudden)

@@ -206,7 +206,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", 2)
 import jax.numpy as jnp, numpy as np, jaxform
 from jax.sharding import Mesh, PartitionSpec
-from tests.test_inputs import _small
+from tests.io.test_inputs import _small
 
 scene = _small()
 mesh = Mesh(np.array(jax.devices()), ("device",))

@@ -28,7 +28,7 @@ class Pressure(Table):
 
 
 class Refinement(Table):
-    """Where the mesh becomes finer; see `jaxform.scene.Refinement`.
+    """Where the mesh becomes finer; see `jaxform.Refinement`.
 
     Attributes:
         angle: Largest angle of an element's and its neighbours' normals to their mean [degrees].
