@@ -69,8 +69,8 @@ design: environment
 	.venv/bin/python -m benchmarks.design
 
 # How hard it is to break: steps against the true limit, energy over a million steps, two thousand random scenes,
-# gradients, float32; writes docs/stability.md from docs/stability.json; about forty minutes on a quiet core, most of it
-# the random scenes. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
+# gradients, float32; writes docs/stability.md from docs/stability.json; the random scenes
+# take five minutes. Parts by name: `.venv/bin/python -m benchmarks.stability edge drift random gradients float32`.
 stability: environment
 	.venv/bin/python -m benchmarks.stability
 

@@ -55,6 +55,7 @@ _FIRST = (
 
 # What a developer runs while working, `make quick`: files that compile little.
 _QUICK = {
+    "architecture",
     "bisection",
     "formats",
     "hostile",

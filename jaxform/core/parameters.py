@@ -12,7 +12,7 @@ from typing import Any
 
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import pytree
-from jaxform.core.ranges import Range, check, declare
+from jaxform.core.ranges import Range, declare
 
 
 def parameter(
@@ -75,12 +75,6 @@ def ranges_of(part: Any) -> dict[str, Range]:
 def nodal_numbers(part: Any) -> list[str]:
     """The names of its numbers that have a value at each node."""
     return [each.name for each in _numbers(part) if each.metadata["nodal"]]
-
-
-def check_part(part: Any, section: str) -> None:
-    """Raises InputError unless every number of a part, none of them traced, is in its range."""
-    for name, allowed in ranges_of(part).items():
-        check(f"{section}.{name}", getattr(part, name), allowed)
 
 
 def _numbers(part: Any) -> list[dataclasses.Field[Any]]:

@@ -5,16 +5,13 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Mapping
-from typing import Any
 
 import jax
 import numpy as np
 
 from jaxform.contact.lists import PAIRS_PER_NODE
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import check_part, is_declared, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_index, as_real
-from jaxform.core.ranges import check_one
 from jaxform.core.store import Store
 from jaxform.loads import Loading
 from jaxform.materials import Law
@@ -22,7 +19,7 @@ from jaxform.mesh import bisection, reference
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement, Scene, Solver
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Sheet, Tables
-from jaxform.prepare import start
+from jaxform.prepare import parts, start
 from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
 from jaxform.prepare.planning import longest_window, planned_windows, spare_windows
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
@@ -31,7 +28,6 @@ from jaxform.tools.search import SearchGrid, build_grid
 
 _FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
 _MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
-_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
 
 
 def build_scene(
@@ -69,12 +65,10 @@ def build_scene(
             the run would take more steps than anyone would wait for.
     """
     _warn_of_float32()
-    _check_material(material)
-    _check_loading(pressure)
-    count = len(parison.positions)
+    material, pressure, count = parts.law(material), parts.loading(pressure), len(parison.positions)
     if refinement is not None and forest is None:
         forest, parison = planted(parison, refinement)
-    carried = {str(key): _carried(str(key), own, count, forest) for key, own in (fields or {}).items()}
+    carried = {str(key): parts.field(str(key), own, count, forest) for key, own in (fields or {}).items()}
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
     grid = lying = None
@@ -129,41 +123,6 @@ def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refineme
     if refinement is not None:
         return make_assembly(triangles, len(positions))
     return make_paired_assembly(positions, triangles)
-
-
-def _check_material(material: Law) -> None:
-    if not is_declared(material, Law):
-        raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
-    for name, allowed in ranges_of(material).items():
-        check_one(f"material.{name}", getattr(material, name), allowed)
-
-
-def _check_loading(pressure: Loading) -> None:
-    if not is_declared(pressure, Loading):
-        remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
-        raise InputError("is no loading", remedy, "pressure")
-    check_part(pressure, "pressure")
-
-
-def _carried(name: str, field: Field, count: int, forest: bisection.Forest | None) -> Field:
-    """A field of a parison with so many nodes, with values at all nodes of its forest."""
-    key = f"fields.{name}"
-    if not is_declared(field, Field):
-        raise InputError("is no field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
-    if name in _RESERVED or not name.isidentifier():
-        raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
-    check_part(field, key)
-    new = {}
-    for part in nodal_numbers(field):
-        values = np.asarray(getattr(field, part), float)
-        if values.ndim and values.shape != (count,):
-            problem = f"needs one number, or one at each node: {count}, not {values.shape}"
-            raise InputError(problem, "match the mesh", f"{key}.{part}")
-        if forest is not None and values.ndim and len(values) < len(forest.positions):
-            values = bisection.extended(values, forest.ends, forest.depth)
-        new[part] = as_real(np.broadcast_to(values, (len(forest.positions) if forest is not None else count,)))
-    made: Any = dataclasses.replace(field, **new)  # pyright: ignore
-    return made
 
 
 def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:

@@ -143,3 +143,26 @@ def test_what_is_no_loading_is_refused_in_words() -> None:
         scenes.loaded(cast("Any", 3.0))
     with pytest.raises(InputError, match=r"pressure\.content.*must be positive"):
         scenes.loaded(gas(1.0, -1.0))
+
+
+def test_plain_numbers_are_enough_and_a_pressure_is_one_number() -> None:
+    scene = scenes.loaded(cast("Any", SealedGas)(0.1, 0.5, 16.0, DEAD, 1.0))
+    assert scene.pressure.content.shape == ()
+    jax.grad(lambda c: jaxform.replace(scene, {"pressure.content": c}).pressure.content)(0.5)
+
+    @jaxform.loading
+    class Several(jaxform.Loading):
+        def at(self, time: jax.Array, volume: jax.Array) -> jax.Array:
+            return jnp.ones(4)
+
+    @jaxform.loading
+    class Untraced(jaxform.Loading):
+        def at(self, time: jax.Array, volume: jax.Array) -> jax.Array:
+            return real(float(time))
+
+    with pytest.raises(InputError, match=r"pressure: gives pressures of shape \(4,\)"):
+        scenes.loaded(Several())
+    with pytest.raises(InputError, match="pressure: cannot be traced by JAX"):
+        scenes.loaded(Untraced())
+    with pytest.raises(InputError, match=r"pressure\.content.*is a text"):
+        scenes.loaded(cast("Any", SealedGas)(0.1, "much", 16.0, DEAD, 1.0))

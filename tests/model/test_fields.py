@@ -161,6 +161,14 @@ class Height(jaxform.Field):
         return jnp.maximum(values, step.positions[2])
 
 
+@jaxform.field
+class Short(jaxform.Field):
+    """Starts with three values whatever the mesh is."""
+
+    def start(self, positions: jax.Array) -> jax.Array:
+        return jnp.ones(3)
+
+
 def test_a_field_that_rests_lets_what_sticks_be_skipped() -> None:
     plain = scenes.cup()
     scene = dataclasses.replace(plain, fields={"highest": Height(real(-1.0))})
@@ -188,6 +196,7 @@ def test_numbers_out_of_range_are_told(cup: jaxform.Scene) -> None:
         ({"temperature": cooling(np.ones(3))}, r"fields\.temperature\.initial.*one at each node"),
         ({"thickness": cooling(1.0)}, "cannot be a field's name"),
         ({"a b": cooling(1.0)}, "cannot be a field's name"),
+        ({"temperature": Short()}, r"fields\.temperature: starts with values of shape \(3,\)"),
         ({"temperature": 3.0}, r"fields\.temperature.*is no field"),
         ({"temperature": cooling(-300.0)}, r"fields\.temperature\.initial.*at least -273\.15"),
     ],

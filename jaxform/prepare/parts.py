@@ -1,0 +1,96 @@
+"""Parts of a scene that a user may have written, checked and with arrays for numbers: laws, loadings and fields."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import is_declared, nodal_numbers, ranges_of
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import as_numbers, check, check_one
+from jaxform.loads import Loading
+from jaxform.materials import Law
+from jaxform.mesh import bisection
+from jaxform.model.field import Field
+
+_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
+
+
+def law(material: Law) -> Law:
+    """The law of a scene.
+
+    Raises:
+        InputError: It is none, or a number is not one number in its range.
+    """
+    if not is_declared(material, Law):
+        raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
+    return _with_arrays(material, "material", single=True)
+
+
+def loading(pressure: Loading) -> Loading:
+    """The loading of a scene.
+
+    Raises:
+        InputError: It is none, a number is out of its range, or the pressure of a moment is not one number.
+    """
+    if not is_declared(pressure, Loading):
+        remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
+        raise InputError("is no loading", remedy, "pressure")
+    made = _with_arrays(pressure, "pressure")
+    one = as_real(0.0)
+    shape = _shape("pressure", made.at, one, one)
+    if shape != ():
+        raise InputError(f"gives pressures of shape {shape}", "let `at` give one number", "pressure")
+    return made
+
+
+def field(name: str, given: Field, count: int, forest: bisection.Forest | None) -> Field:
+    """A field of a parison with so many nodes, with values at all nodes of its forest.
+
+    Raises:
+        InputError: It is none, cannot have that name, or its numbers or first values do not fit the mesh.
+    """
+    key = f"fields.{name}"
+    if not is_declared(given, Field):
+        raise InputError("is no field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
+    if name in _RESERVED or not name.isidentifier():
+        raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
+    made, new = _with_arrays(given, key), {}
+    whole = count if forest is None else len(forest.positions)
+    for part in nodal_numbers(made):
+        values = np.asarray(getattr(made, part))
+        if values.ndim and values.shape != (count,):
+            problem = f"needs one number, or one at each node: {count}, not {values.shape}"
+            raise InputError(problem, "match the mesh", f"{key}.{part}")
+        if forest is not None and values.ndim and len(values) < whole:
+            values = bisection.extended(values, forest.ends, forest.depth)
+        new[part] = as_real(np.broadcast_to(values, (whole,)))
+    made = _replaced(made, new)
+    shape = _shape(key, made.start, as_real(np.zeros((whole, 3))))
+    if shape != (whole,):
+        raise InputError(f"starts with values of shape {shape}", f"let `start` give ({whole},)", key)
+    return made
+
+
+def _with_arrays[T](part: T, section: str, *, single: bool = False) -> T:
+    """A part whose numbers are arrays, each in its range."""
+    for name, allowed in ranges_of(part).items():
+        (check_one if single else check)(f"{section}.{name}", getattr(part, name), allowed)
+    return _replaced(part, {name: as_real(as_numbers(name, getattr(part, name))) for name in ranges_of(part)})
+
+
+def _replaced[T](part: T, values: dict[str, Any]) -> T:
+    return dataclasses.replace(part, **values)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+
+def _shape(key: str, function: Any, *arguments: jax.Array) -> tuple[int, ...]:
+    """The shape of what a user's function gives; it is not worked out."""
+    try:
+        return jax.eval_shape(function, *arguments).shape
+    except (TypeError, ValueError, AttributeError) as error:
+        reason = str(error).strip().split("\n")[0]
+        raise InputError(f"cannot be traced by JAX ({reason})", "use jax.numpy, and return one array", key) from error
