@@ -32,7 +32,7 @@ class Rule(NamedTuple):
 
 @pytree
 class Nodes:
-    """Nodal fields, in the mesh's order or in the packed one of `working.ActiveSet`.
+    """Nodal fields, in the mesh's order or in the packed one of `active_set.ActiveSet`.
 
     Attributes:
         positions: (3, n_node) [m]; inside a window's loop row by row, where no derivative is taken.

@@ -80,7 +80,7 @@ class Bend:
 
 @pytree
 class Forest:
-    """Every triangle of the mesh bisected beforehand; see `jaxform.bisection`, which explains the numbering.
+    """Every triangle of the mesh bisected beforehand; see `jaxform.mesh.bisection`, which explains the numbering.
 
     Attributes:
         sheet: Initial geometry of all triangles.
@@ -126,7 +126,7 @@ class Forest:
 
 @pytree
 class Counts:
-    """How many there are of what arrays have more room for; see `jaxform.padding`.
+    """How many there are of what arrays have more room for; see `jaxform.runs.arrays`.
 
     Attributes:
         elements: Of the mesh before it is refined.

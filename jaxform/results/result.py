@@ -36,7 +36,7 @@ class Result:
         positions: Final node positions (n_node, 3) [m].
         thickness: Final thickness at the nodes (n_node,) [m]: the linear function that fits h/h0 of the adjacent
             elements best, at rims carried on from inside, times the node's initial thickness; 0 where the
-            node does not exist. See `jaxform.recovery`.
+            node does not exist. See `jaxform.results.recovery`.
         active: Nodes that exist at the end (n_node,).
         stuck: Nodes that do not move any more (n_node,).
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
@@ -58,7 +58,7 @@ class Result:
         status: Bits of `Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
-        out_of_range: Which numbers of the scene were out of range, as bits, in the order of `replacing.DESIGNABLE`; 0
+        out_of_range: Which numbers of the scene were out of range, as bits, in the order of `core.ranges.DESIGNABLE`; 0
             where none was. None from the host's loop, which refuses them.
     """
 

@@ -160,7 +160,7 @@ class State:
 
 
 PackedState = NewType("PackedState", State)
-"""A state whose nodes are in the packed order of `working.ActiveSet`, as windows have them."""
+"""A state whose nodes are in the packed order of `active_set.ActiveSet`, as windows have them."""
 
 
 class AtStart(NamedTuple):
