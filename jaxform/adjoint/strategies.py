@@ -6,6 +6,7 @@ its first day, and by the reversed scheme once each of its parts can be stepped 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -16,6 +17,8 @@ from jaxform.dynamics.window import window
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import Schedule, State
+
+Look = Callable[[State], tuple[State, Discretization]]
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,9 @@ class Adjoint:
     def check(self, scene: Scene) -> None:
         """Raises InputError where a scene has a part that this cannot go back over."""
 
-    def border[T](self, look: T) -> T:
+    def border(self, look: Look) -> Look:
         """What a window's border does, with what is kept of it."""
-        return jax.checkpoint(look)  # pyright: ignore[reportArgumentType, reportReturnType]
+        return jax.checkpoint(look)
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
@@ -86,7 +89,7 @@ class Checkpointed(Adjoint):
 class Stored(Adjoint):
     """JAX's own derivative, with every step kept: for short runs, and to check the others with."""
 
-    def border[T](self, look: T) -> T:
+    def border(self, look: Look) -> Look:
         """All of it is kept."""
         return look
 

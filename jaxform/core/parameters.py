@@ -40,17 +40,24 @@ def within(allowed: Range, *, nodal: bool = False) -> Any:
     return field(metadata={"range": allowed, "nodal": nodal})
 
 
-def declared_part[T](cls: type[T], section: str, needed: Sequence[str] = ()) -> type[T]:
+def declared_part[T](
+    cls: type[T], base: type, method: str, remedy: str, section: str, needed: Sequence[str] = ()
+) -> type[T]:
     """Makes a class a frozen dataclass and a pytree whose numbers are known to `replace` and to designs.
 
     Args:
         cls: The class.
+        base: What it must derive from.
+        method: What it must have of its own.
+        remedy: What to do where it does not, in words.
         section: What the path of its numbers begins with.
         needed: Numbers that it must have.
 
     Raises:
-        InputError: A number is not declared, or is missing.
+        InputError: It derives from something else, lacks the method, or a number is not declared or missing.
     """
+    if not (isinstance(cls, type) and issubclass(cls, base)) or getattr(cls, method) is getattr(base, method):
+        raise InputError(f"is no {base.__name__.lower()}", remedy, value=getattr(cls, "__name__", str(cls)))
     made = pytree(cls)
     declared = {part.name: part.metadata.get("range") for part in _numbers(made)}
     missing = sorted(key for key, allowed in {**dict.fromkeys(needed), **declared}.items() if allowed is None)

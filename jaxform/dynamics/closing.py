@@ -136,7 +136,7 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
     working, elements = now.working, now.working.packed.elements
     positions = moving.nodes.positions
-    volume = None if moving.account.pressure is None else working.volume(positions) + working.idle_volume
+    volume = None if moving.account.pressure is None else working.volume(positions)
     pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
     load = Load(positions, working.thickness, pressure, scene.material)
     room = no_corners(positions, elements) if moving.room is None else moving.room

@@ -135,7 +135,7 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
 
 def _pressure_inside(moving: Moving, scene: Scene, now: Window) -> jax.Array:
     """The pressure [Pa] that goes with the volume enclosed as the step begins."""
-    volume = now.working.volume(jnp.asarray(moving.nodes.positions)) + now.working.idle_volume
+    volume = now.working.volume(jnp.asarray(moving.nodes.positions))
     return scene.pressure.at(now.begin + moving.count * now.length, volume)
 
 

@@ -172,7 +172,7 @@ def elements_bound(state: PackedState, scene: Scene, working: ActiveSet) -> jax.
 def _falling(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
     """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
     volume, rise = jax.value_and_grad(working.volume)(state.nodes.positions)
-    slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume + working.idle_volume)
+    slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume)
     return slope, rise, jnp.where(state.nodes.stuck, 0.0, working.compliance)
 
 
@@ -215,7 +215,7 @@ def _highest(
     compliance = jnp.where(state.nodes.stuck, 0.0, working.compliance)
     volume, falling = None, None
     if scene.pressure.follows_volume:
-        volume, falling = working.volume(state.nodes.positions) + working.idle_volume, _falling(state, scene, working)
+        volume, falling = working.volume(state.nodes.positions), _falling(state, scene, working)
     pressure = scene.pressure.at(state.time, volume)
     load = Load(state.nodes.positions, working.thickness, pressure, scene.material)
 

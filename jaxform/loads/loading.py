@@ -7,7 +7,6 @@ from typing import Any, ClassVar, dataclass_transform
 import jax
 import numpy as np
 
-from jaxform.core.errors import InputError
 from jaxform.core.parameters import declared_part, parameter, within
 from jaxform.core.pytree import as_real, static
 
@@ -62,7 +61,4 @@ def loading[T: Loading](cls: type[T]) -> type[T]:
     Raises:
         InputError: It does not derive from `Loading`, gives no pressure, or has an undeclared number.
     """
-    if not (isinstance(cls, type) and issubclass(cls, Loading)) or cls.at is Loading.at:
-        remedy = "derive it from jaxform.Loading and give it a pressure, `at`"
-        raise InputError("is no loading", remedy, value=getattr(cls, "__name__", str(cls)))
-    return declared_part(cls, "pressure")
+    return declared_part(cls, Loading, "at", "derive it from jaxform.Loading and give it a pressure, `at`", "pressure")

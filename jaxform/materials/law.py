@@ -8,7 +8,6 @@ from typing import dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.errors import InputError
 from jaxform.core.parameters import declared_part, parameter, within
 from jaxform.core.pytree import static
 
@@ -82,7 +81,5 @@ def law[T: Law](cls: type[T]) -> type[T]:
     Raises:
         InputError: It does not derive from `Law`, has no energy or density, or an undeclared parameter.
     """
-    if not (isinstance(cls, type) and issubclass(cls, Law)) or cls.energy is Law.energy:
-        remedy = "derive it from jaxform.Law and give it an energy"
-        raise InputError("is no law", remedy, value=getattr(cls, "__name__", str(cls)))
-    return declared_part(cls, "material", needed=("density",))
+    remedy = "derive it from jaxform.Law and give it an energy"
+    return declared_part(cls, Law, "energy", remedy, "material", needed=("density",))

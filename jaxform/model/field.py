@@ -7,7 +7,6 @@ from typing import ClassVar, NamedTuple, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.errors import InputError
 from jaxform.core.parameters import declared_part, parameter, within
 from jaxform.core.pytree import static
 
@@ -77,10 +76,8 @@ def field[T: Field](cls: type[T]) -> type[T]:
     Raises:
         InputError: It does not derive from `Field`, says not how it starts, or has an undeclared number.
     """
-    if not (isinstance(cls, type) and issubclass(cls, Field)) or cls.start is Field.start:
-        remedy = "derive it from jaxform.Field and say what it is at first, `start`"
-        raise InputError("is no field", remedy, value=getattr(cls, "__name__", str(cls)))
-    return declared_part(cls, "fields")
+    remedy = "derive it from jaxform.Field and say what it is at first, `start`"
+    return declared_part(cls, Field, "start", remedy, "fields")
 
 
 def stepped(fields: dict[str, Field], values: dict[str, jax.Array], step: Surroundings) -> dict[str, jax.Array]:

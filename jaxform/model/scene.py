@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real, pytree, static
 from jaxform.core.ranges import MOST_STEPS, as_numbers, check, check_one
+from jaxform.loads import Loading
 from jaxform.materials import Law
 from jaxform.mesh import reference
 from jaxform.model.field import Field
@@ -152,13 +153,20 @@ class Scene:
 
     def pushes(self) -> np.ndarray:
         """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
-        positions, triangles = np.asarray(self.parison.positions, float), np.asarray(self.parison.triangles)
-        return self.pressure.pushes(float(self.solver.end_time), reference.enclosed_volume(positions, triangles))
+        return pushes_of(self.pressure, self.solver, self.parison)
 
     @property
     def reversible(self) -> bool:
         """Whether every part of it can be stepped backwards, as the reversed scheme does."""
         return not self.fields and not self.pressure.follows_volume
+
+
+def pushes_of(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:
+    """As `Scene.pushes`, of the parts of a scene."""
+    volume = 0.0
+    if pressure.follows_volume:
+        volume = reference.enclosed_volume(np.asarray(parison.positions, float), np.asarray(parison.triangles))
+    return pressure.pushes(float(solver.end_time), volume)
 
 
 def make_parison(

@@ -17,7 +17,7 @@ from jaxform.loads import Loading
 from jaxform.materials import Law
 from jaxform.mesh import bisection, reference
 from jaxform.model.field import Field
-from jaxform.model.scene import Parison, Refinement, Scene, Solver
+from jaxform.model.scene import Parison, Refinement, Scene, Solver, pushes_of
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Sheet, Tables
 from jaxform.prepare import parts, start
 from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
@@ -75,7 +75,7 @@ def build_scene(
     if mold is not None:
         grid = _search_grid(mold, positions, triangles, store)
         start.check_start(parison, triangles, mold, grid)
-        pushes = pressure.pushes(float(solver.end_time), reference.enclosed_volume(positions, triangles))
+        pushes = pushes_of(pressure, solver, parison)
         parison, lying = _laid(parison, triangles if forest is None else forest.triangles, pushes, mold, grid)
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)

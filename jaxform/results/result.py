@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.core.pytree import pytree
+from jaxform.core.pytree import marked, pytree
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Rule
 from jaxform.model.scene import Scene
@@ -18,6 +18,9 @@ from jaxform.results.recovery import nodal_ratio
 from jaxform.sheet.account import enclosed_volume, energy_rounding, kinetic_energy, last_work, strain_energy
 from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
 from jaxform.sheet.state import Schedule, State, Taken
+
+NODAL, OF_ELEMENTS = {"of": "nodes"}, {"of": "elements"}
+"""Mark what a result has for each node, and for each element."""
 
 
 @pytree
@@ -62,20 +65,20 @@ class Result:
             where none was. None from the host's loop, which refuses them.
     """
 
-    positions: jax.Array
-    thickness: jax.Array
-    active: jax.Array
-    stuck: jax.Array
-    contact_time: jax.Array
-    wall: jax.Array
-    fields: dict[str, jax.Array]
+    positions: jax.Array = dataclasses.field(metadata=NODAL)
+    thickness: jax.Array = dataclasses.field(metadata=NODAL)
+    active: jax.Array = dataclasses.field(metadata=NODAL)
+    stuck: jax.Array = dataclasses.field(metadata=NODAL)
+    contact_time: jax.Array = dataclasses.field(metadata=NODAL)
+    wall: jax.Array = dataclasses.field(metadata=NODAL)
+    fields: dict[str, jax.Array] = dataclasses.field(metadata=NODAL)
     triangles: jax.Array
-    level: jax.Array
-    used: jax.Array
-    element_volume: jax.Array
-    element_thickness: jax.Array
-    stretches: jax.Array
-    velocities: jax.Array
+    level: jax.Array = dataclasses.field(metadata=OF_ELEMENTS)
+    used: jax.Array = dataclasses.field(metadata=OF_ELEMENTS)
+    element_volume: jax.Array = dataclasses.field(metadata=OF_ELEMENTS)
+    element_thickness: jax.Array = dataclasses.field(metadata=OF_ELEMENTS)
+    stretches: jax.Array = dataclasses.field(metadata=OF_ELEMENTS)
+    velocities: jax.Array = dataclasses.field(metadata=NODAL)
     mass: jax.Array
     added_mass: jax.Array
     energy: Energy
@@ -87,6 +90,11 @@ class Result:
     schedule: Schedule | None = None
     seconds: Seconds | None = None
     out_of_range: jax.Array | None = None
+
+    def of(self, kind: dict[str, str], chosen: np.ndarray | slice) -> dict[str, Any]:
+        """The nodal values, or those of elements, of the chosen ones alone: NumPy arrays by name."""
+        names = marked(self, kind)
+        return {name: jax.tree.map(lambda values: np.asarray(values)[chosen], getattr(self, name)) for name in names}
 
 
 def make_result(state: State, scene: Scene, first: Discretization, taken: Taken | None = None) -> Result:
@@ -177,11 +185,7 @@ def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
     active, used = np.asarray(result.active), np.asarray(result.used)
     number = np.cumsum(active) - 1
     triangles = number[np.asarray(result.triangles)[used]].astype(np.int32)
-    nodal = {"positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities"}
-    of_elements = {"level", "used", "element_volume", "element_thickness", "stretches"}
-    kept: dict[str, Any] = {name: np.asarray(getattr(result, name))[active] for name in nodal}
-    kept |= {name: np.asarray(getattr(result, name))[used] for name in of_elements}
-    kept["fields"] = {name: np.asarray(values)[active] for name, values in result.fields.items()}
+    kept = result.of(NODAL, active) | result.of(OF_ELEMENTS, used)
     sheet = {name: np.asarray(getattr(scene.parison, name))[active] for name in ("positions", "thickness")}
     sheet |= {name: np.asarray(getattr(scene.parison, name))[active] for name in ("clamped", "fixed")}
     parison: Any = dataclasses.replace(scene.parison, triangles=triangles, **sheet)  # pyright: ignore

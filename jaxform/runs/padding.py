@@ -19,7 +19,7 @@ from jaxform.core.ranges import MOST_STEPS
 from jaxform.kernels import sizes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Assembly, Counts, Tables
-from jaxform.results.result import Result
+from jaxform.results.result import NODAL, OF_ELEMENTS, Result
 from jaxform.runs.arrays import (
     Order,
     assembly_with_room,
@@ -40,8 +40,6 @@ from jaxform.runs.arrays import (
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.state import Schedule
 
-_NODAL = ("positions", "thickness", "active", "stuck", "contact_time", "wall", "velocities")
-_OF_ELEMENTS = ("level", "used", "element_volume", "element_thickness", "stretches")
 _OF_WINDOWS = ("lengths", "counts", "bounds", "durations")
 
 
@@ -67,9 +65,7 @@ class Padded(NamedTuple):
         count = len(self.own.parison.triangles)
         if refinement is not None:
             count = min(max(refinement.elements, int(used.sum())), used.size)
-        new: dict[str, Any] = {name: np.asarray(getattr(result, name))[nodes] for name in _NODAL}
-        new |= {name: np.asarray(getattr(result, name))[:count] for name in _OF_ELEMENTS}
-        new["fields"] = {name: np.asarray(values)[nodes] for name, values in result.fields.items()}
+        new = result.of(NODAL, nodes) | result.of(OF_ELEMENTS, slice(count))
         triangles = np.asarray(result.triangles)[:count]
         if forest is not None:
             back = np.zeros(self.order.node_room, np.int32)

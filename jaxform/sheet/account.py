@@ -77,8 +77,11 @@ def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
     return last_pressure(state, scene, volume) * (volume - state.account.volume)
 
 
-def enclosed_volume(positions: jax.Array, sheet: Sheet, counted: jax.Array | float = 1.0) -> jax.Array:
-    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count."""
+def enclosed_volume(positions: jax.Array, sheet: Sheet | Elements, counted: jax.Array | float = 1.0) -> jax.Array:
+    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count.
+
+    Each counts as often as `counted` says, and against its nodes' order where that is negative.
+    """
     first, edge1, edge2 = membrane.edges(positions, sheet.triangles)
     arm = membrane.minus(first, sheet.origin)
     counted = jnp.where(sheet.area > 0.0, counted, 0.0)

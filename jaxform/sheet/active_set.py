@@ -15,7 +15,6 @@ import jax.numpy as jnp
 from jaxform.contact.lists import Lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
-from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners
 from jaxform.mechanics.nodes import Rule
 from jaxform.model.scene import Scene
@@ -68,12 +67,10 @@ class ActiveSet:
     room: Room | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
-        """Volume [m^3] enclosed by what is active, at positions (3, place) [m]; differentiable."""
+        """Volume [m^3] that the sheet encloses, with what is active at positions (3, place) [m]; differentiable."""
         elements = self.packed.elements
-        first, edge1, edge2 = membrane.edges(positions, elements.triangles)
-        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
-        share = share if elements.orientation is None else elements.orientation * share
-        return jnp.sum(jnp.where(elements.area > 0.0, share, 0.0)) / 6.0
+        counted = 1.0 if elements.orientation is None else elements.orientation
+        return enclosed_volume(positions, elements, counted) + self.idle_volume
 
     def taken(self, state: State) -> PackedState:
         """A state in packed order; at places beyond the nodes they stick."""
