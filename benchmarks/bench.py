@@ -290,12 +290,12 @@ def show_parts(window: int = 20) -> Table:
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
 
-    def border(state: PackedState, scene: jaxform.Scene, working: ActiveSet) -> Any:
-        return windows.window_in_place(state, with_windows_of(1, scene), working)
+    def border(state: PackedState, scene: jaxform.Scene, active: ActiveSet) -> Any:
+        return windows.window_in_place(state, with_windows_of(1, scene), active)
 
     def listed(state: State, scene: jaxform.Scene, _: Any) -> Any:
         assert scene.tables.grid is not None
-        return candidates.list_near(
+        return candidates.list_candidates(
             state.nodes.positions,
             state.nodes.velocities,
             ~state.nodes.stuck,
@@ -304,8 +304,8 @@ def show_parts(window: int = 20) -> Table:
             scene.tables.grid,
         )
 
-    def balance(state: State, scene: jaxform.Scene, working: ActiveSet) -> Any:
-        return account.account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
+    def balance(state: State, scene: jaxform.Scene, active: ActiveSet) -> Any:
+        return account.account(state.nodes.positions, active.packed.elements, active.thickness, scene.material)
 
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
         "nothing": (lambda state, *_: state.nodes.positions[0, 0], scene),
@@ -350,17 +350,17 @@ def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> C
         state = state.with_nodes(mode=None)
 
     @functools.partial(jax.jit, compiler_options=compiler_options())
-    def several(state: State, scene: jaxform.Scene, working: ActiveSet) -> jax.Array:
+    def several(state: State, scene: jaxform.Scene, active: ActiveSet) -> jax.Array:
         def once(_: jax.Array, last: jax.Array) -> jax.Array:
             moved = state.with_nodes(positions=state.nodes.positions + 1e-30 * last)
-            results = jax.tree.leaves(part(moved, scene, working))
+            results = jax.tree.leaves(part(moved, scene, active))
             return sum((jnp.sum(result.ravel()[:3]) * 1.0 for result in results), jnp.zeros(()))
 
         return jax.lax.fori_loop(0, _TIMES, once, jnp.zeros(()))
 
-    working = jax.jit(active_set_of)(state, scene, loop.begin(scene)[1])
-    taken = working.taken(state)
-    return lambda: several(taken, scene, working)
+    active = jax.jit(active_set_of)(state, scene, loop.begin(scene)[1])
+    taken = active.taken(state)
+    return lambda: several(taken, scene, active)
 
 
 def show_batch(count: int = 16) -> Table:

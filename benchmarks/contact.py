@@ -96,7 +96,7 @@ def walk(
     count = begin.shape[1]
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
-    window = candidates.list_near(begin, way, ~stuck, once, once, grid)
+    window = candidates.list_candidates(begin, way, ~stuck, once, once, grid)
     due = broad_phase.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
     there = end if differentiable else membrane.rows_of(end)
@@ -107,7 +107,9 @@ def walk(
     landed, _ = sticking.land(flying, now, due, mass, window, wall, grid, room)
     nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
     landed = landed._replace(nodes=nodes)
-    well = ~(window.overflow | jnp.any(broad_phase.missed(end, stuck, broad_phase.balls(window), broad_phase.unseen())))
+    well = ~(
+        window.overflow | jnp.any(broad_phase.missed(end, stuck, broad_phase.spheres(window), broad_phase.unseen()))
+    )
     return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
 
 

@@ -213,12 +213,14 @@ def show_overhead() -> list[Row]:
         ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
     ):
         scene, part, seconds = timed(scene)
+        limits = scene.refinement
+        assert limits is not None
         state, first, _ = loop.begin(scene)
         look = jax.jit(functools.partial(_look, scene))
         advance = jax.jit(lambda state, now, scene=scene: windows.window(state, scene, now, differentiable=False))
         now, spent, growths = discretization.present_discretization(scene, state.mesh, first), 0.0, 0
         while not finished(state, scene):
-            if refinement.looks(state.windows, scene):
+            if refinement.looks(state.windows, limits):
                 # Calling the program, and copies of all it gives, take time too, which a run does not spend: so beside
                 # it the same program at a border where it is not time to look.
                 idle = dataclasses.replace(state, windows=state.windows + 1)

@@ -19,16 +19,7 @@ from jaxform import InputError, Scene
 Bounds = tuple[float, float]
 
 EDGE = 1e-3  # of the range: where a start that lies on a bound is put, for on it the map has no slope
-SCALABLE = (
-    "material.c",
-    "material.alpha",
-    "material.a01",
-    "material.a02",
-    "material.density",
-    "parison.thickness",
-    "pressure.value",
-    "solver.damping",
-)
+_TIMES = ("pressure.time", "solver.end_time")
 
 
 class Variable(Protocol):
@@ -137,7 +128,7 @@ class Scale:
 
     Args:
         scene: The scene; its own values are the start, factor 1.
-        of: What is scaled, one of `SCALABLE`.
+        of: What is scaled: a number that `jaxform.replace` takes and is no time, such as "material.c".
         bounds: Least and largest factor.
 
     Raises:
@@ -147,12 +138,13 @@ class Scale:
     def __init__(self, scene: Scene, *, of: str, bounds: Bounds) -> None:
         """See the class."""
         check_bounds(bounds)
-        if of not in SCALABLE:
-            raise InputError("cannot be scaled", f"choose one of {', '.join(SCALABLE)}", "variable.of", of)
+        if of in _TIMES:
+            raise InputError(
+                "is a time", "scale another number; a FormingTime objective shortens it", "variable.of", of
+            )
         part, _, name = of.partition(".")
-        present = getattr(getattr(scene, part), name, None)
-        if present is None:
-            jaxform.replace(scene, {of: 1.0})  # says what the scene has instead
+        present = getattr(getattr(scene, part, None), name, None)
+        jaxform.replace(scene, {of: 1.0 if present is None else present})  # says what the scene has instead
         self.of, self.bounds = of, bounds
         self._present = jnp.asarray(present)
         self._first_nodes = scene.first_nodes

@@ -117,11 +117,11 @@ def refinable(sheet: Sheet, elements: int) -> Scene:
 @jax.jit
 def bisected(scene: Scene, state: State, sheet: Discretization, wanted: jax.Array) -> tuple[State, Discretization]:
     """A state with wanted elements (element_room,) bisected, and what that asks for; and its body."""
-    mesh, forest = state.mesh, scene.tables.forest
-    assert mesh is not None and forest is not None
+    mesh, adaptivity = state.refined_mesh, scene.adaptivity
+    assert adaptivity is not None
     numbers = jnp.where(wanted, mesh.element, NEVER)
-    found = remeshing.closed(mesh.split_at, numbers, mesh.element_count, forest, state.windows)
-    return refinement._grown(state, scene, sheet, *found, None)
+    found = remeshing.closed(mesh.split_at, numbers, mesh.element_count, adaptivity.forest, state.windows)
+    return refinement._grown(state, scene, adaptivity, sheet, *found, None)
 
 
 @jax.jit

@@ -24,7 +24,7 @@ from jaxform.contact.sight import Sight, seen
 from jaxform.kernels.blocks import BLOCK, cut, only_if, put
 from jaxform.mechanics.membrane import cross, dot
 from jaxform.mechanics.nodes import Nodes
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Adaptivity, Scene, Tool
 from jaxform.model.tables import Forest
 from jaxform.sheet.discretization import Mesh
 from jaxform.sheet.state import State, at_start
@@ -94,18 +94,26 @@ class _Older(NamedTuple):
         return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), up, place)
 
 
-def insert_nodes(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, differentiable: bool = True) -> State:
+def insert_nodes(
+    state: State,
+    mesh: Mesh,
+    scene: Scene,
+    adaptivity: Adaptivity,
+    volumes: jax.Array,
+    *,
+    differentiable: bool = True,
+) -> State:
     """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
 
     Args:
         state: The state, with its own mesh.
         mesh: The finer mesh.
         scene: The scene.
+        adaptivity: How it is refined.
         volumes: Of all triangles of the forest (n_triangle,) [m^3].
         differentiable: Whether loops have as many passes as there is room for; else they end with the new nodes.
     """
-    forest, old = scene.tables.forest, state.mesh
-    assert forest is not None and old is not None
+    forest, old, tool = adaptivity.forest, state.refined_mesh, scene.tool
     size = min(BLOCK, mesh.node.size)
 
     def births(block: jax.Array) -> _Insertions:
@@ -130,21 +138,19 @@ def insert_nodes(state: State, mesh: Mesh, scene: Scene, volumes: jax.Array, *, 
 
     # The loop over blocks carries no more than it changes.
     nodes = dataclasses.replace(state.nodes, mode=None)
-    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, volumes))
-    if scene.mold is not None and scene.tables.grid is not None:
+    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, forest, volumes))
+    if tool is not None:
         older, time = _Older(mesh, old.node_count), state.time
-        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, scene, older, time))
+        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, tool, adaptivity, older, time))
     return dataclasses.replace(state, nodes=nodes).with_nodes(mode=state.nodes.mode)
 
 
-def _between(nodes: Nodes, births: _Insertions, scene: Scene, volumes: jax.Array) -> Nodes:
+def _between(nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, volumes: jax.Array) -> Nodes:
     """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
     weighted by these the momentum is kept exactly.
     """
-    forest = scene.tables.forest
-    assert forest is not None
     # How far the nodes have moved: a new node's initial place may be off its edge, at a rim that is round.
     reference = scene.parison.positions
     begins = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
@@ -193,14 +199,15 @@ class _Outlook(NamedTuple):
     seen: Sight
 
 
-def _settled(nodes: Nodes, births: _Insertions, scene: Scene, older: _Older, time: jax.Array) -> Nodes:
+def _settled(
+    nodes: Nodes, births: _Insertions, tool: Tool, adaptivity: Adaptivity, older: _Older, time: jax.Array
+) -> Nodes:
     """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
-    mold, grid, forest, refinement = scene.mold, scene.tables.grid, scene.tables.forest, scene.refinement
-    assert mold is not None and grid is not None and forest is not None and refinement is not None
+    (mold, grid), (limits, forest) = tool, adaptivity
     points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
     found = nearest_triangle(places, free, grid)
-    outlook = _outlook(places, free, nodes, births, older, scene)
+    outlook = _outlook(places, free, nodes, births, older, tool, forest)
     touches = free & (found.distance <= cells.touch_distance(grid))
     beyond = free & ~touches & (outlook.seen.count % 2 == 1)
     ends = [nodes.stuck[at] for at in births.ends]
@@ -215,7 +222,7 @@ def _settled(nodes: Nodes, births: _Insertions, scene: Scene, older: _Older, tim
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
     velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
-    if refinement.at_rest:
+    if limits.at_rest:
         edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
         length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
@@ -234,14 +241,19 @@ def _settled(nodes: Nodes, births: _Insertions, scene: Scene, older: _Older, tim
 
 
 def _outlook(
-    points: jax.Array, free: jax.Array, nodes: Nodes, births: _Insertions, older: _Older, scene: Scene
+    points: jax.Array,
+    free: jax.Array,
+    nodes: Nodes,
+    births: _Insertions,
+    older: _Older,
+    tool: Tool,
+    forest: Forest,
 ) -> _Outlook:
     """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
 
     One that flies is looked from; of nodes that stick, one that is known to, a little before its wall.
     """
-    mold, grid, forest = scene.mold, scene.tables.grid, scene.tables.forest
-    assert mold is not None and grid is not None and forest is not None
+    mold, grid = tool
     first, second = (older.ancestor(end, forest) for end in births.ends)
     stuck, wall = nodes.stuck, nodes.wall
     worse = stuck[first] & (~stuck[second] | (wall[first] == 0) & (wall[second] != 0))

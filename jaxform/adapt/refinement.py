@@ -20,13 +20,14 @@ from jaxform.kernels import sizes
 from jaxform.kernels.blocks import BLOCK, listed, only_if, over_blocks, padded
 from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
-from jaxform.model.scene import Scene
-from jaxform.model.tables import SHORT_WINDOW
+from jaxform.model.scene import Adaptivity, Refinement, Scene
+from jaxform.model.tables import SHORT_WINDOW, Bend
 from jaxform.sheet.account import account, kinetic_energy
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.discretization import NEVER, Discretization, levels, node_room, refined_discretization
 from jaxform.sheet.scheme import caught_up
 from jaxform.sheet.state import PackedState, Schedule, State, Status
+from jaxform.tools.search import SearchGrid
 
 _SPARE_BLOCKS = 2
 
@@ -44,78 +45,79 @@ def refined(
         discrete: The sheet with the state's mesh.
         schedule: The decisions that are taken; None where the mesh decides.
     """
-    mesh = state.mesh
-    if mesh is None:
+    mesh, adaptivity = state.mesh, scene.adaptivity
+    if mesh is None or adaptivity is None:
         return state, discrete
     if schedule is not None and schedule.split_at is not None:
         planned = schedule.split_at <= schedule.upcoming(state.replay.row)
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned, planned=planned)
     else:
-        due, wanted = _is_due(state, scene), _wanted
+        due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, scene=scene)
 
     def look(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
-        return _grown(now[0], scene, now[1], *wanted(now[0], scene, now[1]), None)
+        return _grown(now[0], scene, adaptivity, now[1], *wanted(*now, adaptivity), None)
 
     return only_if(due, look, (state, discrete), differentiable=True)
 
 
 def refined_in_place(
-    state: PackedState, scene: Scene, discrete: Discretization, working: ActiveSet
+    state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet
 ) -> tuple[PackedState, Discretization]:
     """The same of a state in the order of the last window's active set; no derivative is taken."""
-    if state.mesh is None:
+    adaptivity = scene.adaptivity
+    if state.mesh is None or adaptivity is None:
         return state, discrete
 
     def look(now: tuple[PackedState, Discretization]) -> tuple[PackedState, Discretization]:
-        state, body = working.put_back(now[0]), now[1]
-        state, body = _grown(state, scene, body, *_wanted(state, scene, body), working)
-        return working.taken(state), body
+        state, body = active.put_back(now[0]), now[1]
+        state, body = _grown(state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene), active)
+        return active.taken(state), body
 
-    return only_if(_is_due(state, scene), look, (state, discrete))
+    return only_if(_is_due(state, adaptivity), look, (state, discrete))
 
 
-def _is_due(state: State | PackedState, scene: Scene) -> jax.Array:
+def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
     # A window that is retried begins with the mesh that it had.
-    return looks(state.windows, scene) & ((state.control.last_count > 0) | (state.windows == 0))
+    return looks(state.windows, adaptivity.limits) & ((state.control.last_count > 0) | (state.windows == 0))
 
 
-def looks(window: jax.Array, scene: Scene) -> jax.Array:
+def looks(window: jax.Array, limits: Refinement) -> jax.Array:
     """Whether it is time to look at the mesh at the border before a window, where no schedule says so."""
-    assert scene.refinement is not None
-    return window % -(-scene.refinement.interval // SHORT_WINDOW) == 0
+    return window % -(-limits.interval // SHORT_WINDOW) == 0
 
 
-def _planned(state: State, scene: Scene, _: Discretization, planned: jax.Array) -> tuple[jax.Array, Queue]:
+def _planned(state: State, _: Discretization, adaptivity: Adaptivity, planned: jax.Array) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) where that is planned by now, and those of it that are not yet."""
-    mesh, forest = state.mesh, scene.tables.forest
-    assert mesh is not None and forest is not None
+    mesh, forest = state.refined_mesh, adaptivity.forest
     new = planned & (mesh.split_at == NEVER)
     return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
 
 
-def _wanted(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, Queue]:
+def _wanted(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
-    mesh, forest = state.mesh, scene.tables.forest
-    assert mesh is not None and forest is not None
-    place, count = listed(_marked(state, scene, discrete), mesh.element.size)
-    return closed(mesh.split_at, mesh.element[place], count, forest, state.windows)
+    mesh = state.refined_mesh
+    place, count = listed(_marked(state, discrete, adaptivity, scene.tables.grid), mesh.element.size)
+    return closed(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
 
 
-def _within_reach(first: Vector, edge1: Vector, edge2: Vector, scene: Scene) -> jax.Array:
-    """By how much a bent part of the mold is within the base reach [m] of triangles (n,) with such edges [m]."""
-    grid, forest, refinement = scene.tables.grid, scene.tables.forest, scene.refinement
-    assert grid is not None and forest is not None and forest.bend is not None and refinement is not None
+def _within_reach(
+    first: Vector, edge1: Vector, edge2: Vector, bend: Bend, grid: SearchGrid, reach: jax.Array
+) -> jax.Array:
+    """By how much a bent part of the mold is within reach [m] of triangles (n,) with such edges [m].
+
+    The reach is so many times their longest side.
+    """
     square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
     middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
-    cell = cell_of(middle, grid, forest.bend.parts)
-    return refinement.base_reach * jnp.sqrt(square) - gather(forest.bend.distance, cell)
+    cell = cell_of(middle, grid, bend.parts)
+    return reach * jnp.sqrt(square) - gather(bend.distance, cell)
 
 
-def can_have_more_room(scene: Scene) -> bool:
+def can_have_more_room(adaptivity: Adaptivity) -> bool:
     """Whether the forest has more elements than there is room for."""
-    forest, refinement = scene.tables.forest, scene.refinement
-    return forest is not None and refinement is not None and refinement.elements < forest.root_count << forest.depth
+    limits, forest = adaptivity
+    return limits.elements < forest.root_count << forest.depth
 
 
 def fitted(scene: Scene, used: int) -> Scene:
@@ -123,29 +125,30 @@ def fitted(scene: Scene, used: int) -> Scene:
 
     A scene without refinement, or with no more room than that, is as it was.
     """
-    forest, refinement = scene.tables.forest, scene.refinement
-    if forest is None or refinement is None:
+    if scene.adaptivity is None:
         return scene
+    limits, forest = scene.adaptivity
     blocks = min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK))
-    return scene if used <= refinement.elements <= blocks * BLOCK else _with_room(scene, blocks)
+    if used <= limits.elements <= blocks * BLOCK:
+        return scene
+    return _with(scene, _with_room(scene.adaptivity, blocks))
 
 
-def _with_room(scene: Scene, blocks: int) -> Scene:
-    forest, refinement = scene.tables.forest, scene.refinement
-    assert forest is not None and refinement is not None
-    elements = blocks * BLOCK
+def _with_room(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
+    elements, (limits, forest) = blocks * BLOCK, adaptivity
     nodes = node_room(elements, forest.first_nodes, forest.owner.size)
-    tables = dataclasses.replace(scene.tables, forest=dataclasses.replace(forest, node_room=nodes))
-    return dataclasses.replace(scene, tables=tables, refinement=dataclasses.replace(refinement, elements=elements))
+    return Adaptivity(dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_room=nodes))
 
 
-def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
+def _with(scene: Scene, adaptivity: Adaptivity) -> Scene:
+    tables = dataclasses.replace(scene.tables, forest=adaptivity.forest)
+    return dataclasses.replace(scene, tables=tables, refinement=adaptivity.limits)
+
+
+def with_more_room(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
     """A scene with twice the room for elements, and a state that found too little as it was before it did."""
-    refinement, mesh = scene.refinement, state.mesh
-    assert refinement is not None and mesh is not None
-    scene = _with_room(scene, sizes.grown(2 * refinement.elements) // BLOCK)
-    assert scene.refinement is not None and scene.tables.forest is not None
-    elements, nodes = scene.refinement.elements, scene.tables.forest.node_room
+    more, mesh = _with_room(adaptivity, sizes.grown(2 * adaptivity.limits.elements) // BLOCK), state.refined_mesh
+    elements, nodes = more.limits.elements, more.forest.node_room
     beyond = _padded(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
     grown = dataclasses.replace(
         mesh,
@@ -156,31 +159,31 @@ def with_more_room(scene: Scene, state: State) -> tuple[Scene, State]:
         row=_padded(mesh.row, elements),
     )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    return scene, dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, status=status)
+    state = dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, status=status)
+    return _with(scene, more), state
 
 
 def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def _marked(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
+def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
     """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
-    state, scene, discrete = jax.lax.stop_gradient((state, scene, discrete))
-    refinement, forest, mesh = scene.refinement, scene.tables.forest, state.mesh
-    assert refinement is not None and forest is not None and mesh is not None
-    shapes = _shapes(state, scene, discrete)
-    sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < refinement.min_area
+    state, discrete, adaptivity, grid = jax.lax.stop_gradient((state, discrete, adaptivity, grid))
+    (limits, forest), mesh = adaptivity, state.refined_mesh
+    shapes = _shapes(state, discrete, adaptivity, grid)
+    sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < limits.min_area
     room = padded(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
 
     def work(element: jax.Array, neighbor: jax.Array, own: jax.Array, fine: jax.Array, area: jax.Array) -> Any:
         level = levels(element, forest)
-        wanted = _bent(own, neighbor, shapes, refinement.angle) & (level < refinement.max_level)
-        if refinement.jump is not None:
-            wanted |= _uneven(own, neighbor, shapes, refinement.jump) & (level < refinement.max_level)
+        wanted = _bent(own, neighbor, shapes, limits.angle) & (level < limits.max_level)
+        if limits.jump is not None:
+            wanted |= _uneven(own, neighbor, shapes, limits.jump) & (level < limits.max_level)
         if forest.bend is not None:
             # A bent part of the mold is nearer than so many longest sides.
-            wanted |= (own[4] > 0.0) & (level < refinement.base_level)
+            wanted |= (own[4] > 0.0) & (level < limits.base_level)
         return [[wanted & ~fine & (area > 0.0)]], []
 
     across = mesh.side[forest.half_edges[:, mesh.element] ^ 1]
@@ -190,10 +193,9 @@ def _marked(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
     return marks[0, : mesh.element.size]
 
 
-def _shapes(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
+def _shapes(state: State, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
     """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
-    elements, grid, forest = discrete.whole.elements, scene.tables.grid, scene.tables.forest
-    assert forest is not None
+    elements, bend = discrete.whole.elements, adaptivity.forest.bend
     rows = membrane.rows_of(state.nodes.positions)
     thickness = discrete.thickness[discrete.whole.element]
 
@@ -203,8 +205,8 @@ def _shapes(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
         size = jnp.sqrt(jnp.maximum(membrane.dot(normal, normal), jnp.finfo(area.dtype).tiny))
         x, y, z = (component / size for component in normal)
         near = jnp.zeros_like(size)
-        if forest.bend is not None and grid is not None:
-            near = _within_reach(first, edge1, edge2, scene)
+        if bend is not None and grid is not None:
+            near = _within_reach(first, edge1, edge2, bend, grid, adaptivity.limits.base_reach)
         return [[x, y, z, 2.0 * area * thickness / size, near]], []
 
     inputs = elements.triangles, elements.area, thickness
@@ -240,11 +242,16 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
 
 
 def _grown(
-    state: State, scene: Scene, discrete: Discretization, split_at: jax.Array, queue: Queue, working: ActiveSet | None
+    state: State,
+    scene: Scene,
+    adaptivity: Adaptivity,
+    discrete: Discretization,
+    split_at: jax.Array,
+    queue: Queue,
+    active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
-    mesh = state.mesh
-    assert mesh is not None
+    mesh = state.refined_mesh
     fits = (mesh.element_count + queue.count <= mesh.element.size) & (
         mesh.node_count + queue.node_count <= mesh.node.size
     )
@@ -253,22 +260,26 @@ def _grown(
 
     def grow(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         state, body = now
-        return _with_parts(state, scene, body, split_at, queue, working)
+        return _with_parts(state, scene, adaptivity, body, split_at, queue, active)
 
-    return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=working is None)
+    return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=active is None)
 
 
 def _with_parts(
-    state: State, scene: Scene, discrete: Discretization, split_at: jax.Array, queue: Queue, working: ActiveSet | None
+    state: State,
+    scene: Scene,
+    adaptivity: Adaptivity,
+    discrete: Discretization,
+    split_at: jax.Array,
+    queue: Queue,
+    active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected."""
-    differentiable = working is None
-    forest, old = scene.tables.forest, state.mesh
-    assert forest is not None and old is not None and discrete.volumes is not None
-    before, state = state, caught_up(state, scene, discrete, working)
-    mesh = dataclasses.replace(bisected(old, queue, forest), split_at=split_at)
-    body = refined_discretization(scene, mesh, discrete.volumes)
-    new = insert_nodes(state, mesh, scene, discrete.volumes, differentiable=differentiable)
+    differentiable, forest, volumes = active is None, adaptivity.forest, discrete.forest_volumes
+    before, state = state, caught_up(state, scene, discrete, active)
+    mesh = dataclasses.replace(bisected(state.refined_mesh, queue, forest), split_at=split_at)
+    body = refined_discretization(scene, forest, mesh, volumes)
+    new = insert_nodes(state, mesh, scene, adaptivity, volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
     (strain, volume), (new_strain, new_volume) = (
         account(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import once
 from jaxform.mesh import bisection
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import Forest
 from jaxform.sheet.discretization import NEVER, Mesh, first_mesh
 
@@ -111,10 +111,9 @@ def bisected(mesh: Mesh, queue: Queue, forest: Forest) -> Mesh:
     return jax.lax.fori_loop(0, queue.count, bisect, mesh)
 
 
-def started_mesh(scene: Scene) -> Mesh:
+def started_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
     """The mesh when a run begins: that of the scene, fine at once where its tables say so."""
-    mesh, forest = first_mesh(scene), scene.tables.forest
-    assert forest is not None
+    mesh, forest = first_mesh(scene, adaptivity), adaptivity.forest
     if forest.fine_at_once is None:
         return mesh
     found = forest.fine_at_once

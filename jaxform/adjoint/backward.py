@@ -139,14 +139,20 @@ def force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: Wind
 
 
 def with_loss(
-    nodes: BackwardNodes, corners: Corners, load: Load, turn: Turn, now: Window, end: End, loss: jax.Array
+    nodes: BackwardNodes,
+    corners: Corners,
+    load: Load,
+    turn: Turn,
+    damping: jax.Array,
+    now: Window,
+    end: End,
+    loss: jax.Array,
 ) -> tuple[BackwardNodes, Corners]:
     """Adds to the cotangents of a step's velocities and force what its damping loss has of them.
 
     For that the velocities before the step must be known, and so its force, before its elements are gone back over.
     """
-    elements, damping = now.packed.elements, now.scene.solver.damping
-    assert damping is not None
+    elements = now.packed.elements
     forces, _ = corner_forces(load, elements, corners[3:])
     kick = turn.later_kick
 

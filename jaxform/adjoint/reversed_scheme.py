@@ -11,6 +11,7 @@ left to JAX.
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -153,11 +154,9 @@ def _end_of(kept: _Kept, now: Window) -> End:
 
 
 def _landings(
-    nodes: BackwardNodes, before: jax.Array, kept: _Kept, turn: Turn, now: Window, loss: jax.Array
+    nodes: BackwardNodes, before: jax.Array, kept: _Kept, turn: Turn, mold: Mold, now: Window, loss: jax.Array
 ) -> BackwardNodes:
     """Goes back over the landings of a step, for the nodes that landed: one by one, each to where it was `before`."""
-    mold = now.scene.mold
-    assert mold is not None
     wall = now.packed.taken(kept.wall)
     number, time = turn.number, kept.time + (turn.number + 1) * turn.length
     places, count = listed(now.landed == number, now.landed.size)
@@ -284,7 +283,8 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
     presses, varies = cotangents.want(of[1].pressure), cotangents.want(of[1].material)
     parameters = jax.tree.leaves(scene.material)
     wanted = [True, thickens, presses, *(varies for _ in parameters)]
-    vertices = scene.mold.vertices if scene.mold is not None and cotangents.want(of[1].mold.vertices) else None
+    mold = scene.mold
+    vertices = mold.vertices if mold is not None and cotangents.want(of[1].mold.vertices) else None
     at_every_step = jnp.zeros(scene.tables.window_room + 1, real)
     landed = jnp.where(now.landed < 0, NEVER, now.landed)
     lands = jnp.zeros(at_every_step.size, bool).at[landed].set(True, mode="drop")
@@ -316,10 +316,11 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
             n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), later_kick=now.kick[n]
         )
         load = Load(nodes.at, now.thickness, now.pressure[n], scene.material)
-        if scene.solver.damping is not None:
+        damping = scene.solver.damping
+        if damping is not None:
             nodes, corners = only_if(
                 loss.damping_loss != 0.0,
-                lambda both: with_loss(*both, load, turn, now, start, loss.damping_loss),
+                lambda both: with_loss(*both, load, turn, damping, now, start, loss.damping_loss),
                 (nodes, corners),
             )
         corners, summed, sums = corner_cotangents(
@@ -329,12 +330,9 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
         pressing = carry.pressing.at[n].set(sums.pop(0)) if presses else carry.pressing
         law = [total + more for total, more in zip(carry.law, sums, strict=True)] if varies else carry.law
         nodes = over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
-        if scene.mold is not None:
-            nodes = only_if(
-                lands[n - 1],
-                lambda nodes: _landings(nodes, start.before, kept, turn, now, loss.contact_loss),
-                nodes,
-            )
+        if mold is not None:
+            back_over = functools.partial(_landings, mold=mold, now=now, loss=loss.contact_loss)
+            nodes = only_if(lands[n - 1], lambda nodes: back_over(nodes, start.before, kept, turn), nodes)
         volumes = carry.volumes.at[n].set(enclosed)
         return _Back(n - 1, nodes, corners, summed, pressing, volumes, law)
 

@@ -124,14 +124,14 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
 
 
 def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
-    forest, refinement = scene.tables.forest, scene.refinement
     elements = len(scene.parison.triangles)
-    if forest is not None and refinement is not None:
+    if scene.adaptivity is not None:
+        limits, forest = scene.adaptivity
         yield (
-            f"refined up to level {refinement.deepest} of {forest.depth}, looked at every {refinement.interval} steps: "
-            f"{forest.bound.size} triangles bisected beforehand, room for {refinement.elements} elements at once"
+            f"refined up to level {limits.deepest} of {forest.depth}, looked at every {limits.interval} steps: "
+            f"{forest.bound.size} triangles bisected beforehand, room for {limits.elements} elements at once"
         )
-        elements = refinement.elements
+        elements = limits.elements
     sharper = _MEASURED_TO_BOUND if scene.solver.sharp_step else 1.0
     step, end = sharper * planning.first_step(scene), float(scene.solver.end_time)
     longest = int(scene.tables.longest_window)
@@ -141,7 +141,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     steps = end / step
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
-    most = "up to " if refinement is not None else ""
+    most = "up to " if scene.refinement is not None else ""
     yield (
         f"about {steps:.2g} steps, fewer where all sticks sooner: {most}{_duration(seconds)}; "
         f"{most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
@@ -149,7 +149,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     if is_compiled(scene, store):
         yield "its programs are compiled already"
     else:
-        wait = _SECONDS_TO_COMPILE[refinement is not None]
+        wait = _SECONDS_TO_COMPILE[scene.refinement is not None]
         yield f"compiles first, for about {wait} s: no scene of this kind and size was run here before"
     if scene.solver.quasi_static:
         most = f"{100 * SLOW_ENOUGH:.2g} %"

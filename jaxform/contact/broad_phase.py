@@ -1,10 +1,10 @@
 """Which of the listed pairs are tested in a step: the watch over the nodes between two borders.
 
-Every few steps a look at all nodes says whether any can touch the mold, or leave its ball, before the next look. While
-none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from where
-the window began, and the window halts where a node is about to leave its ball. A look trusts the velocities; where one
-was wrong, so that a node may have touched unseen, the next one sees that it was, or the window's end does, and the
-window is retried without trust in any look.
+Every few steps a look at all nodes says whether any can touch the mold, or leave its sphere, before the next look.
+While none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from
+where the window began, and the window halts where a node is about to leave its sphere. A look trusts the velocities;
+where one was wrong, so that a node may have touched unseen, the next one sees that it was, or the window's end does,
+and the window is retried without trust in any look.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.lists import TEST_BLOCK, Near
+from jaxform.contact.lists import TEST_BLOCK, Candidates
 from jaxform.kernels.blocks import cut, over_blocks, put
 from jaxform.mechanics.membrane import dot, gather, minus
 
@@ -25,7 +25,7 @@ _AHEAD = 2.0  # times as far as a node goes at its speed until the next look: wh
 class Seen(NamedTuple):
     """What a look at the nodes finds.
 
-    Whether any can touch a listed triangle, or leave its ball, before the next look, so that every step watches till
+    Whether any can touch a listed triangle, or leave its sphere, before the next look, so that every step watches till
     then; and whether one may have touched unseen before this one.
     """
 
@@ -41,7 +41,7 @@ class Due(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """What is found in a step that watches: the pairs that are tested, and whether a node may soon leave its ball."""
+    """What is found in a step that watches: the pairs that are tested, and whether a node may soon leave its sphere."""
 
     due: Due
     leaving: jax.Array
@@ -52,9 +52,9 @@ def unseen() -> Seen:
     return Seen(jnp.asarray(True), jnp.asarray(False))
 
 
-def unwatched(near: Near) -> Watched:
+def unwatched(candidates: Candidates) -> Watched:
     """Of a step that does not watch: nothing."""
-    return Watched(every_block(near)._replace(count=jnp.int32(0)), jnp.asarray(False))
+    return Watched(every_block(candidates)._replace(count=jnp.int32(0)), jnp.asarray(False))
 
 
 def look(
@@ -62,7 +62,7 @@ def look(
     velocities: jax.Array,
     stuck: jax.Array,
     till_next: jax.Array,
-    near: Near,
+    candidates: Candidates,
     last: Seen,
     node_block_count: jax.Array,
 ) -> Seen:
@@ -73,13 +73,13 @@ def look(
         velocities: (3, n_node) [m/s].
         stuck: Nodes (n_node,) that do not move any more.
         till_next: Time until the next look [s].
-        near: The window's list.
+        candidates: The window's list.
         last: What the last look found.
         node_block_count: How many blocks of nodes are in use.
     """
 
-    def work(stuck: Any, positions: Any, velocities: Any, balls: Any) -> Any:
-        start, clear_square, near_square, center, alarm_square = balls
+    def work(stuck: Any, positions: Any, velocities: Any, spheres: Any) -> Any:
+        start, clear_square, near_square, center, alarm_square = spheres
         there, beyond = (
             [x + ahead * till_next * v for x, v in zip(positions, velocities, strict=True)] for ahead in (1.0, _AHEAD)
         )
@@ -87,62 +87,69 @@ def look(
         close |= _gone(positions, center, alarm_square) | _gone(there, center, alarm_square)
         return [], [~stuck & close, ~stuck & _gone(positions, start, clear_square)]
 
-    balls = near.start, near.clear_square, near.near_square, near.center, near.alarm_square
-    inputs = stuck, positions, velocities, balls
+    spheres = (
+        candidates.start,
+        candidates.clear_square,
+        candidates.near_square,
+        candidates.center,
+        candidates.alarm_square,
+    )
+    inputs = stuck, positions, velocities, spheres
     _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)
     return Seen(close > 0, (touching > 0) & ~last.close)
 
 
-def balls(near: Near) -> tuple[jax.Array, ...]:
+def spheres(candidates: Candidates) -> tuple[jax.Array, ...]:
     """What `missed` needs of the window's list, node by node."""
-    return near.start, near.clear_square, near.center, near.limit_square
+    return candidates.start, candidates.clear_square, candidates.center, candidates.limit_square
 
 
-def missed(positions: Any, stuck: jax.Array, balls: Any, last: Seen) -> jax.Array:
-    """Which nodes (n,) may have missed the mold: out of their balls, or so far that they may have touched unseen.
+def missed(positions: Any, stuck: jax.Array, spheres: Any, last: Seen) -> jax.Array:
+    """Which nodes (n,) may have missed the mold: out of their spheres, or so far that they may have touched unseen.
 
     Args:
         positions: (3, n) [m].
         stuck: Nodes (n,) that do not move any more.
-        balls: What are `balls` of the window's list at these nodes.
+        spheres: What are `spheres` of the window's list at these nodes.
         last: What the last look found.
     """
-    start, clear_square, center, limit_square = balls
+    start, clear_square, center, limit_square = spheres
     return ~stuck & (~last.close & _gone(positions, start, clear_square) | _gone(positions, center, limit_square))
 
 
-def every_block(near: Near) -> Due:
+def every_block(candidates: Candidates) -> Due:
     """All listed pairs."""
-    return Due(jnp.arange(near.lists.node.size // TEST_BLOCK, dtype=jnp.int32), -(-near.count // TEST_BLOCK))
+    blocks = candidates.lists.node.size // TEST_BLOCK
+    return Due(jnp.arange(blocks, dtype=jnp.int32), -(-candidates.count // TEST_BLOCK))
 
 
-def watch(positions: Any, stuck: jax.Array, near: Near, node_block_count: jax.Array) -> Watched:
+def watch(positions: Any, stuck: jax.Array, candidates: Candidates, node_block_count: jax.Array) -> Watched:
     """Which free nodes have gone far enough from where the window began to touch, and whether one is about to leave.
 
     Args:
         positions: After the step, (3, n_node) or three times (n_node,) [m].
         stuck: Nodes (n_node,) that do not move any more.
-        near: The window's list.
+        candidates: The window's list.
         node_block_count: How many blocks of nodes are in use.
     """
 
-    def work(stuck: Any, positions: Any, balls: Any) -> Any:
-        start, clear_square, center, alarm_square = balls
+    def work(stuck: Any, positions: Any, spheres: Any) -> Any:
+        start, clear_square, center, alarm_square = spheres
         touching = ~stuck & _gone(positions, start, clear_square)
         return [[touching]], [touching, ~stuck & _gone(positions, center, alarm_square)]
 
     def add(block: jax.Array, due: Due) -> Due:
         first = block * TEST_BLOCK
-        node = cut(near.lists.node, first, TEST_BLOCK)
-        used = first + jnp.arange(TEST_BLOCK) < near.count
+        node = cut(candidates.lists.node, first, TEST_BLOCK)
+        used = first + jnp.arange(TEST_BLOCK) < candidates.count
         # What is not due is written over by the next one.
         blocks = put(due.block, block[None], due.count)
         return Due(blocks, due.count + jnp.any(used & gather(touching[0], node)))
 
-    inputs = stuck, positions, (near.start, near.clear_square, near.center, near.alarm_square)
+    inputs = stuck, positions, (candidates.start, candidates.clear_square, candidates.center, candidates.alarm_square)
     into = [jnp.zeros((1, stuck.size), bool)]
     (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
-    blocks, none = jnp.where(count > 0, every_block(near).count, 0), unwatched(near).due
+    blocks, none = jnp.where(count > 0, every_block(candidates).count, 0), unwatched(candidates).due
     return Watched(jax.lax.fori_loop(0, blocks, add, none), leaving > 0)
 
 

@@ -1,8 +1,8 @@
 """Which nodes can meet which triangles of the mold within a window, found at its border.
 
-Each node gets a ball in which it is expected to stay: about the middle of its expected path. The pairs of node and
-triangle that can meet in such a ball are listed, and with each node how far it can go before it touches anything. A
-node that is about to leave its ball halts the window: the next border gives it another.
+Each node gets a sphere in which it is expected to stay: about the middle of its expected path. The pairs of node and
+triangle that can meet in such a sphere are listed, and with each node how far it can go before it touches anything. A
+node that is about to leave its sphere halts the window: the next border gives it another.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.cells import cell_of, distance, distance_bound, looked_up, rows_of_table, touch_distance
-from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, Lists, Near, no_lists
+from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, Candidates, Lists, no_lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, over_blocks, put
 from jaxform.mechanics.membrane import dot, gather
@@ -22,14 +22,14 @@ from jaxform.tools.search import CLASSES, FarCells, SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
 # the room for them, and nothing is compiled twice. No derivative goes through these loops.
-_MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the balls
-# How far before a node leaves its ball the window halts: of its path in the window, and of the ball's radius.
+_MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the spheres
+# How far before a node leaves its sphere the window halts: of its path in the window, and of the sphere's radius.
 _GLANCE, _ALARM = 0.05, 0.1
-_MOST_HALVINGS = 10  # of the balls, until the pairs find room
+_MOST_HALVINGS = 10  # of the spheres, until the pairs find room
 
 
 @pytree
-class _Balls:
+class _Spheres:
     """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
 
     Each with its cell, a lower bound on its center's distance to the mold [m], and whether the mold may be in it.
@@ -58,18 +58,18 @@ def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) 
 class _Found(NamedTuple):
     """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance.
 
-    And the balls, as `Lists` has them.
+    And the spheres, as `Lists` has them.
     """
 
     attempts: jax.Array
-    candidates: _Pairs
+    coarse: _Pairs
     kept: _Pairs
     planes: jax.Array
     clear: jax.Array
-    balls: tuple[jax.Array, jax.Array, jax.Array]
+    spheres: tuple[jax.Array, jax.Array, jax.Array]
 
 
-def list_near(
+def list_candidates(
     positions: jax.Array,
     velocities: jax.Array,
     free: jax.Array,
@@ -79,7 +79,7 @@ def list_near(
     skip_far: bool = True,
     into: Lists | None = None,
     blocks: jax.Array | None = None,
-) -> Near:
+) -> Candidates:
     """Lists the pairs of free nodes and triangles that may meet.
 
     Args:
@@ -89,37 +89,39 @@ def list_near(
         duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
         till_look: Time between two looks at the nodes [s].
         grid: Its search structure.
-        skip_far: Whether the balls are as small as the paths allow; else they are as large as the grid allows.
+        skip_far: Whether the spheres are as small as the paths allow; else they are as large as the grid allows.
         into: What is written over, such as an old list's; a new one by default.
         blocks: How many blocks of nodes are in use; all by default.
     """
     into = into or no_lists(free.size, positions.dtype)
     blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
-    room, most = into.node.size - TEST_BLOCK, into.candidates[0].size - LANES * DEPTH
+    room, most = into.node.size - TEST_BLOCK, into.coarse[0].size - LANES * DEPTH
 
-    # Where there are too many pairs the balls shrink, and the window will halt the sooner.
+    # Where there are too many pairs the spheres shrink, and the window will halt the sooner.
     def too_many(found: _Found) -> jax.Array:
-        full = (found.candidates.count > most) | (found.kept.count > room)
+        full = (found.coarse.count > most) | (found.kept.count > room)
         return (found.attempts == 0) | full & (found.attempts < _MOST_HALVINGS)
 
     def attempt(found: _Found) -> _Found:
         moving = positions, velocities, free, duration, half
-        arrays, clear = _balls(moving, 0.5**found.attempts, grid, skip_far, blocks, (*found.balls, found.clear[None]))
-        balls = _Balls(arrays[0][:3], arrays[0][3], arrays[1][0], arrays[0][4], arrays[2][0])
-        candidates = _candidates(balls, grid, found.candidates, blocks)
-        last = jnp.minimum(candidates.count, most)
-        kept, planes, clear = _examined(candidates, last, positions, balls, grid, found.kept, found.planes, clear)
-        return _Found(found.attempts + 1, candidates, kept, planes, clear, arrays)
+        arrays, clear = _bounding_spheres(
+            moving, 0.5**found.attempts, grid, skip_far, blocks, (*found.spheres, found.clear[None])
+        )
+        spheres = _Spheres(arrays[0][:3], arrays[0][3], arrays[1][0], arrays[0][4], arrays[2][0])
+        coarse = _coarse_pairs(spheres, grid, found.coarse, blocks)
+        last = jnp.minimum(coarse.count, most)
+        kept, planes, clear = _examined(coarse, last, positions, spheres, grid, found.kept, found.planes, clear)
+        return _Found(found.attempts + 1, coarse, kept, planes, clear, arrays)
 
     square = _fastest_square(velocities, blocks)
     half = 0.5 * duration * jnp.sqrt(square)
-    candidates, kept = _Pairs(*into.candidates, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
-    begun = _Found(jnp.int32(0), candidates, kept, into.planes, into.clear, into.balls)
-    _, candidates, kept, planes, clear, balls = jax.lax.while_loop(too_many, attempt, begun)
+    coarse, kept = _Pairs(*into.coarse, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
+    begun = _Found(jnp.int32(0), coarse, kept, into.planes, into.clear, into.spheres)
+    _, coarse, kept, planes, clear, spheres = jax.lax.while_loop(too_many, attempt, begun)
     way = _slip(square, till_look)
 
-    def work(velocities: jax.Array, free: jax.Array, ball: Any, near: jax.Array, clear: jax.Array) -> Any:
-        radius, bound = ball[3], ball[4]
+    def work(velocities: jax.Array, free: jax.Array, sphere: Any, near: jax.Array, clear: jax.Array) -> Any:
+        radius, bound = sphere[3], sphere[4]
         limit = jnp.where(free, jnp.where(near[0], radius, bound), jnp.inf)
         path = duration * jnp.sqrt(dot(velocities, velocities))
         alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * radius), 0.0)
@@ -127,25 +129,25 @@ def list_near(
         soon = jnp.where(near[0], jnp.square(jnp.maximum(clear - way, 0.0)), jnp.inf)
         return [[there, soon, jnp.square(limit), jnp.square(alarm)]], []
 
-    (squares,), _ = over_blocks(work, blocks, (velocities, free, balls[0], balls[2], clear), [into.squares])
-    return Near(
+    (squares,), _ = over_blocks(work, blocks, (velocities, free, spheres[0], spheres[2], clear), [into.squares])
+    return Candidates(
         lists=Lists(
             node=kept.node,
             triangle=kept.triangle,
             planes=planes,
-            candidates=(candidates.node, candidates.triangle),
-            balls=balls,
+            coarse=(coarse.node, coarse.triangle),
+            spheres=spheres,
             clear=clear,
             squares=squares,
         ),
         count=jnp.minimum(kept.count, room),
         start=positions,
-        center=balls[0][:3],
+        center=spheres[0][:3],
         clear_square=squares[0],
         near_square=squares[1],
         limit_square=squares[2],
         alarm_square=squares[3],
-        overflow=(candidates.count > most) | (kept.count > room),
+        overflow=(coarse.count > most) | (kept.count > room),
     )
 
 
@@ -160,7 +162,7 @@ def _fastest_square(velocities: jax.Array, blocks: jax.Array) -> jax.Array:
     return square
 
 
-def _balls(
+def _bounding_spheres(
     moving: tuple[jax.Array, ...],
     scale: jax.Array,
     grid: SearchGrid,
@@ -168,14 +170,14 @@ def _balls(
     blocks: jax.Array,
     into: Sequence[jax.Array],
 ) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]:
-    """The balls, as `Lists` has them, and the clear distance (n_node,) before any triangle is looked at.
+    """The spheres, as `Lists` has them, and the clear distance (n_node,) before any triangle is looked at.
 
     Args:
-        moving: Positions, velocities and whether nodes are free, as in `list_near`; the window's duration, and half
-            the longest path in it [m].
-        scale: Of the balls, so that the pairs find room.
+        moving: Positions, velocities and whether nodes are free, as in `list_candidates`; the window's duration, and
+            half the longest path in it [m].
+        scale: Of the spheres, so that the pairs find room.
         grid: The mold's search structure.
-        skip_far: As in `list_near`.
+        skip_far: As in `list_candidates`.
         blocks: How many blocks of nodes are in use.
         into: What is written over.
     """
@@ -198,10 +200,10 @@ def _balls(
     return (real, cell, near), clear[0]
 
 
-def _listed_near(
+def _listed_nearby(
     center: jax.Array, radius: jax.Array, cell: jax.Array, grid: SearchGrid
 ) -> tuple[jax.Array, jax.Array]:
-    """Where the triangles that balls (n,) may meet begin in the lists, and where they end."""
+    """Where the triangles that spheres (n,) may meet begin in the lists, and where they end."""
 
     def within(level: SearchGrid | FarCells, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
         kind = jnp.clip(jnp.ceil(CLASSES * radius / level.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
@@ -214,9 +216,9 @@ def _listed_near(
     return jnp.where(beyond, far_begin, begin), jnp.where(beyond, far_end, end)
 
 
-def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs, blocks: jax.Array) -> _Pairs:
-    """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the balls."""
-    member, total = listed(balls.near, -(-balls.near.size // LANES) * LANES, BLOCK * blocks)
+def _coarse_pairs(spheres: _Spheres, grid: SearchGrid, into: _Pairs, blocks: jax.Array) -> _Pairs:
+    """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the spheres."""
+    member, total = listed(spheres.near, -(-spheres.near.size // LANES) * LANES, BLOCK * blocks)
 
     def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
         return carry[0] < total
@@ -224,8 +226,8 @@ def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs, blocks: jax.Array
     def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
         first, found = carry
         node = cut(member, first, LANES)
-        center, radius, cell = gather(balls.center, node), balls.radius[node], balls.cell[node]
-        begin, end = _listed_near(center, radius, cell, grid)
+        center, radius, cell = gather(spheres.center, node), spheres.radius[node], spheres.cell[node]
+        begin, end = _listed_nearby(center, radius, cell, grid)
         length = jnp.where(first + jnp.arange(LANES) < total, end - begin, 0)
         nodes = jnp.broadcast_to(node[:, None], (LANES, DEPTH)).ravel()
 
@@ -250,16 +252,16 @@ def _candidates(balls: _Balls, grid: SearchGrid, into: _Pairs, blocks: jax.Array
 
 
 def _examined(
-    candidates: _Pairs,
+    coarse: _Pairs,
     last: jax.Array,
     start: jax.Array,
-    balls: _Balls,
+    spheres: _Spheres,
     grid: SearchGrid,
     into: _Pairs,
     planes: jax.Array,
     clear: jax.Array,
 ) -> tuple[_Pairs, jax.Array, jax.Array]:
-    """Those of the candidates, up to the last, that truly cut the balls, their planes (12, room), and the clear way."""
+    """Those of the coarse pairs, up to the last, that truly cut the spheres; their planes (12, room), the clear way."""
     touch = touch_distance(grid)
 
     def more(carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]) -> jax.Array:
@@ -269,11 +271,11 @@ def _examined(
         carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]],
     ) -> tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]:
         first, (kept, planes, clear) = carry
-        node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (candidates.node, candidates.triangle))
+        node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (coarse.node, coarse.triangle))
         # The barriers keep things from being worked out, and fetched from afar, again for each use.
         frame = once(rows_of_table(grid.frames, triangle))
         used = first + jnp.arange(TEST_BLOCK) < last
-        keep = used & (distance(gather(balls.center, node), frame) <= balls.radius[node] + touch)
+        keep = used & (distance(gather(spheres.center, node), frame) <= spheres.radius[node] + touch)
         # A node touches a plane from as far as the contact's tolerance.
         free_way = distance(gather(start, node), frame) - 2 * touch
         keep, free_way = once((keep, free_way))

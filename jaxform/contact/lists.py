@@ -1,4 +1,4 @@
-"""What a window lists of the mold near the sheet: pairs of node and triangle, and each node's ball."""
+"""What a window lists of the mold near the sheet: pairs of node and triangle, and each node's bounding sphere."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ class Lists:
     Attributes:
         node, triangle: The pairs (room,) that can meet.
         planes: Geometry of the pairs' triangles (12, room).
-        candidates: The pairs (room,) that these were chosen from, and others.
-        balls: Of nodes, as `_Balls` has them: three components, radius and bound (5, n_node), the cells (1, n_node),
-            and whether the mold may be in them (1, n_node).
+        coarse: The pairs (room,) that these were chosen from, and others.
+        spheres: Of nodes, as `_Spheres` has them: three components, radius and bound (5, n_node), the cells
+            (1, n_node), and whether the mold may be in them (1, n_node).
         clear: The distance (n_node,) [m] that a node can go without touching.
-        squares: The four squares of `Near`, in its order (4, n_node).
+        squares: The four squares of `Candidates`, in its order (4, n_node).
     """
 
     node: jax.Array
     triangle: jax.Array
     planes: jax.Array
-    candidates: tuple[jax.Array, jax.Array]
-    balls: tuple[jax.Array, jax.Array, jax.Array]
+    coarse: tuple[jax.Array, jax.Array]
+    spheres: tuple[jax.Array, jax.Array, jax.Array]
     clear: jax.Array
     squares: jax.Array
 
 
 @pytree
-class Near:
+class Candidates:
     """What a window knows of the mold; of nodes beyond the blocks in use it knows nothing.
 
     Attributes:
         lists: The pairs of node and triangle that can meet.
         count: How many they are.
         start: Positions (3, n_node) [m] at the border.
-        center: Of the balls (3, n_node) [m].
+        center: Of the spheres (3, n_node) [m].
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
         near_square: The same less what any node goes between two looks.
-        limit_square: Square of the radius (n_node,) [m^2] of the balls: inside, no triangle but the listed can be met.
+        limit_square: Square of the radius (n_node,) [m^2] of the spheres: inside, none but listed triangles can be met.
         alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
         overflow: Whether pairs were lost, so that the window must not be trusted.
     """
@@ -67,14 +67,14 @@ def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_N
     """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
     least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
     room = -(-least // TEST_BLOCK) * TEST_BLOCK
-    candidates = jnp.zeros(_CANDIDATES * room + LANES * DEPTH, jnp.int32)
+    coarse = jnp.zeros(_CANDIDATES * room + LANES * DEPTH, jnp.int32)
     pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
     return Lists(
         node=pairs,
         triangle=pairs,
         planes=jnp.zeros((12, room + TEST_BLOCK), real),
-        candidates=(candidates, candidates),
-        balls=(
+        coarse=(coarse, coarse),
+        spheres=(
             jnp.zeros((5, node_count), real),
             jnp.zeros((1, node_count), jnp.int32),
             jnp.zeros((1, node_count), bool),

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxform.contact.broad_phase import Due
 from jaxform.contact.cells import touch_distance
-from jaxform.contact.lists import TEST_BLOCK, Near
+from jaxform.contact.lists import TEST_BLOCK, Candidates
 from jaxform.kernels.blocks import cut, entry, once, only_if, put, rows_read
 from jaxform.mechanics.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
 from jaxform.mechanics.nodes import Nodes
@@ -73,7 +73,7 @@ def land(
     now: Step,
     due: Due,
     mass: jax.Array,
-    near: Near,
+    candidates: Candidates,
     mold: Mold,
     grid: SearchGrid,
     room: Met | None = None,
@@ -86,7 +86,7 @@ def land(
             need not be copied.
         due: The blocks of the window's list with nodes that can touch in this step.
         mass: (n_node,) [kg].
-        near: The window's list.
+        candidates: The window's list.
         mold: The mold.
         grid: Its search structure.
         room: From `nothing_met`, for nodes' meetings: then no derivative can be taken. It is given back as it was.
@@ -95,15 +95,17 @@ def land(
 
     if room is not None:
         return only_if(
-            due.count > 0, lambda both: _landed_in_place(*both, now, mass, near, due, mold, touch), (landing, room)
+            due.count > 0,
+            lambda both: _landed_in_place(*both, now, mass, candidates, due, mold, touch),
+            (landing, room),
         )
 
     def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
         paths, stuck = _paths(landing, now), landing.nodes.stuck
         none = nothing_met(stuck.size, landing.nodes.velocities.dtype)
-        return landed(landing, now, mass, mold, _first_met(paths, stuck, near, due, touch, none).triangle)
+        return landed(landing, now, mass, mold, _first_met(paths, stuck, candidates, due, touch, none).triangle)
 
-    met = _any_meets(_paths(landing, now), landing.nodes.stuck, near, due, touch)
+    met = _any_meets(_paths(landing, now), landing.nodes.stuck, candidates, due, touch)
     return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold), None
 
 
@@ -128,27 +130,27 @@ def _paths(landing: Landing, now: Step) -> _Paths:
 
 
 def _block(
-    number: jax.Array, paths: _Paths, stuck: jax.Array, near: Near, touch: jax.Array
+    number: jax.Array, paths: _Paths, stuck: jax.Array, candidates: Candidates, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
     # Once: else every loop over the block looks the number up for every entry.
     first = once(number * TEST_BLOCK)
 
-    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (near.lists.node, near.lists.triangle))
-    planes = rows_read(near.lists.planes.reshape(-1), len(near.lists.planes), first, TEST_BLOCK)
+    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (candidates.lists.node, candidates.lists.triangle))
+    planes = rows_read(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
     beta, meets = _meet(*paths.ends(node), planes, touch)
-    used = first + jnp.arange(TEST_BLOCK) < near.count
+    used = first + jnp.arange(TEST_BLOCK) < candidates.count
     return node, triangle, beta, meets & used & ~gather(stuck, node)
 
 
-def _any_meets(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array) -> jax.Array:
+def _any_meets(paths: _Paths, stuck: jax.Array, candidates: Candidates, due: Due, touch: jax.Array) -> jax.Array:
     """Whether any pair that is due meets in this step; looks no further than the first block where one does."""
 
     def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
         return (carry[0] < due.count) & ~carry[1]
 
     def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return carry[0] + 1, jnp.any(_block(entry(due.block, carry[0]), paths, stuck, near, touch)[3])
+        return carry[0] + 1, jnp.any(_block(entry(due.block, carry[0]), paths, stuck, candidates, touch)[3])
 
     return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
@@ -172,7 +174,7 @@ def nothing_met(node_count: int, real: jnp.dtype) -> Met:
     return Met(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
 
 
-def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax.Array, none: Met) -> Met:
+def _first_met(paths: _Paths, stuck: jax.Array, candidates: Candidates, due: Due, touch: jax.Array, none: Met) -> Met:
     """The triangle that each node meets first in this step.
 
     Of two that are met at once the one with the higher number counts, every time.
@@ -183,7 +185,7 @@ def _first_met(paths: _Paths, stuck: jax.Array, near: Near, due: Due, touch: jax
 
     def choose(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
         k, found = carry
-        block = _block(entry(due.block, k), paths, stuck, near, touch)
+        block = _block(entry(due.block, k), paths, stuck, candidates, touch)
         return k + 1, _taken_up(found, once(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
@@ -220,11 +222,18 @@ def _taken_up(found: Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arra
 
 
 def _landed_in_place(
-    landing: Landing, room: Met, now: Step, mass: jax.Array, near: Near, due: Due, mold: Mold, touch: jax.Array
+    landing: Landing,
+    room: Met,
+    now: Step,
+    mass: jax.Array,
+    candidates: Candidates,
+    due: Due,
+    mold: Mold,
+    touch: jax.Array,
 ) -> tuple[Landing, Met]:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
     paths = _Paths(landing.nodes.positions, landing.nodes.velocities, now.length)
-    met = _first_met(paths, landing.nodes.stuck, near, due, touch, room)
+    met = _first_met(paths, landing.nodes.stuck, candidates, due, touch, room)
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry

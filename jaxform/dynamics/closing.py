@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.broad_phase import (
-    balls,
     missed,
+    spheres,
 )
 from jaxform.dynamics.step import FAR, Moving, Window
 from jaxform.kernels.blocks import only_if, over_blocks
@@ -36,7 +36,7 @@ _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which 
 
 def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Window) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    near, work = now.near, jax.lax.stop_gradient(moving.account.external_work)
+    candidates, work = now.candidates, jax.lax.stop_gradient(moving.account.external_work)
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
@@ -52,21 +52,21 @@ def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Windo
         windows=state.windows + 1,
         shortened=state.shortened + (moving.count < now.most),
     )
-    rounding = energy_rounding(scene, now.working.substance)
-    status, imbalance = _health(new, end, rounding, scene, now.working)
+    rounding = energy_rounding(scene, now.active.substance)
+    status, imbalance = _health(new, end, rounding, scene, now.active)
     new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
     # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
     jump = jnp.abs(imbalance - state.account.imbalance) - rounding
     unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
-    # What blew up, and what may have missed the mold since a node flew out of its ball or faster than it looked, is
+    # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
     # retried with half the step: the sheet may have stiffened within the window.
     status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
-    if near is not None:
+    if candidates is not None:
         # Pairs were lost: the state is left as it was, for a run with more room.
-        bad |= near.overflow
-        status |= jnp.where(near.overflow, Status.CONTACT_OVERFLOW, 0)
+        bad |= candidates.overflow
+        status |= jnp.where(candidates.overflow, Status.CONTACT_OVERFLOW, 0)
     status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if now.row is not None:
@@ -102,10 +102,10 @@ def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scen
     if scene.tables.window_room <= SHORT_WINDOW:
         return state.control.span
     longer = quiet & (jnp.abs(now.bound - state.control.bound) <= _STEADY * state.control.bound)
-    if now.near is not None:
+    if now.candidates is not None:
         counts = scene.tables.counts
         nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
-        longer &= now.near.count <= _FEW_PAIRS * nodes
+        longer &= now.candidates.count <= _FEW_PAIRS * nodes
     longest = jnp.int32(scene.tables.longest_window)
     twice, half = (
         jnp.minimum(2 * state.control.span, longest),
@@ -134,38 +134,38 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     well. The product of both is what a linear mode keeps.
     """
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
-    working, elements = now.working, now.working.packed.elements
+    active, elements = now.active, now.active.packed.elements
     positions = moving.nodes.positions
-    volume = None if moving.account.pressure is None else working.volume(positions)
+    volume = None if moving.account.pressure is None else active.volume(positions)
     pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
-    load = Load(positions, working.thickness, pressure, scene.material)
+    load = Load(positions, active.thickness, pressure, scene.material)
     room = no_corners(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any, ball: Any) -> Any:
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, sphere: Any) -> Any:
         ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
         size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
         if moving.seen is None:
             return [], [*energies, size]
-        return [], [*energies, size, missed(positions, nodes[0], ball, moving.seen)]
+        return [], [*energies, size, missed(positions, nodes[0], sphere, moving.seen)]
 
-    nodes = moving.nodes.stuck, working.mass, working.compliance
-    ball = None if now.near is None else balls(now.near)
-    inputs = shares(elements), nodes, positions, moving.nodes.velocities, ball
-    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (ball is not None))
+    nodes = moving.nodes.stuck, active.mass, active.compliance
+    sphere = None if now.candidates is None else spheres(now.candidates)
+    inputs = shares(elements), nodes, positions, moving.nodes.velocities, sphere
+    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (sphere is not None))
     missing = False if moving.seen is None else moving.seen.missed | (found[3] > 0.0)
     return End(*found[:3], missed=missing), corners
 
 
 def _health(
-    state: PackedState, end: End, rounding: jax.Array, scene: Scene, working: ActiveSet
+    state: PackedState, end: End, rounding: jax.Array, scene: Scene, active: ActiveSet
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
-    state, scene, working = jax.lax.stop_gradient((state, scene, working))
-    strain, volume = account(state.nodes.positions, working.packed.elements, working.thickness, scene.material)
-    strain, volume = strain + working.idle_energy, volume + working.idle_volume
+    state, scene, active = jax.lax.stop_gradient((state, scene, active))
+    strain, volume = account(state.nodes.positions, active.packed.elements, active.thickness, scene.material)
+    strain, volume = strain + active.idle_energy, volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
     excess = held - state.account.external_work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.

@@ -15,12 +15,11 @@ from jaxform.sheet.state import Account, AtStart, Control, Replay, State, any_mo
 
 def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
-    forest = scene.tables.forest
-    mesh = None if forest is None else started_mesh(scene)
+    mesh = None if scene.adaptivity is None else started_mesh(scene, scene.adaptivity)
     positions, sheet = scene.parison.positions.T, scene.tables.sheet
     start = at_start(scene)
     fields = {name: own.start(scene.parison.positions) for name, own in scene.fields.items()}
-    if mesh is not None and forest is not None:
+    if mesh is not None:
         # Nodes that do not exist yet are held where the first node is.
         there = jnp.arange(mesh.node.size) < mesh.node_count
         start = at_start(scene, mesh.node)

@@ -21,7 +21,7 @@ from jaxform.contact.broad_phase import (
     unwatched,
     watch,
 )
-from jaxform.contact.lists import Near
+from jaxform.contact.lists import Candidates
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import once, only_if, over_blocks, total
 from jaxform.mechanics import membrane
@@ -30,7 +30,7 @@ from jaxform.mechanics.force import Load, corner_forces, force
 from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.field import Surroundings, stepped
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Scene, Tool
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.scheme import kicked
 from jaxform.sheet.state import Account
@@ -59,31 +59,37 @@ class Moving:
     room: Corners | None
     met: sticking.Met | None
 
+    @property
+    def last_look(self) -> Seen:
+        """What was seen last of the mold, where there is one."""
+        assert self.seen is not None
+        return self.seen
+
 
 @pytree
 class Window:
     """What stays the same within a window, in packed order.
 
     Attributes:
-        working: The elements and nodes that are active.
+        active: The elements and nodes that are active.
         begin: Its begin [s].
         length: The step [s].
         bound: The elements' bound on it [s].
         most: How many steps it takes, unless it is cut short.
         row: Of a schedule that is followed; None where none is.
         duration: What it is to last [s].
-        near: The list of nodes near the mold; None where there is no mold.
+        candidates: The list of nodes near the mold; None where there is no mold.
         wary: Whether no look at the nodes is trusted, since the last window was not taken.
     """
 
-    working: ActiveSet
+    active: ActiveSet
     begin: jax.Array
     length: jax.Array
     bound: jax.Array
     most: jax.Array
     row: Row | None
     duration: jax.Array
-    near: Near | None
+    candidates: Candidates | None
     wary: jax.Array
 
 
@@ -99,17 +105,21 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
     """
     pressure, mean_pressure, kick = pressures
     length = now.length
-    if now.near is not None:
-        moving = _looked(moving, now)
+    candidates, tool = now.candidates, scene.tool
+    if candidates is not None:
+        moving = _looked(moving, now, candidates)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
     if moving.account.pressure is not None:
         pressure = _pressure_inside(moving, scene, now)
         mean_pressure = 0.5 * (moving.account.pressure + pressure)
-    load = Load(moving.nodes.positions, now.working.thickness, pressure, scene.material)
-    taken = (_taken if moving.room is None else _taken_in_blocks)(load, moving, kick, length, scene, now)
-    volume, account = taken.volume + now.working.idle_volume, moving.account
+    load = Load(moving.nodes.positions, now.active.thickness, pressure, scene.material)
+    if moving.room is None:
+        taken = _taken(load, moving, kick, length, scene, now)
+    else:
+        taken = _taken_in_blocks(load, moving, moving.room, kick, length, scene, now)
+    volume, account = taken.volume + now.active.idle_volume, moving.account
     if moving.room is None:
         # So that the account is that of a loop which ends with the last step.
         volume = jnp.where(moving.halted, account.volume, volume)
@@ -126,8 +136,8 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
         count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
     )
-    if now.near is not None:
-        moved = _touch(moved, length, scene, now)
+    if candidates is not None and tool is not None:
+        moved = _touch(moved, length, tool, candidates, scene, now)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=_flown(moved, scene, now))
     return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
@@ -135,7 +145,7 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
 
 def _pressure_inside(moving: Moving, scene: Scene, now: Window) -> jax.Array:
     """The pressure [Pa] that goes with the volume enclosed as the step begins."""
-    volume = now.working.volume(jnp.asarray(moving.nodes.positions))
+    volume = now.active.volume(jnp.asarray(moving.nodes.positions))
     return scene.pressure.at(now.begin + moving.count * now.length, volume)
 
 
@@ -155,18 +165,17 @@ def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Sce
     return dataclasses.replace(moved, fields=kept)
 
 
-def _watched(moved: Moving, scene: Scene, now: Window) -> Watched:
+def _watched(moved: Moving, candidates: Candidates, scene: Scene, now: Window) -> Watched:
     """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
-    assert now.near is not None and moved.seen is not None
-    state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, now.near))
-    blocks = now.working.packed.elements.node_block_count
+    state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, candidates))
+    blocks = now.active.packed.elements.node_block_count
     found = only_if(
-        moved.seen.close,
+        moved.last_look.close,
         lambda _: watch(*state, blocks),
-        unwatched(now.near),
+        unwatched(candidates),
         differentiable=moved.room is None,
     )
-    return found if scene.solver.skip_far else found._replace(due=every_block(now.near))
+    return found if scene.solver.skip_far else found._replace(due=every_block(candidates))
 
 
 def _flown(moved: Moving, scene: Scene, now: Window) -> jax.Array:
@@ -186,8 +195,8 @@ class _Taken(NamedTuple):
 
 
 def _taken(load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window) -> _Taken:
-    nodal, volume = force(load, now.working.packed.elements)
-    nodes = moving.nodes.stuck, now.working.mass, now.working.compliance
+    nodal, volume = force(load, now.active.packed.elements)
+    nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
     velocities, losses = kicked(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
     positions = moving.nodes.positions + length * jnp.stack(velocities)
     loss = total(losses) if losses is not None else 0.0
@@ -195,13 +204,12 @@ def _taken(load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene
 
 
 def _taken_in_blocks(
-    load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window
+    load: Load, moving: Moving, room: Corners, kick: jax.Array, length: jax.Array, scene: Scene, now: Window
 ) -> _Taken:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
-    elements, room = now.working.packed.elements, moving.room
-    assert room is not None
+    elements = now.active.packed.elements
     corners, volume = corner_forces(load, elements, room)
-    nodes = moving.nodes.stuck, now.working.mass, now.working.compliance
+    nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
 
     def work(old: Any, own: Any, nodes: Any) -> Any:
         (x,), (y,), (z,), velocities = old
@@ -219,7 +227,7 @@ def _taken_in_blocks(
     return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners)
 
 
-def _looked(moving: Moving, now: Window) -> Moving:
+def _looked(moving: Moving, now: Window, candidates: Candidates) -> Moving:
     """Every few steps a look at where the nodes are, and where they will be at the next one.
 
     What it says of the mold holds until then, unless a node has become so much faster that it may have touched unseen:
@@ -228,15 +236,13 @@ def _looked(moving: Moving, now: Window) -> Moving:
     nodes = moving.nodes
 
     def again(last: Seen) -> Seen:
-        assert now.near is not None
         till_next = jnp.minimum(LOOK_EVERY, now.most - moving.count) * now.length
-        state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, now.near))
-        new = look(*state, last, now.working.packed.elements.node_block_count)
+        state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, candidates))
+        new = look(*state, last, now.active.packed.elements.node_block_count)
         return new._replace(close=new.close | now.wary)
 
-    assert moving.seen is not None
     due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
-    seen = only_if(due, again, moving.seen, differentiable=moving.room is None)
+    seen = only_if(due, again, moving.last_look, differentiable=moving.room is None)
     # Read before they are written (docs/explanation/kernels.md).
     seen, positions, velocities = once((seen, nodes.positions, nodes.velocities))
     return dataclasses.replace(
@@ -244,15 +250,12 @@ def _looked(moving: Moving, now: Window) -> Moving:
     )
 
 
-def _touch(moved: Moving, length: jax.Array, scene: Scene, now: Window) -> Moving:
+def _touch(moved: Moving, length: jax.Array, tool: Tool, candidates: Candidates, scene: Scene, now: Window) -> Moving:
     """Contact of one step; halts the window when a node is about to leave the range of its list."""
-    assert scene.mold is not None and scene.tables.grid is not None and now.near is not None and moved.seen is not None
     flying = sticking.Landing(moved.nodes, moved.landed, moved.account.contact_loss, moved.impact)
-    due, leaving = _watched(moved, scene, now)
+    due, leaving = _watched(moved, candidates, scene, now)
     this = sticking.Step(length, now.begin + moved.count * now.length, moved.count - 1)
-    landing, met = sticking.land(
-        flying, this, due, now.working.mass, now.near, scene.mold, scene.tables.grid, moved.met
-    )
+    landing, met = sticking.land(flying, this, due, now.active.mass, candidates, tool.mold, tool.grid, moved.met)
     return dataclasses.replace(
         moved,
         nodes=landing.nodes,
@@ -260,7 +263,7 @@ def _touch(moved: Moving, length: jax.Array, scene: Scene, now: Window) -> Movin
         impact=landing.impact,
         account=dataclasses.replace(moved.account, contact_loss=landing.loss),
         met=met,
-        halted=moved.halted | leaving | moved.seen.missed | (moved.count >= now.most),
+        halted=moved.halted | leaving | moved.last_look.missed | (moved.count >= now.most),
     )
 
 

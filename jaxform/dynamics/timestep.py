@@ -60,20 +60,20 @@ class Chosen(NamedTuple):
     room: Room | None = None
 
 
-def choose_step(state: PackedState, scene: Scene, working: ActiveSet) -> Chosen:
+def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
     """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
 
     The state is in packed order.
     """
-    state, scene, working = jax.lax.stop_gradient((state, scene, working))
-    longest, limit, room = _limit(state, scene, working)
+    state, scene, active = jax.lax.stop_gradient((state, scene, active))
+    longest, limit, room = _limit(state, scene, active)
     longest = scene.solver.safety * longest
     if scene.solver.damping is None:
         longest = _UNDAMPED * longest
     if scene.tables.grid is not None:
         # No node passes more of the range of its list in one step than can be watched.
         range_per_step = _RANGE_PER_STEP * scene.tables.grid.farthest
-        longest = jnp.minimum(longest, range_per_step / jnp.maximum(_fastest(state, working), 1e-30))
+        longest = jnp.minimum(longest, range_per_step / jnp.maximum(_fastest(state, active), 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:
         # Every change of the step changes the energy of the fast modes, which nothing takes away.
@@ -97,17 +97,17 @@ def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
     return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
 
 
-def _fastest(state: PackedState, working: ActiveSet) -> jax.Array:
+def _fastest(state: PackedState, active: ActiveSet) -> jax.Array:
     """The highest speed [m/s]."""
 
     def work(velocities: jax.Array) -> Any:
         return [], [membrane.dot(velocities, velocities)]
 
-    _, (square,) = over_blocks(work, working.packed.elements.node_block_count, (state.nodes.velocities,), [], most=1)
+    _, (square,) = over_blocks(work, active.packed.elements.node_block_count, (state.nodes.velocities,), [], most=1)
     return jnp.sqrt(square)
 
 
-def _limit(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Array, Limit, Room | None]:
+def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, Limit, Room | None]:
     """The longest stable step [s], how it was found, and the room that was written in.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
@@ -115,13 +115,13 @@ def _limit(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Ar
     where it seems to rise, the search is done once more and thoroughly, as it is where no mode is known, or else the
     rise is not believed.
     """
-    bound = elements_bound(state, scene, working)
-    if state.nodes.mode is None:
-        return bound, Limit(None, bound, state.control.sharpness), working.room
+    bound, begin = elements_bound(state, scene, active), state.nodes.mode
+    if begin is None:
+        return bound, Limit(None, bound, state.control.sharpness), active.room
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
-        mode, (least, square), own = _highest(state, scene, working, thorough, found[4])
+        mode, (least, square), own = _highest(state, begin, scene, active, thorough, found[4])
         sharpness = _MARGIN * 2.0 / (bound * jnp.sqrt(square))
         # The elements' bound counts as well, unless there is a mode that proves it wrong.
         wrong = bound * jnp.sqrt(jnp.maximum(least, 0.0)) > 2.0 * (1.0 + _ROUNDING)
@@ -131,12 +131,12 @@ def _limit(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Ar
         return mode, sharpness, lost, lost, own
 
     known = state.control.sharpness > 0.0
-    room, elements = working.room, working.packed.elements
+    room, elements = active.room, active.packed.elements
     if room is None or room.basis is None:
-        own = no_corners(state.nodes.positions, elements), no_basis(state.nodes.mode.shape[1], state.nodes.mode.dtype)
+        own = no_corners(state.nodes.positions, elements), no_basis(begin.shape[1], begin.dtype)
     else:
         own = room.corners, room.basis
-    begun = state.nodes.mode, state.control.sharpness, ~known, jnp.asarray(True), own
+    begun = begin, state.control.sharpness, ~known, jnp.asarray(True), own
     mode, sharpness, _, _, (corners, basis) = jax.lax.while_loop(lambda found: found[3], search, begun)
     # Growth of the stiffness so far stands for growth within the window, which may take more steps than the last.
     before, windows = (
@@ -149,31 +149,31 @@ def _limit(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Ar
     return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, Limit(mode, bound, sharpness), room
 
 
-def elements_bound(state: PackedState, scene: Scene, working: ActiveSet) -> jax.Array:
+def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
-    rows, elements = membrane.rows_of(state.nodes.positions), working.packed.elements
+    rows, elements = membrane.rows_of(state.nodes.positions), active.packed.elements
 
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
         return [], [membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material)]
 
-    inputs = elements.triangles, elements.inverse_metric, elements.area, working.bound
+    inputs = elements.triangles, elements.inverse_metric, elements.area, active.bound
     _, (stiffness,) = over_blocks(work, elements.block_count, inputs, [], most=1)
     step = membrane.stable_step(stiffness, scene.material)
     if not scene.pressure.follows_volume:
         return step
     # The largest eigenvalue of a sum is at most the sum of the largest ones.
-    slope, rise, compliance = _falling(state, scene, working)
+    slope, rise, compliance = _falling(state, scene, active)
     more = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise))
     return 2.0 / jnp.sqrt(jnp.square(2.0 / step) + more)
 
 
-def _falling(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _falling(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
     """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
-    volume, rise = jax.value_and_grad(working.volume)(state.nodes.positions)
+    volume, rise = jax.value_and_grad(active.volume)(state.nodes.positions)
     slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume)
-    return slope, rise, jnp.where(state.nodes.stuck, 0.0, working.compliance)
+    return slope, rise, jnp.where(state.nodes.stuck, 0.0, active.compliance)
 
 
 class _Lanczos(NamedTuple):
@@ -203,38 +203,42 @@ def no_basis(places: int, real: jnp.dtype) -> jax.Array:
 
 
 def _highest(
-    state: PackedState, scene: Scene, working: ActiveSet, thorough: jax.Array, room: tuple[Corners, jax.Array]
+    state: PackedState,
+    mode: jax.Array,
+    scene: Scene,
+    active: ActiveSet,
+    thorough: jax.Array,
+    room: tuple[Corners, jax.Array],
 ) -> tuple[jax.Array, tuple[jax.Array, jax.Array], tuple[Corners, jax.Array]]:
     """The mode (3, place), and its squared frequency [1/s^2] without the residual and with it, by Lanczos' method.
 
     The residual makes up for what is missing: the frequency is approached from below. The room is for corners and
     vectors, and is given back.
     """
-    assert state.nodes.mode is not None
-    elements, places = working.packed.elements, working.mass.size
-    compliance = jnp.where(state.nodes.stuck, 0.0, working.compliance)
+    elements, places = active.packed.elements, active.mass.size
+    compliance = jnp.where(state.nodes.stuck, 0.0, active.compliance)
     volume, falling = None, None
     if scene.pressure.follows_volume:
-        volume, falling = working.volume(state.nodes.positions), _falling(state, scene, working)
+        volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
     pressure = scene.pressure.at(state.time, volume)
-    load = Load(state.nodes.positions, working.thickness, pressure, scene.material)
+    load = Load(state.nodes.positions, active.thickness, pressure, scene.material)
 
     def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
         return over_blocks(work, elements.node_block_count, inputs, into, **kinds)
 
     def norm(vector: jax.Array) -> jax.Array:
-        _, (square,) = over_nodes(lambda m, v: ([], [m * membrane.dot(v, v)]), (working.mass, vector), [], sums=1)
+        _, (square,) = over_nodes(lambda m, v: ([], [m * membrane.dot(v, v)]), (active.mass, vector), [], sums=1)
         return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
 
     def with_noise(mode: jax.Array) -> jax.Array:
-        there = jnp.zeros((3, working.packed.place.size), mode.dtype)
-        noise = jnp.sqrt(compliance) * working.packed.taken(any_mode(there))
+        there = jnp.zeros((3, active.packed.place.size), mode.dtype)
+        noise = jnp.sqrt(compliance) * active.packed.taken(any_mode(there))
         return mode / norm(mode) + _NOISE / norm(noise) * noise
 
     def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
         corners, scale = corner_changes(load, elements, now.vector, now.corners), 1.0 / now.size
 
-        inputs = shares(elements), working.mass, compliance, now.vector
+        inputs = shares(elements), active.mass, compliance, now.vector
         if falling is not None:
             # The pressure that falls as all nodes move is one product more.
             inputs = *inputs, falling[0] * jnp.sum(falling[1] * now.vector) * falling[1]
@@ -257,7 +261,7 @@ def _highest(
             return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
 
         into = [now.vector, now.last, Part(now.basis, k * places, places)]
-        (vector, unit, basis), (square,) = over_nodes(orthogonal, (working.mass, new), into, sums=1, update=2)
+        (vector, unit, basis), (square,) = over_nodes(orthogonal, (active.mass, new), into, sums=1, update=2)
         size = jnp.sqrt(square)
         return _Lanczos(
             vector=vector,
@@ -270,7 +274,7 @@ def _highest(
             corners=corners,
         )
 
-    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, state.nodes.mode, 0.0))
+    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, mode, 0.0))
     none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
     corners, basis = room

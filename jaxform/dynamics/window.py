@@ -19,8 +19,8 @@ from jaxform.contact.broad_phase import (
     LOOK_EVERY,
     unseen,
 )
-from jaxform.contact.candidates import list_near
-from jaxform.contact.lists import Lists, Near, no_lists
+from jaxform.contact.candidates import list_candidates
+from jaxform.contact.lists import Candidates, Lists, no_lists
 from jaxform.dynamics.closing import SLACK, close, looked_over
 from jaxform.dynamics.step import Moving, Row, Window, step
 from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
@@ -51,31 +51,31 @@ def window(
     one goes on with the steps that are left; or it is retried with shorter ones, as any other. Where no derivative
     is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
-    working = active_set_of(state, scene, discrete, differentiable=differentiable)
-    packed = working.taken(state)
-    decisions = _decided(packed, scene, working, schedule)
-    return working.put_back(_stepped(packed, scene, working, decisions, differentiable=differentiable)[0])
+    active = active_set_of(state, scene, discrete, differentiable=differentiable)
+    packed = active.taken(state)
+    decisions = _decided(packed, scene, active, schedule)
+    return active.put_back(_stepped(packed, scene, active, decisions, differentiable=differentiable)[0])
 
 
-def window_in_place(state: PackedState, scene: Scene, working: ActiveSet) -> tuple[PackedState, ActiveSet]:
+def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[PackedState, ActiveSet]:
     """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
-    decisions = _decided_freely(state, scene, working)
+    decisions = _decided_freely(state, scene, active)
 
     def whole(now: tuple[PackedState, Room | None]) -> tuple[PackedState, Room | None]:
         own = decisions._replace(chosen=decisions.chosen._replace(room=now[1]))
-        state, _, room = _stepped(now[0], scene, working, own, differentiable=False)
+        state, _, room = _stepped(now[0], scene, active, own, differentiable=False)
         return state, room
 
     state, room = as_one(whole, (state, decisions.chosen.room), state.windows)
-    return state, dataclasses.replace(working, room=room)
+    return state, dataclasses.replace(active, room=room)
 
 
-def with_room(working: ActiveSet, scene: Scene) -> ActiveSet:
+def with_room(active: ActiveSet, scene: Scene) -> ActiveSet:
     """With room for what is worked out in every window."""
-    places, elements = working.compliance, working.packed.elements
+    places, elements = active.compliance, active.packed.elements
     basis = no_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
     lists = _no_lists(scene, places)
-    return dataclasses.replace(working, room=Room(no_corners(places, elements), basis, lists))
+    return dataclasses.replace(active, room=Room(no_corners(places, elements), basis, lists))
 
 
 def window_and_impacts(
@@ -85,20 +85,20 @@ def window_and_impacts(
 
     And its impact (6, n_node), as in `sticking.Landing`; None where there is no mold.
     """
-    working = active_set_of(state, scene, discrete)
-    impacts, packed = scene.mold is not None, working.packed
-    begin = working.taken(state)
-    decisions = _decided(begin, scene, working, schedule)
-    end, moving, _ = _stepped(begin, scene, working, decisions, differentiable=False, impacts=impacts)
+    active = active_set_of(state, scene, discrete)
+    impacts, packed = scene.mold is not None, active.packed
+    begin = active.taken(state)
+    decisions = _decided(begin, scene, active, schedule)
+    end, moving, _ = _stepped(begin, scene, active, decisions, differentiable=False, impacts=impacts)
     # Of a window that is not taken nothing landed.
     landed = jnp.where(end.control.last_count > 0, packed.put_back(moving.landed), NEVER)
-    return working.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
+    return active.put_back(end), landed, None if moving.impact is None else packed.put_back(moving.impact)
 
 
 def _stepped(
     state: PackedState,
     scene: Scene,
-    working: ActiveSet,
+    active: ActiveSet,
     decisions: _Decisions,
     *,
     differentiable: bool,
@@ -106,18 +106,18 @@ def _stepped(
 ) -> tuple[PackedState, Moving, Room | None]:
     (length, most, limit, room), duration, row = decisions
     now = Window(
-        working=working,
+        active=active,
         begin=state.time,
         length=length,
         bound=limit.bound,
         most=most,
         row=row,
         duration=duration,
-        near=_list_near(state, scene, working, duration, length, room),
+        candidates=_list_candidates(state, scene, active, duration, length, room),
         wary=state.control.last_count == 0,
     )
     nodes = state.nodes
-    corners = None if differentiable else no_corners(nodes.positions, working.packed.elements)
+    corners = None if differentiable else no_corners(nodes.positions, active.packed.elements)
     moving = _begun(state, now, corners if room is None else room.corners, impacts)
 
     def advance(moving: Moving, pressures: tuple[jax.Array, ...]) -> tuple[Moving, None]:
@@ -141,7 +141,7 @@ def _stepped(
     )
     end, corners = looked_over(moving, scene, now)
     if room is not None:
-        room = Room(corners, room.basis, None if now.near is None else now.near.lists)
+        room = Room(corners, room.basis, None if now.candidates is None else now.candidates.lists)
     return close(found, moving, end, scene, now), moving, room
 
 
@@ -161,16 +161,16 @@ class _Decisions(NamedTuple):
     row: Row | None = None
 
 
-def _decided(state: PackedState, scene: Scene, working: ActiveSet, schedule: Schedule | None) -> _Decisions:
+def _decided(state: PackedState, scene: Scene, active: ActiveSet, schedule: Schedule | None) -> _Decisions:
     if schedule is None:
-        return _decided_freely(state, scene, working)
+        return _decided_freely(state, scene, active)
     row = schedule.upcoming(state.replay.row)
 
-    def as_planned(state: PackedState, scene: Scene, working: ActiveSet) -> _Decisions:
+    def as_planned(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
         length, count = schedule.lengths[row], schedule.counts[row]
         left = jnp.minimum(length * count - state.replay.row_time, jnp.maximum(scene.solver.end_time - state.time, 0.0))
         # Where the sheet is stiffer for its mass than the one of the plan, the steps are shorter by whole rungs.
-        bound = elements_bound(state, scene, working)
+        bound = elements_bound(state, scene, active)
         rungs = jnp.ceil(jnp.log2(_STIFFER * schedule.bounds[row] / bound) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE
         finer = jnp.exp2(jnp.maximum(rungs, 0.0) + state.control.retries)
         # As many as planned, if none of them is taken yet; else what is left is divided evenly.
@@ -185,18 +185,18 @@ def _decided(state: PackedState, scene: Scene, working: ActiveSet, schedule: Sch
     def beyond(*now: Any) -> _Decisions:
         return _decided_freely(*now)._replace(row=Row(row, jnp.full_like(state.time, jnp.inf)))
 
-    now = jax.lax.stop_gradient((state, scene, working))
+    now = jax.lax.stop_gradient((state, scene, active))
     return jax.lax.cond(row < schedule.counts.size, as_planned, beyond, *now)
 
 
-def _decided_freely(state: PackedState, scene: Scene, working: ActiveSet) -> _Decisions:
-    chosen = choose_step(state, scene, working)
+def _decided_freely(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
+    chosen = choose_step(state, scene, active)
     return _Decisions(chosen, chosen.most * chosen.length)
 
 
 def _begun(state: PackedState, now: Window, room: Corners | None, impacts: bool) -> Moving:
-    working = now.working
-    places, positions = working.mass.size, state.nodes.positions
+    active = now.active
+    places, positions = active.mass.size, state.nodes.positions
     return Moving(
         nodes=state.nodes.stepped(),
         fields=state.nodes.fields,
@@ -205,9 +205,9 @@ def _begun(state: PackedState, now: Window, room: Corners | None, impacts: bool)
         impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
-        seen=None if now.near is None else unseen(),
+        seen=None if now.candidates is None else unseen(),
         room=room,
-        met=None if now.near is None or room is None else sticking.nothing_met(places, positions.dtype),
+        met=None if now.candidates is None or room is None else sticking.nothing_met(places, positions.dtype),
     )
 
 
@@ -233,18 +233,18 @@ def _until_halted(advance: Callable[[Moving, jax.Array], Moving], moving: Moving
     return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
 
 
-def _list_near(
-    state: PackedState, scene: Scene, working: ActiveSet, duration: jax.Array, length: jax.Array, room: Room | None
-) -> Near | None:
-    if scene.mold is None or scene.tables.grid is None:
+def _list_candidates(
+    state: PackedState, scene: Scene, active: ActiveSet, duration: jax.Array, length: jax.Array, room: Room | None
+) -> Candidates | None:
+    if scene.tool is None:
         return None
     positions, velocities, grid, duration = jax.lax.stop_gradient(
-        (state.nodes.positions, state.nodes.velocities, scene.tables.grid, duration)
+        (state.nodes.positions, state.nodes.velocities, scene.tool.grid, duration)
     )
     into = _no_lists(scene, positions) if room is None or room.lists is None else room.lists
     till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
-    blocks = working.packed.elements.node_block_count
-    return list_near(positions, velocities, ~state.nodes.stuck, duration, till_look, grid, skip_far, into, blocks)
+    blocks = active.packed.elements.node_block_count
+    return list_candidates(positions, velocities, ~state.nodes.stuck, duration, till_look, grid, skip_far, into, blocks)
 
 
 def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:

@@ -8,7 +8,7 @@ static. What the host must build from it (reference geometry, search structure, 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +22,9 @@ from jaxform.loads import Loading
 from jaxform.materials import Law
 from jaxform.mesh import reference
 from jaxform.model.field import Field
-from jaxform.model.tables import Tables
+from jaxform.model.tables import Forest, Tables
 from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid
 
 
 @pytree
@@ -109,6 +110,20 @@ class Refinement:
         return int(max(self.max_level, self.base_level))
 
 
+class Tool(NamedTuple):
+    """A surface that the sheet can touch, and the structure in which contact looks for its triangles."""
+
+    mold: Mold
+    grid: SearchGrid
+
+
+class Adaptivity(NamedTuple):
+    """How the mesh becomes finer: within which limits, and what it can be refined to."""
+
+    limits: Refinement
+    forest: Forest
+
+
 @pytree
 class Scene:
     """All that a simulation needs; made by `build_scene` or `load`.
@@ -134,6 +149,18 @@ class Scene:
     tables: Tables
     name: str = static(default="scene")
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
+
+    @property
+    def tool(self) -> Tool | None:
+        """What the sheet can touch; None for free inflation."""
+        mold, grid = self.mold, self.tables.grid
+        return None if mold is None or grid is None else Tool(mold, grid)
+
+    @property
+    def adaptivity(self) -> Adaptivity | None:
+        """How the mesh becomes finer; None where it stays as it is."""
+        limits, forest = self.refinement, self.tables.forest
+        return None if limits is None or forest is None else Adaptivity(limits, forest)
 
     @property
     def first_nodes(self) -> int:

@@ -106,7 +106,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         first: The sheet as it was at first.
         taken: The windows that were taken, as the first parts of a `Schedule`.
     """
-    now, forest, mesh = present_discretization(scene, state.mesh, first), scene.tables.forest, state.mesh
+    now, adaptivity, mesh = present_discretization(scene, state.mesh, first), scene.adaptivity, state.mesh
     sheet = now.sheet
     _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
@@ -118,7 +118,8 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         active = node < counts.nodes
     reference = scene.parison.positions.T
     triangles, level, used = sheet.triangles, jnp.zeros(sheet.area.size, jnp.int32), sheet.area > 0.0
-    if mesh is not None and forest is not None:
+    if mesh is not None and adaptivity is not None:
+        forest = adaptivity.forest
         place = jnp.arange(forest.owner.size)
         first_nodes = forest.first_nodes if counts is None else counts.nodes
         active, node = (place < first_nodes) | (mesh.place > 0), mesh.place
@@ -172,10 +173,10 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
 
 
 def _added_mass(scene: Scene, now: Discretization, mesh: Mesh | None) -> jax.Array:
-    forest, volume = scene.tables.forest, now.sheet.area * now.thickness
-    if forest is None or mesh is None:
+    adaptivity, volume = scene.adaptivity, now.sheet.area * now.thickness
+    if adaptivity is None or mesh is None:
         return jnp.zeros((), volume.dtype)
-    return jnp.sum(volume * (forest.heavier[mesh.element] - 1.0)) / jnp.sum(volume)
+    return jnp.sum(volume * (adaptivity.forest.heavier[mesh.element] - 1.0)) / jnp.sum(volume)
 
 
 def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:

@@ -68,21 +68,20 @@ def advance(
         state, now, stale = carry.state, carry.now, carry.count == 0
         if state.mesh is not None:
             before = state.mesh.element_count
-            state, now = refined_in_place(state, scene, now, carry.working)
-            assert state.mesh is not None
-            stale |= state.mesh.element_count != before
-        state, working = repacked(state, scene, now, carry.working, stale)
+            state, now = refined_in_place(state, scene, now, carry.active)
+            stale |= state.refined_mesh.element_count != before
+        state, active = repacked(state, scene, now, carry.active, stale)
         whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
-        after, working = unless_full(state.status, scene, whole_window, (state, working), differentiable=False)
+        after, active = unless_full(state.status, scene, whole_window, (state, active), differentiable=False)
         at = state.windows
         taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, latest(after))
-        return _Going(after, now, working, taken, carry.count + 1)
+        return _Going(after, now, active, taken, carry.count + 1)
 
     now = present_discretization(scene, state.mesh, first, stepped=True)
-    working = with_room(whole_set(now), scene)
-    begun = _Going(working.taken(state), now, working, taken, jnp.int32(0))
+    active = with_room(whole_set(now), scene)
+    begun = _Going(active.taken(state), now, active, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
-    return gone.working.put_back(gone.state), gone.taken, finished(gone.state, scene)
+    return gone.active.put_back(gone.state), gone.taken, finished(gone.state, scene)
 
 
 class _Going(NamedTuple):
@@ -90,7 +89,7 @@ class _Going(NamedTuple):
 
     state: PackedState
     now: Discretization
-    working: ActiveSet
+    active: ActiveSet
     taken: Taken
     count: jax.Array
 

@@ -31,9 +31,9 @@ def roomier(scene: Scene, state: State, taken: Taken, done: bool, most_steps: in
         done: Whether there is nothing left to do.
         most_steps: Where the run stops at the latest.
     """
-    status, tables = int(state.status), scene.tables
-    if status == Status.REFINEMENT_OVERFLOW and can_have_more_room(scene):
-        return *with_more_room(scene, state), taken
+    status, tables, adaptivity = int(state.status), scene.tables, scene.adaptivity
+    if status == Status.REFINEMENT_OVERFLOW and adaptivity is not None and can_have_more_room(adaptivity):
+        return *with_more_room(scene, adaptivity, state), taken
     if status == Status.CONTACT_OVERFLOW and tables.pairs_per_node < _MOST_PAIRS:
         wider = dataclasses.replace(tables, pairs_per_node=_MORE_PAIRS * tables.pairs_per_node)
         # The window that found no room counts as none that failed.

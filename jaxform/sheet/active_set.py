@@ -110,12 +110,12 @@ def whole_set(discrete: Discretization) -> ActiveSet:
 
 
 def repacked(
-    state: PackedState, scene: Scene, discrete: Discretization, working: ActiveSet, stale: jax.Array
+    state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet, stale: jax.Array
 ) -> tuple[PackedState, ActiveSet]:
     """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
     if not scene.packs_moving and state.mesh is None:
-        return state, working
-    elements = working.packed.elements
+        return state, active
+    elements = active.packed.elements
 
     def work(triangles: jax.Array, area: jax.Array) -> Any:
         moving = can_move(state.nodes.stuck, triangles, area)
@@ -127,13 +127,13 @@ def repacked(
 
     def anew(now: tuple[PackedState, ActiveSet]) -> tuple[PackedState, ActiveSet]:
         state = now[1].put_back(now[0])
-        new = dataclasses.replace(active_set_of(state, scene, discrete), room=working.room)
+        new = dataclasses.replace(active_set_of(state, scene, discrete), room=active.room)
         return new.taken(state), new
 
     if scene.packs_moving:
         _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
         stale |= moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
-    return only_if(stale, anew, (state, working))
+    return only_if(stale, anew, (state, active))
 
 
 def idle_volume(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> jax.Array:

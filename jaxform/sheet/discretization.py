@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from jaxform.core.pytree import pytree
 from jaxform.mechanics import membrane
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import Assembly, Counts, Forest, Sheet
 from jaxform.sheet.packing import Packed, pack
 
@@ -69,12 +69,19 @@ class Discretization:
     whole: Packed
     volumes: jax.Array | None = None
 
+    @property
+    def forest_volumes(self) -> jax.Array:
+        """`volumes`, of a sheet that is refined."""
+        assert self.volumes is not None
+        return self.volumes
+
 
 def discretize(scene: Scene) -> Discretization:
     """The sheet of a scene; of a refined one as it is at first."""
     tables = scene.tables
-    if tables.forest is not None:
-        return refined_discretization(scene, first_mesh(scene), forest_volumes(scene))
+    if scene.adaptivity is not None:
+        forest = scene.adaptivity.forest
+        return refined_discretization(scene, forest, first_mesh(scene, scene.adaptivity), _volumes(scene, forest))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     share = scene.material.density * sheet.area * thickness / 3.0
@@ -89,20 +96,16 @@ def present_discretization(
     scene: Scene, mesh: Mesh | None, first: Discretization, *, stepped: bool = False
 ) -> Discretization:
     """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
-    return (
-        first
-        if mesh is None or first.volumes is None
-        else refined_discretization(scene, mesh, first.volumes, stepped=stepped)
-    )
+    if mesh is None or first.volumes is None or scene.adaptivity is None:
+        return first
+    return refined_discretization(scene, scene.adaptivity.forest, mesh, first.volumes, stepped=stepped)
 
 
-def forest_volumes(scene: Scene) -> jax.Array:
+def _volumes(scene: Scene, forest: Forest) -> jax.Array:
     """Volume (n_triangle,) [m^3] of the forest's triangles: at the deepest level from the nodes' thickness.
 
     Above, the sum of the parts: no bisection makes or loses mass, and coarse elements know the whole profile.
     """
-    forest = scene.tables.forest
-    assert forest is not None
     deepest = forest.root_count << forest.depth
     sheet = forest.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles[:, -deepest:])
@@ -112,11 +115,10 @@ def forest_volumes(scene: Scene) -> jax.Array:
     return jnp.concatenate(levels[::-1])
 
 
-def first_mesh(scene: Scene) -> Mesh:
+def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
     """The mesh before it is refined."""
-    forest, refinement = scene.tables.forest, scene.refinement
-    assert forest is not None and refinement is not None
-    roots, room = jnp.arange(forest.root_count, dtype=jnp.int32), refinement.elements
+    forest, room = adaptivity.forest, adaptivity.limits.elements
+    roots = jnp.arange(forest.root_count, dtype=jnp.int32)
     counts = scene.tables.counts or Counts(jnp.int32(forest.root_count), jnp.int32(forest.first_nodes))
     node = jnp.arange(forest.node_room, dtype=jnp.int32)
     place = jnp.arange(forest.owner.size, dtype=jnp.int32)
@@ -150,10 +152,10 @@ def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
     return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
 
 
-def refined_discretization(scene: Scene, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False) -> Discretization:
-    """The sheet of the elements that a mesh lists."""
-    forest = scene.tables.forest
-    assert forest is not None
+def refined_discretization(
+    scene: Scene, forest: Forest, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False
+) -> Discretization:
+    """The sheet of the elements that a mesh lists, of which the forest's have these volumes (n_triangle,) [m^3]."""
     element = mesh.element
     used = jnp.arange(element.size) < mesh.element_count
     exists = jnp.arange(mesh.node.size) < mesh.node_count

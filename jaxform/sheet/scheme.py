@@ -73,7 +73,7 @@ def kicked(
     return new, kick * damping * mass * membrane.dot(mean, mean)
 
 
-def caught_up(state: State, scene: Scene, discrete: Discretization, working: ActiveSet | None = None) -> State:
+def caught_up(state: State, scene: Scene, discrete: Discretization, active: ActiveSet | None = None) -> State:
     """The state with velocities at the time of the positions, and its account closed.
 
     Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
@@ -82,19 +82,19 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, working: Act
         state: In the mesh's order.
         scene: The scene.
         discrete: The sheet with that mesh.
-        working: What of it can move, and maybe more; found here by default, differentiably.
+        active: What of it can move, and maybe more; found here by default, differentiably.
     """
-    working = working or active_set_of(state, scene, discrete, differentiable=True)
-    packed = working.taken(state)
+    active = active or active_set_of(state, scene, discrete, differentiable=True)
+    packed = active.taken(state)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
-    load = Load(packed.nodes.positions, working.thickness, scene.pressure.at(state.time, volume), scene.material)
-    nodes, damping = (packed.nodes.stuck, working.mass, working.compliance), scene.solver.damping
-    nodal, _ = force(load, working.packed.elements)
+    load = Load(packed.nodes.positions, active.thickness, scene.pressure.at(state.time, volume), scene.material)
+    nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
+    nodal, _ = force(load, active.packed.elements)
     velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
     account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
     return dataclasses.replace(
         state,
-        nodes=dataclasses.replace(state.nodes, velocities=working.packed.put_back(jnp.stack(velocities))),
+        nodes=dataclasses.replace(state.nodes, velocities=active.packed.put_back(jnp.stack(velocities))),
         control=dataclasses.replace(state.control, step_length=jnp.zeros_like(state.control.step_length)),
         account=dataclasses.replace(
             account,

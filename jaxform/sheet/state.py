@@ -154,6 +154,12 @@ class State:
     shortened: jax.Array
     status: jax.Array
 
+    @property
+    def refined_mesh(self) -> Mesh:
+        """The mesh of a state of a scene that is refined."""
+        assert self.mesh is not None
+        return self.mesh
+
     def with_nodes(self, **fields: Any) -> Self:
         """The same with other values of some nodal fields."""
         return dataclasses.replace(self, nodes=dataclasses.replace(self.nodes, **fields))

@@ -169,8 +169,8 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
 
 def _first_step(scene: jaxform.Scene) -> tuple[jax.Array, timestep.Limit]:
     state = initial_state(scene)
-    working = active_set_of(state, scene, discretize(scene))
-    chosen = timestep.choose_step(working.taken(state), scene, working)
+    active = active_set_of(state, scene, discretize(scene))
+    chosen = timestep.choose_step(active.taken(state), scene, active)
     return chosen.length, chosen.limit
 
 
@@ -333,10 +333,10 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     assert 5 < int(jnp.sum(~stuck)) < stuck.size / 2
     velocities = jnp.where(stuck, 0.0, any_mode(start.nodes.positions))
     state = start.with_nodes(stuck=stuck, velocities=velocities, mode=any_mode(start.nodes.positions))
-    working = active_set_of(state, scene, discrete)
-    taken = working.taken(state)
-    assert not np.array_equal(working.packed.place, np.arange(stuck.size))
-    for got, expected in zip(jax.tree.leaves(working.put_back(taken)), jax.tree.leaves(state), strict=True):
+    active = active_set_of(state, scene, discrete)
+    taken = active.taken(state)
+    assert not np.array_equal(active.packed.place, np.arange(stuck.size))
+    for got, expected in zip(jax.tree.leaves(active.put_back(taken)), jax.tree.leaves(state), strict=True):
         np.testing.assert_array_equal(got, expected)
     # What is not active makes up for what the account leaves out.
     whole = discrete.whole
@@ -344,12 +344,12 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
         state.nodes.positions * 1.1, whole.elements, discrete.thickness[whole.element], scene.material
     )
     moved = state.with_nodes(positions=state.nodes.positions * 1.1)
-    working = active_set_of(moved, scene, discrete)
-    elements = working.packed.elements
-    own, inside = account(working.taken(moved).nodes.positions, elements, working.thickness, scene.material)
+    active = active_set_of(moved, scene, discrete)
+    elements = active.packed.elements
+    own, inside = account(active.taken(moved).nodes.positions, elements, active.thickness, scene.material)
     assert 0.0 < float(own) < float(energy)
-    np.testing.assert_allclose(own + working.idle_energy, energy, rtol=1e-13)
-    np.testing.assert_allclose(inside + working.idle_volume, volume, rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(own + active.idle_energy, energy, rtol=1e-13)
+    np.testing.assert_allclose(inside + active.idle_volume, volume, rtol=1e-13, atol=1e-16)
 
 
 def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:

@@ -158,21 +158,21 @@ def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> Non
     scene = scenes.cup()
 
     def begun(state: State) -> tuple[State, ActiveSet]:
-        working = windows.with_room(active_set_of(state, scene, discretize(scene)), scene)
-        return working.taken(state), working
+        active = windows.with_room(active_set_of(state, scene, discretize(scene)), scene)
+        return active.taken(state), active
 
     @jax.jit
-    def several(state: State, working: ActiveSet) -> tuple[State, ActiveSet]:
+    def several(state: State, active: ActiveSet) -> tuple[State, ActiveSet]:
         window = lambda _, now: windows.window_in_place(now[0], scene, now[1])  # noqa: E731
-        return jax.lax.fori_loop(0, 12, window, (state, working))
+        return jax.lax.fori_loop(0, 12, window, (state, active))
 
     def full(room: jax.Array) -> jax.Array:
         """Of what spoils everything; of places and triangles that exist, as an old list's do."""
         return jnp.full_like(room, jnp.nan if jnp.issubdtype(room.dtype, jnp.floating) else 1)
 
-    state, working = jax.jit(begun)(initial_state(scene))
-    spoiled = dataclasses.replace(working, room=jax.tree.map(full, working.room))
-    end, after = several(state, working)
+    state, active = jax.jit(begun)(initial_state(scene))
+    spoiled = dataclasses.replace(active, room=jax.tree.map(full, active.room))
+    end, after = several(state, active)
     again, _ = several(state, spoiled)
     assert bool(jnp.any(end.nodes.stuck & ~state.nodes.stuck))
     assert isinstance(after.room, Room)

@@ -72,7 +72,7 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
     """Against the largest eigenvalue of the exact Hessian, the gas included."""
     scene = sphere(32, outside, stretch=1.1)
     state, sheet = initial_state(scene), discretize(scene)
-    working = active_set_of(state, scene, sheet)
+    active = active_set_of(state, scene, sheet)
     mobile = np.asarray(sheet.compliance > 0).ravel()
 
     def force(flat: jax.Array) -> jax.Array:
@@ -82,7 +82,7 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
             return membrane.strain_energy(*geometry, volume, scene.material)
 
         def inside(flat: jax.Array) -> jax.Array:
-            return dataclasses.replace(working, idle_volume=real(0.0)).volume(working.packed.taken(flat.reshape(3, -1)))
+            return dataclasses.replace(active, idle_volume=real(0.0)).volume(active.packed.taken(flat.reshape(3, -1)))
 
         volume, rise = jax.value_and_grad(inside)(flat)
         return scene.pressure.at(state.time, volume) * rise - jax.grad(energy)(flat)
@@ -93,7 +93,7 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
     for sharp in (True, False):
         changed = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, sharp_step=sharp))
         begin = initial_state(changed)
-        chosen = choose_step(working.taken(begin), changed, working)
+        chosen = choose_step(active.taken(begin), changed, active)
         assert 0.3 * limit < float(chosen.length) < limit
     result = jaxform.run(
         dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=real(2000 * limit)))

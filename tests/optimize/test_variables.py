@@ -169,7 +169,11 @@ def test_a_scale_multiplies_a_number_of_the_scene() -> None:
         np.testing.assert_allclose(
             variable.document(free)[path], factor * present if name == "value" else factor * present.flat[0]
         )
-    for path, words in (("material.alpha", "no such number"), ("mold", "choose one of")):
+    for path, words in (
+        ("material.alpha", "no such number"),
+        ("mold", "choose one of"),
+        ("pressure.time", "is a time"),
+    ):
         with pytest.raises(jaxform.InputError, match=words):
             optimize.Scale(scene, of=path, bounds=(0.5, 3.0))
 
