@@ -29,6 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     gc.disable()
     try:
         arguments = _parser().parse_args(argv)
+        arguments.own_process = argv is None
         with heard(session.warn) as arguments.warned:
             return arguments.command(arguments)
     except InputError as error:

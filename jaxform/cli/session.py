@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import gc
 import os
 import sys
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxform.cli.aside import aside, here
 from jaxform.core import cachefolder, disk
 from jaxform.core.errors import InputError
 from jaxform.core.writing import PREFIX
@@ -118,19 +120,34 @@ def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
         yield pool.submit(work)
 
 
+def drawing(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[Callable[..., None]]:
+    """What has a picture drawn, meanwhile and elsewhere where the process is the command's own."""
+    return aside("jaxform.io.plots", "warm_up", arguments.dtype == "float64", arguments.own_process)
+
+
+def drawable(scene: Scene, result: Result) -> tuple[Scene, Result]:
+    """What pictures need of a part, in NumPy's arrays."""
+    import jax
+    import numpy as np
+
+    scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, grid=None))
+    return jax.tree.map(np.asarray, (scene, result))
+
+
 def write_part(
     arguments: argparse.Namespace,
     scene: Scene,
     result: Result,
     reference: dict[str, Any] | None,
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+    draw: Callable[..., None] = here,
 ) -> dict[str, Any]:
     """Writes files and picture, the summary amended on request; warns of what was not told before."""
     from jaxform.io import output, plots
 
     folder, told = arguments.out, list(arguments.warned)
     with meanwhile(lambda: output.write_result(scene, result, folder, told, amend)) as written:
-        plots.thickness_picture(folder / "thickness.png", scene, result, reference)
+        draw(plots.thickness_picture, folder / "thickness.png", *drawable(scene, result), reference)
     summary = written.result()
     for sentence in summary["warnings"]:
         if sentence not in told:

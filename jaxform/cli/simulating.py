@@ -17,32 +17,33 @@ if TYPE_CHECKING:
 
 def simulate(arguments: argparse.Namespace) -> int:
     """Runs `jaxform simulate` with its arguments and returns its exit status."""
-    say, store = session.prepare(arguments)
-    from jaxform.io import files
-    from jaxform.io.output import Frames
+    with session.drawing(arguments) as draw:
+        say, store = session.prepare(arguments)
+        from jaxform.io import files
+        from jaxform.io.output import Frames
 
-    document = files.read_scene(arguments.source)
-    reference = files.read_reference(document)
-    scene = files.build(document, store)
-    session.open_folder(arguments.out, arguments.force)
-    frames = Frames(arguments.out, document.model.output.frames)
-    frames.begin(scene)
-    with session.meanwhile(_warm_up):
-        result = _run(scene, frames, not arguments.quiet, store)
-    summary = session.write_part(arguments, scene, result, reference)
+        document = files.read_scene(arguments.source)
+        reference = files.read_reference(document)
+        scene = files.build_unseen(document, store)
+        session.open_folder(arguments.out, arguments.force)
+        frames = Frames(arguments.out, document.model.output.frames)
+        frames.begin(scene)
+        with session.meanwhile(lambda: _look_over(scene, document)) as looked:
+            result = _run(scene, frames, not arguments.quiet, store)
+        looked.result()
+        summary = session.write_part(arguments, scene, result, reference, draw=draw)
     frames.finish(scene, result)
     _tell(say, summary, arguments.out)
     return session.exit_status(result)
 
 
-def _warm_up() -> None:
-    """What writing the results needs."""
+def _look_over(scene: Scene, document: Any) -> None:
+    """Warns of what is hardly meant, while programs are loaded or compiled; then gets ready to write the results."""
+    from jaxform.io import files
+
+    files.look_over(scene, document)
     import meshio  # noqa: F401
     import scipy.spatial  # noqa: F401
-
-    from jaxform.io import plots
-
-    plots.warm_up()
 
 
 def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:

@@ -125,6 +125,18 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
     Warns:
         InputWarning: What can be simulated is hardly meant: units, a mold on the wrong side, open seams.
     """
+    scene = build_unseen(document, store)
+    look_over(scene, document)
+    return scene
+
+
+def look_over(scene: Scene, document: SceneDocument) -> None:
+    """Warns of what in a document's scene can be simulated, but is hardly meant."""
+    warn_of_scene(scene, document.file, document.model)
+
+
+def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
+    """As `build`, but it is left to the caller to `look_over` the scene."""
     model = document.model
     with _told_of(document.file):
         pressure, solver = model.pressure, model.solver
@@ -148,7 +160,6 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
             frames=model.output.frames,
             store=store,
         )
-    warn_of_scene(scene, document.file, model)
     return scene
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,26 +42,46 @@ def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
     total = np.cumsum(count[some])
     for part in np.split(some, np.searchsorted(total, np.arange(_AT_ONCE, total[-1] if len(total) else 0, _AT_ONCE))):
         if len(part):
-            yield _hits_of(part, corners[part], turned[part], low[part], extent[part, 0], count[part], width)
+            yield _hits_of(part, corners[part], turned[part], low[part], high[part], width)
 
 
-def _hits_of(part: Index, corners: Array, turned: Array, low: Array, columns: Array, count: Index, width: int) -> Hits:
-    row = np.repeat(np.arange(len(part)), count)
-    k = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    wide = columns.astype(np.int64)[row]
-    down = k // wide
-    x, y = low[:, 0][row] + (k - down * wide), low[:, 1][row] + down
-    weights = []
-    for corner in (1, 2):
-        # The cross product with the opposite side, linear in the place.
+def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array, width: int) -> Hits:
+    """Row by row of pixels: a row's are covered from one side of the triangle to another."""
+    rows = (high - low + 1)[:, 1].astype(np.int64)
+    y = _spread(low[:, 1], rows) + _counted(rows)
+    first, last = _spread(low[:, 0], rows), _spread(high[:, 0], rows)
+    slopes, begins = [], []
+    # The weights, cross products with the opposite sides, are linear in the place.
+    for corner in range(3):
         begin, side = corners[:, (corner + 1) % 3], corners[:, (corner + 2) % 3] - corners[:, (corner + 1) % 3]
-        a, b = -side[:, 1] / turned, side[:, 0] / turned
-        c = -(a * begin[:, 0] + b * begin[:, 1])
-        weights.append(a[row] * (x + 0.5) + b[row] * (y + 0.5) + c[row])
-    weights.insert(0, 1.0 - weights[0] - weights[1])
-    inside = np.flatnonzero((weights[0] >= -_EDGE) & (weights[1] >= -_EDGE) & (weights[2] >= -_EDGE))
-    pixel = (x[inside] + y[inside] * width).astype(np.int64)
-    return Hits(part[row[inside]], pixel, np.stack([weight[inside] for weight in weights], axis=1))
+        across, up = -side[:, 1] / turned, side[:, 0] / turned
+        begins.append(_spread(up, rows) * (y + 0.5) - _spread(across * begin[:, 0] + up * begin[:, 1], rows))
+        slopes.append(_spread(across, rows))
+    for slope, begin in zip(slopes, begins, strict=True):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            place = -(begin + _EDGE) / slope - 0.5
+        first = np.where(slope > 0, np.maximum(first, np.ceil(place)), first)
+        last = np.where(slope < 0, np.minimum(last, np.floor(place)), last)
+        last = np.where((slope == 0) & (begin < -_EDGE), -1.0, last)
+    columns = np.maximum(last - first + 1, 0).astype(np.int64)
+    along = _counted(columns)
+    weights = [
+        _spread(begin + slope * (first + 0.5), columns) + _spread(slope, columns) * along
+        for begin, slope in zip(begins[1:], slopes[1:], strict=True)
+    ]
+    pixel = _spread((first + y * width).astype(np.int64), columns) + along
+    triangle = _spread(_spread(part, rows), columns)
+    return Hits(triangle, pixel, np.stack([1.0 - weights[0] - weights[1], *weights], axis=1))
+
+
+def _spread(values: NDArray[Any], counts: Index) -> Any:
+    """Each value (n,) as often as its count says."""
+    return np.repeat(values, counts)
+
+
+def _counted(counts: Index) -> Index:
+    """0, 1, ... up to each count (n,), one after the other."""
+    return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _turned(one: Array, other: Array) -> Array:

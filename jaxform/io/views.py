@@ -184,11 +184,7 @@ def _scenery(surface: Surface, zorder: float) -> Any:
             width, height = (int(extent) for extent in high - low)
             pixels, depth = _projected(axes, surface.faces)
             finer = _FINER if len(surface.faces) <= _MANY else 1
-            image = _painted(surface, finer * (pixels - low), depth, finer * width, finer * height)
-            image = image.reshape(height, finer, width, finer, 4).mean((1, 3))
-            # What is partly covered keeps its colour and becomes less opaque.
-            image[..., :3] /= np.where(image[..., 3:] > 0, image[..., 3:], 1.0)
-            image[..., 3] *= surface.opaque
+            image = _painted(surface, finer * (pixels - low), depth, width, height, finer)
             context = renderer.new_gc()
             renderer.draw_image(context, float(low[0]), float(low[1]), np.round(255 * image).astype(np.uint8))
             context.restore()
@@ -206,10 +202,14 @@ def _projected(axes: Any, faces: Array) -> tuple[Array, Array]:
     return pixels.reshape(-1, 3, 2), (depth / away).reshape(-1, 3)
 
 
-def _painted(surface: Surface, corners: Array, depth: Array, width: int, height: int) -> Array:
-    """Colours of a surface and where it is (height * width, 4); black where it is not."""
-    faces = surface.faces
-    view = raster.nearest(corners, depth, width, height, None if surface.open_at is None else _behind(surface))
+def _painted(surface: Surface, corners: Array, depth: Array, width: int, height: int, finer: int) -> Array:
+    """Colours of a surface and how much it covers (height, width, 4), looked at in so many times as many pixels.
+
+    The corners are in these finer pixels. What is covered in part is less opaque.
+    """
+    faces, wide = surface.faces, finer * width
+    kept = None if surface.open_at is None else _behind(surface)
+    view = raster.nearest(corners, depth, wide, finer * height, kept)
     hit = np.flatnonzero(view.triangle >= 0)
     triangle = view.triangle[hit]
     # Of many triangles few are seen.
@@ -223,9 +223,12 @@ def _painted(surface: Surface, corners: Array, depth: Array, width: int, height:
     paint = surface.paint[triangle] * bright[triangle, None]
     if surface.edges:
         paint[_on_edges(corners, triangle, view.weight[hit])] *= 0.6
-    image = np.zeros((width * height, 4))
-    image[hit, :3], image[hit, 3] = paint, 1.0
-    return image
+    pixel = hit // (wide * finer) * width + hit % wide // finer
+    sums = [np.bincount(pixel, part, width * height) for part in (*paint.T, np.ones(len(hit)))]
+    covered = sums.pop()
+    shares = [total / np.maximum(covered, 1.0) for total in sums]
+    image = np.stack([*shares, surface.opaque / finer**2 * covered], axis=1)
+    return image.reshape(height, width, 4)
 
 
 def _behind(surface: Surface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
