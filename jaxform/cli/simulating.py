@@ -21,6 +21,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         say, store = session.prepare(arguments)
         from jaxform.io import files
         from jaxform.io.output import Frames
+        from jaxform.runs import loop
 
         document = files.read_scene(arguments.source)
         reference = files.read_reference(document)
@@ -28,6 +29,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         session.open_folder(arguments.out, arguments.force)
         frames = Frames(arguments.out, document.model.output.frames)
         frames.begin(scene)
+        loop.compiling(scene, store)
         with session.meanwhile(lambda: _look_over(scene, document)) as looked:
             result = _run(scene, frames, not arguments.quiet, store)
         looked.result()

@@ -117,14 +117,31 @@ class _Programs(NamedTuple):
     result: Soon
 
 
-def programs(scene: Scene, store: Store) -> _Programs:
-    """Compiled side by side, the longest begun as soon as its arguments' shapes are known."""
+class _Asked(NamedTuple):
+    """The same four, being compiled side by side."""
+
+    begin: Soon
+    advance: Soon
+    closed: Soon
+    result: Soon
+
+
+def _asked(scene: Scene, store: Store) -> _Asked:
+    """The longest is begun as soon as its arguments' shapes are known."""
     beginning = store.soon(begin, scene)
     state, first, taken = beginning.shapes
-    advancing = store.soon(advance, state, scene, first, taken, np.int32(1))
-    closing = store.soon(closed, state, scene, first)
-    result = store.soon(_make_result, state, scene, first, taken)
-    return _Programs(beginning.ready(), advancing.ready(), closing, result)
+    return _Asked(
+        beginning,
+        store.soon(advance, state, scene, first, taken, np.int32(1)),
+        store.soon(closed, state, scene, first),
+        store.soon(_make_result, state, scene, first, taken),
+    )
+
+
+def programs(scene: Scene, store: Store) -> _Programs:
+    """The programs of a run, once those that it begins with are compiled."""
+    asked = _asked(scene, store)
+    return _Programs(asked.begin.ready(), asked.advance.ready(), asked.closed, asked.result)
 
 
 def is_compiled(scene: Scene, store: Store, least: int = 0) -> bool:
@@ -139,9 +156,13 @@ def is_compiled(scene: Scene, store: Store, least: int = 0) -> bool:
 
 def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
     """Compiles what runs of scenes of a kind and rungs need, and keeps it; as if one had at least so many elements."""
-    made = programs(on_rungs(scene, least, recorded=True).scene, store)
-    made.closed.ready()
-    made.result.ready()
+    for program in compiling(scene, store, least):
+        program.ready()
+
+
+def compiling(scene: Scene, store: Store, least: int = 0) -> tuple[Soon, ...]:
+    """The same, not waited for: a run will find them in the store."""
+    return _asked(on_rungs(scene, least, recorded=True).scene, store)
 
 
 def compiled_advance(
