@@ -58,7 +58,7 @@ class Family:
 
     Attributes:
         sheet: Of size 1.
-        law: "neo-hookean", "mooney-rivlin" or "modified-mooney-rivlin".
+        law: As scene files name it.
         mold: Draws a mold for a sheet of size 1, or None.
         damped: Whether there is damping.
         interpolation: Of the pressure.
@@ -93,8 +93,11 @@ def draw(seed: int) -> Drawn:
 
 
 def family_of(seed: int) -> str:
-    """The name of a seed's family: from `STRANGERS_FROM` on, those that a stranger's files look like."""
-    names = NAMES if seed < STRANGERS_FROM else STRANGERS
+    """The name of a seed's family: from `STRANGERS_FROM` on, those that a stranger's files look like.
+
+    From `FURTHER_FROM` on, those of further laws.
+    """
+    names = NAMES if seed < STRANGERS_FROM else STRANGERS if seed < FURTHER_FROM else FURTHER
     return names[seed % len(names)]
 
 
@@ -267,6 +270,15 @@ def _material(law: str, c: float, density: float, random: Generator, tags: list[
         alpha = 0.0 if random.random() < 0.2 else random.uniform(0.0, 0.5)
         tags.append("alpha = 0" if alpha == 0 else "alpha")
         return jaxform.MooneyRivlin(as_real(c), as_real(alpha), rho)
+    if law == "yeoh":
+        numbers = c, c * random.uniform(-0.05, 0.1), c * 10 ** random.uniform(-4.0, -2.0)
+        return jaxform.Yeoh(*map(as_real, numbers), rho)
+    if law == "gent":
+        return jaxform.Gent(as_real(2 * c), as_real(10 ** random.uniform(0.3, 2.0)), rho)
+    if law == "ogden":
+        # Every term is stiff by itself, whichever way its power goes.
+        alpha = random.choice([-1.0, 1.0], 3) * random.uniform([1.0, 0.5, 0.5], [3.0, 8.0, 4.0])
+        return jaxform.Ogden(as_real(2 * c * np.array([0.9, 0.01, 0.1]) / alpha), as_real(alpha), rho)
     return jaxform.ModifiedMooneyRivlin(as_real(c), as_real(c * 10 ** random.uniform(-4.0, -1.0)), rho)
 
 
@@ -372,7 +384,14 @@ FAMILIES: dict[str, Family] = {
     "flanged tray": Family(_rectangle(120, "none"), _NEO, strangers.flanged_tray),
     "refined flanged cup": Family(_disc(24, "quarter"), _MOONEY, strangers.flanged_cup, refinement=_NEAR),
     "refined flanged tray": Family(_rectangle(48, "quarter"), _MOONEY, strangers.flanged_tray, refinement=_NEAR),
+    "Ogden cup": Family(_disc(60, "quarter"), "ogden", _cup),
+    "free sphere, Ogden": Family(_sphere(64), "ogden", damped=False),
+    "refined box, Yeoh": Family(_rectangle(48, "quarter"), "yeoh", _box, refinement=_NEAR),
+    "free disc, Yeoh": Family(_disc(60, "quarter"), "yeoh", damped=False),
+    "whole cup, Gent": Family(_disc(96, "none"), "gent", _cup),
+    "free sphere, Gent": Family(_sphere(64), "gent"),
 }
 STRANGERS = (*(name for name in FAMILIES if "flanged" in name), *strangers.OWN_MESHES)
-NAMES = (*(name for name in FAMILIES if name not in STRANGERS), "file")
-STRANGERS_FROM = 1200  # the seeds before it keep the families that they had
+FURTHER = tuple(name for name, family in FAMILIES.items() if family.law in ("ogden", "yeoh", "gent"))
+NAMES = (*(name for name in FAMILIES if name not in (*STRANGERS, *FURTHER)), "file")
+STRANGERS_FROM, FURTHER_FROM = 1200, 2000  # the seeds before each keep the families that they had

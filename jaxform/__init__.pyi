@@ -6,7 +6,7 @@ from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
 from .loads import Loading, Pressure, loading, make_pressure
-from .materials import Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, law
+from .materials import Gent, Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, Ogden, PlaneLaw, Yeoh, law
 from .model.field import Field, Surroundings, field
 from .model.replacing import replace
 from .model.scene import (
@@ -33,6 +33,7 @@ __all__ = [
     "Adjoint",
     "Checkpointed",
     "Field",
+    "Gent",
     "InputError",
     "InputWarning",
     "Law",
@@ -42,7 +43,9 @@ __all__ = [
     "Moment",
     "MooneyRivlin",
     "NeoHookean",
+    "Ogden",
     "Parison",
+    "PlaneLaw",
     "Pressure",
     "Refinement",
     "Result",
@@ -52,6 +55,7 @@ __all__ = [
     "Solver",
     "Stored",
     "Surroundings",
+    "Yeoh",
     "build_scene",
     "compiler_options",
     "explain",

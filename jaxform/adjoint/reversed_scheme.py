@@ -306,7 +306,7 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
         summed=[jnp.zeros((1, now.thickness.size), real)] * thickens,
         pressing=at_every_step,
         volumes=at_every_step,
-        law=[jnp.zeros((), real) for _ in parameters],
+        law=[jnp.zeros(p.shape, real) for p in parameters],
     )
 
     def back(carry: _Back) -> _Back:

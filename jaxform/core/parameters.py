@@ -22,6 +22,7 @@ def parameter(
     least: float | None = None,
     most: float | None = None,
     nodal: bool = False,
+    listed: bool = False,
 ) -> Any:
     """A number of a law, a loading or a field, with its range; by default any finite one.
 
@@ -31,13 +32,14 @@ def parameter(
         least: It is not less than this.
         most: It is not greater than this.
         nodal: Whether it has a value at each node of the parison, (n_node,).
+        listed: Whether it is a list of numbers (n,), such as one for each term of a law.
     """
-    return within(Range(unit, above=above, least=least, most=most), nodal=nodal)
+    return within(Range(unit, above=above, least=least, most=most), nodal=nodal, listed=listed)
 
 
-def within(allowed: Range, *, nodal: bool = False) -> Any:
+def within(allowed: Range, *, nodal: bool = False, listed: bool = False) -> Any:
     """A number with a range that is declared elsewhere."""
-    return field(metadata={"range": allowed, "nodal": nodal})
+    return field(metadata={"range": allowed, "nodal": nodal, "listed": listed})
 
 
 def declared_part[T](
@@ -77,6 +79,11 @@ def is_declared(part: Any, base: type) -> bool:
 def ranges_of(part: Any) -> dict[str, Range]:
     """The range of each number of a declared part, or of its class, by name."""
     return {each.name: each.metadata["range"] for each in _numbers(part)}
+
+
+def listed_numbers(part: Any) -> list[str]:
+    """The names of its numbers that are lists."""
+    return [each.name for each in _numbers(part) if each.metadata["listed"]]
 
 
 def nodal_numbers(part: Any) -> list[str]:

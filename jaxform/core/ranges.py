@@ -92,6 +92,13 @@ RANGES: dict[str, Range] = {
     "refinement.elements": Range(least=1, count=True),
 }
 
+OF_LAWS: dict[str, dict[str, Range]] = {
+    "yeoh": {"c1": Range("Pa", above=0.0), "c2": Range("Pa"), "c3": Range("Pa", least=0.0)},
+    "gent": {"mu": Range("Pa", above=0.0), "j_max": Range(above=0.0)},
+    "ogden": {"mu": Range("Pa"), "alpha": Range(least=-20.0, most=20.0)},
+}
+"""Of the numbers of laws whose names mean other things in other laws."""
+
 DESIGNABLE = [
     "parison.thickness",
     "pressure.time",

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import Part, once, only_if, over_blocks
-from jaxform.mechanics import membrane
+from jaxform.mechanics import membrane, stiffness
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
 from jaxform.mechanics.force import Load, corner_changes
 from jaxform.model.scene import Scene
@@ -156,11 +156,11 @@ def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.A
     def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
-        return [], [membrane.stiffness(rows, triangles, inverse, bound, moving, scene.material)]
+        return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, scene.material)]
 
     inputs = elements.triangles, elements.inverse_metric, elements.area, active.bound
-    _, (stiffness,) = over_blocks(work, elements.block_count, inputs, [], most=1)
-    step = membrane.stable_step(stiffness, scene.material)
+    _, (largest,) = over_blocks(work, elements.block_count, inputs, [], most=1)
+    step = stiffness.stable_step(largest, scene.material)
     if not scene.pressure.follows_volume:
         return step
     # The largest eigenvalue of a sum is at most the sum of the largest ones.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from jaxform import materials
 from jaxform.core import disk
 from jaxform.core.errors import InputError
+from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
 from jaxform.io import catalog, fields, schema
@@ -271,14 +272,9 @@ def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float
     return table
 
 
-def _material(
-    table: schema.NeoHookean | schema.MooneyRivlin | schema.ModifiedMooneyRivlin,
-) -> materials.Law:
-    if isinstance(table, schema.NeoHookean):
-        return materials.NeoHookean(as_real(table.c), as_real(table.density))
-    if isinstance(table, schema.MooneyRivlin):
-        return materials.MooneyRivlin(as_real(table.c), as_real(table.alpha), as_real(table.density))
-    return materials.ModifiedMooneyRivlin(as_real(table.a01), as_real(table.a02), as_real(table.density))
+def _material(table: Any) -> materials.Law:
+    law = materials.LAWS[table.model]
+    return law(**{name: as_real(getattr(table, name)) for name in ranges_of(law)})
 
 
 def _mold(document: SceneDocument) -> Mold | None:

@@ -223,9 +223,7 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
-    law = scene.material
-    stiffness = float(np.mean(np.asarray(getattr(law, "c", getattr(law, "a01", 1.0)))))
-    stiffness *= 1.0 + float(np.mean(np.asarray(getattr(law, "alpha", 0.0))))
+    stiffness = float(scene.material.stiffness())
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:

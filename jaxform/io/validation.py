@@ -20,7 +20,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxform.core.errors import InputError
-from jaxform.core.ranges import LEAST, MOST, RANGES
+from jaxform.core.ranges import LEAST, MOST, RANGES, Range
 
 MOST_LENGTH = 1e6
 
@@ -55,11 +55,15 @@ Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
 
 def within(key: str) -> Any:
     """The range that is declared for a number of a scene, for `Annotated`."""
-    allowed = RANGES[key]
+    return allowing(RANGES[key])
+
+
+def allowing(allowed: Range) -> Any:
+    """A range, for `Annotated`."""
     positive = allowed.above == 0.0
     return Field(
         gt=None if positive else allowed.above,
-        ge=LEAST if positive else allowed.least,
+        ge=LEAST if positive else -MOST if allowed.least is None and not allowed.count else allowed.least,
         le=MOST if allowed.most is None and not allowed.count else allowed.most,
     )
 

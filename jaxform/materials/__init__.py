@@ -1,7 +1,32 @@
 """Laws of the sheet's material, one file each; `law.py` says how another is added."""
 
-from jaxform.materials.law import Law, Slope, law
+from jaxform.materials.gent import Gent
+from jaxform.materials.law import Law, PlaneLaw, Slope, law
 from jaxform.materials.mooney_rivlin import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.materials.neo_hookean import NeoHookean
+from jaxform.materials.ogden import Ogden
+from jaxform.materials.yeoh import Yeoh
 
-__all__ = ["Law", "ModifiedMooneyRivlin", "MooneyRivlin", "NeoHookean", "Slope", "law"]
+LAWS: dict[str, type[Law]] = {
+    "neo-hookean": NeoHookean,
+    "mooney-rivlin": MooneyRivlin,
+    "modified-mooney-rivlin": ModifiedMooneyRivlin,
+    "yeoh": Yeoh,
+    "gent": Gent,
+    "ogden": Ogden,
+}
+"""Those that a scene file names."""
+
+__all__ = [
+    "LAWS",
+    "Gent",
+    "Law",
+    "ModifiedMooneyRivlin",
+    "MooneyRivlin",
+    "NeoHookean",
+    "Ogden",
+    "PlaneLaw",
+    "Slope",
+    "Yeoh",
+    "law",
+]

@@ -39,15 +39,15 @@ class Law:
 
     density: jax.Array
 
-    def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
+    def energy(self, i1: jax.Array, i2: jax.Array, /) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants, element by element."""
         raise NotImplementedError
 
-    def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[Slope, Slope]:
+    def slopes(self, i1: jax.Array, i2: jax.Array, /) -> tuple[Slope, Slope]:
         """dW/dI1 and dW/dI2 [Pa], numbers or of the shape of the invariants."""
         return _along(lambda x: self.energy(x, i2), i1), _along(lambda x: self.energy(i1, x), i2)
 
-    def curvatures(self, i1: jax.Array, i2: jax.Array) -> tuple[Slope, Slope, Slope]:
+    def curvatures(self, i1: jax.Array, i2: jax.Array, /) -> tuple[Slope, Slope, Slope]:
         """d2W/dI1^2, d2W/dI1 dI2 and d2W/dI2^2 [Pa]: the step's bound needs them, and none may be forgotten."""
         return (
             _along(lambda x: self.slopes(x, i2)[0], i1),
@@ -59,6 +59,28 @@ class Law:
         """C of an equally stiff neo-Hookean sheet in small strain [Pa]: a sixth of its modulus."""
         none = jnp.full_like(self.density, _UNSTRAINED)
         return sum((slope for slope in self.slopes(none, none) if slope is not None), jnp.zeros_like(none))
+
+    def verify(self) -> None:
+        """Raises InputError where the numbers, each in its range, do not fit together; called on the host."""
+
+
+class PlaneLaw(Law):
+    """The same as a function of the strain in the plane of the sheet, for laws in terms of stretches.
+
+    `energy`, `slopes` and `curvatures` get the trace T = l1^2 + l2^2 and the determinant D = (l1 l2)^2 of the right
+    Cauchy-Green tensor in the plane instead of I1 and I2, and the third stretch is (l1 l2)^-1. Both slopes are there.
+    """
+
+    def slopes(self, trace: jax.Array, determinant: jax.Array, /) -> tuple[jax.Array, jax.Array]:
+        """dW/dT and dW/dD [Pa], of the shape of both."""
+        by_trace, by_determinant = super().slopes(trace, determinant)
+        assert by_trace is not None and by_determinant is not None
+        return by_trace, by_determinant
+
+    def stiffness(self) -> jax.Array:
+        """C of an equally stiff neo-Hookean sheet in small strain [Pa]: a sixth of its modulus."""
+        one = jnp.ones_like(self.density)
+        return self.slopes(2.0 * one, one)[0]
 
 
 def _along(function: Callable[[jax.Array], Slope], at: jax.Array) -> Slope:

@@ -285,11 +285,12 @@ def corner_cotangents(
             if presses:
                 sums.append(dot(normal, total) / 6.0)
             if varies:
-                spread = [jnp.broadcast_to(p, area.shape) for p in parameters]
+                # Of a list of numbers each has a row.
+                spread = [jnp.broadcast_to(p[..., None], (*p.shape, area.size)) for p in parameters]
                 pull = jax.vjp(
                     lambda p: _weighted_stress(g, inverse, weight, jax.tree.unflatten(structure, p)), spread
                 )[1]
-                sums.extend(pull(half_change)[0])
+                sums.extend(row for rows in pull(half_change)[0] for row in rows.reshape(-1, area.size))
         if volume is not None and moves:
             share = used(area) * (volume / 6.0)
             turn = plus(turn, _scaled(share, minus(first, elements.origin)))
@@ -305,14 +306,24 @@ def corner_cotangents(
         corners = list(zip(own, cotangent1, cotangent2, strict=True)) + own_shares
         return [*old, *together(corners, block)], sums
 
-    count = 0 if pushed is None else int(presses) + (len(parameters) if varies else 0) + int(forces)
+    numbers = sum(p.size for p in parameters) if varies else 0
+    count = 0 if pushed is None else int(presses) + numbers + int(forces)
     inputs = own_of(elements), load.thickness
     room = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
     corners = [
         array for k in range(len(summed), len(arrays), 3) for array in with_overflow(arrays[k : k + 3], elements)
     ]
+    if numbers and pushed is not None:
+        begin = int(presses)
+        sums[begin : begin + numbers] = _listed(sums[begin : begin + numbers], parameters)
     return corners, arrays[: len(summed)], sums
+
+
+def _listed(sums: list[jax.Array], parameters: list[jax.Array]) -> list[jax.Array]:
+    """Sums, one for each number, in the shapes of the parameters."""
+    left = iter(sums)
+    return [jnp.stack([next(left) for _ in p]) if p.ndim else next(left) for p in parameters]
 
 
 def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:

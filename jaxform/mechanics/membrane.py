@@ -1,4 +1,4 @@
-"""The linear membrane triangle: kinematics, stress, energy, lumped mass and the stable step.
+"""The linear membrane triangle: kinematics, stress, energy and lumped mass.
 
 Everything is component-first, (3, n), because that is twice as fast as (n, 3) inside the step; where vectors are
 worked out they are triples of (n,), since XLA turns each stacking into a loop with a branch in it. A metric is the
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from jaxform.kernels.blocks import on_cpu, once
-from jaxform.materials import Law
+from jaxform.materials import Law, PlaneLaw
 
 Metric = tuple[jax.Array, jax.Array, jax.Array]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
@@ -151,7 +151,8 @@ def _determinant(g: Metric) -> jax.Array:
     return g[0] * g[2] - g[1] * g[1]
 
 
-def _inverse(g: Metric) -> Metric:
+def inverse_of(g: Metric) -> Metric:
+    """The inverse of a metric."""
     scale = 1.0 / _determinant(g)
     return g[2] * scale, -g[1] * scale, g[0] * scale
 
@@ -160,7 +161,7 @@ def _inverse(g: Metric) -> Metric:
 def reference_metric(positions: jax.Array, triangles: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Inverse metric (3, n_element) [1/m^2] and area (n_element,) [m^2] of the initial mesh."""
     g = metric(*edges(positions, triangles)[1:])
-    return jnp.stack(_inverse(g)), 0.5 * jnp.sqrt(_determinant(g))
+    return jnp.stack(inverse_of(g)), 0.5 * jnp.sqrt(_determinant(g))
 
 
 def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
@@ -192,9 +193,12 @@ def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: L
     """
     r = inverse_reference
     trace, determinant, i1, i2 = invariants(g, r)
+    scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
+    if isinstance(material, PlaneLaw):
+        by_trace, by_determinant = material.slopes(trace, determinant)
+        return 2.0 * by_trace, scale * by_determinant
     slope1, slope2 = material.slopes(i1, i2)
     flexibility = _reciprocal(determinant)
-    scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
     if slope1 is None:
         slope1 = jnp.zeros_like(trace)
     if slope2 is None:
@@ -221,7 +225,14 @@ def strain_energy(
 ) -> jax.Array:
     """Strain energy of the sheet [J]; `volume` (n_element,) [m^3] is initial thickness times initial area."""
     strain = invariants(metric(*edges(positions, triangles)[1:]), inverse_reference)
-    return jnp.sum(volume * material.energy(strain.i1, strain.i2))
+    return jnp.sum(volume * energy_density(strain, material))
+
+
+def energy_density(strain: Invariants, material: Law) -> jax.Array:
+    """Strain energy per reference volume (n_element,) [J/m^3]."""
+    if isinstance(material, PlaneLaw):
+        return material.energy(strain.trace, strain.determinant)
+    return material.energy(strain.i1, strain.i2)
 
 
 def principal_stretches(strain: Invariants) -> tuple[jax.Array, jax.Array]:
@@ -242,86 +253,3 @@ def element_mean(values: jax.Array, triangles: jax.Array) -> jax.Array:
 def sum_to_nodes(values: jax.Array, triangles: jax.Array, node_count: int) -> jax.Array:
     """Sum (n_node,) over the adjacent triangles of values (n_element,)."""
     return jnp.zeros(node_count, values.dtype).at[triangles.ravel()].add(jnp.tile(values, 3))
-
-
-@jax.jit
-def shape_bound(inverse_reference: jax.Array, area: jax.Array) -> jax.Array:
-    """Largest eigenvalue (n_element,) [1/m^2] of the gradients of a triangle's shape functions, 3 nodes lumped.
-
-    lambda_G = (S + sqrt(S^2 - 3/A0^2))/2 with S = (sum of squared edge lengths)/(4 A0^2).
-    """
-    g11, g12, g22 = _inverse((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
-    total = (2.0 * (g11 + g22 - g12)) / (4.0 * jnp.square(area))
-    gap = jnp.square(total) - 3.0 / jnp.square(area)
-    return 0.5 * (total + jnp.sqrt(jnp.maximum(gap, 0.0)))
-
-
-def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
-    """Largest eigenvalue D (n_element,) [Pa] of d2W/dF2 at the present strain, in closed form.
-
-    The candidates are the two of the block of stretches, the two shears and the two motions out of the plane:
-    second derivatives of W by the stretches (a, b), and its slopes over sums and differences of them.
-    """
-    a, b = principal_stretches(strain)
-    slope1, slope2 = material.slopes(strain.i1, strain.i2)
-    p, q = a * b, 1.0 / (a * b) ** 3
-    first_a, first_b = q * b / a, q * a / b
-    terms = [2 + 6 * first_a, 2 + 6 * first_b, 4 * q, 2 + 2 * q, 2 - 2 * q, 2 - 2 * first_a, 2 - 2 * first_b]
-    terms = [(0.0 if slope1 is None else slope1) * term for term in terms]
-    if slope2 is not None:
-        squares, inverse_a, inverse_b = a * a + b * b, 1.0 / a**4, 1.0 / b**4
-        second = [2 * b * b + 6 * inverse_a, 2 * a * a + 6 * inverse_b, 4 * p]
-        second += [2 * q * (squares + p) - 2 * p, 2 * p - 2 * q * (squares - p)]
-        second += [2 * b * b - 2 * inverse_a, 2 * a * a - 2 * inverse_b]
-        terms = [term + slope2 * extra for term, extra in zip(terms, second, strict=True)]
-    for curvature, product in zip(material.curvatures(strain.i1, strain.i2), _slopes_by_stretches(a, b), strict=True):
-        if curvature is not None:
-            for k, part in enumerate(product):
-                terms[k] = terms[k] + curvature * part
-    h11, h22, h12, *others = terms
-    largest = 0.5 * (h11 + h22) + jnp.sqrt(0.25 * jnp.square(h11 - h22) + jnp.square(h12))
-    for other in others:
-        largest = jnp.maximum(largest, other)
-    return largest
-
-
-def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
-    """Products of the invariants' slopes by the stretches, (aa, bb, ab): of I1 and I1, I1 and I2, I2 and I2."""
-    one = 2 * a - 2 / (a**3 * b * b), 2 * b - 2 / (b**3 * a * a)
-    two = 2 * a * b * b - 2 / a**3, 2 * b * a * a - 2 / b**3
-    squares = [(x[0] * x[0], x[1] * x[1], x[0] * x[1]) for x in (one, two)]
-    mixed = 2 * one[0] * two[0], 2 * one[1] * two[1], one[0] * two[1] + one[1] * two[0]
-    return [squares[0], mixed, squares[1]]
-
-
-def stiffness(
-    positions: jax.Array | Vector,
-    triangles: jax.Array,
-    inverse_reference: jax.Array,
-    bound: jax.Array,
-    moving: jax.Array,
-    material: Law,
-) -> jax.Array:
-    """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
-
-    Args:
-        positions: (3, n_node) [m].
-        triangles: (3, n_element).
-        inverse_reference: Inverse of the initial metric (3, n_element) [1/m^2].
-        bound: Lambda_G (n_element,) [1/m^2].
-        moving: Mask (n_element,).
-        material: The law.
-    """
-    _, edge1, edge2 = edges(positions, triangles)
-    edge1, edge2 = once((edge1, edge2))
-    strain = invariants(metric(edge1, edge2), inverse_reference)
-    return jnp.where(moving, tangent_stiffness(strain, material) * bound, 0.0)
-
-
-def stable_step(largest: jax.Array, material: Law) -> jax.Array:
-    """Safe bound on the central-difference step [s], from the largest `stiffness` of the elements.
-
-    dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension. The thickness cancels between stiffness and lumped mass.
-    Infinite where nothing can move.
-    """
-    return 2.0 / jnp.sqrt(3.0 * largest / material.density)

@@ -20,7 +20,7 @@ def reference_metric(positions: Array, triangles: NDArray[np.integer]) -> tuple[
 
 
 def shape_bound(positions: Array, triangles: NDArray[np.integer]) -> Array:
-    """Largest eigenvalue (n_element,) [1/m^2] of the shape functions' gradients, as `membrane.shape_bound` has it."""
+    """Largest eigenvalue (n_element,) [1/m^2] of the shape functions' gradients, as `stiffness.shape_bound` has it."""
     g11, g12, g22, determinant = _metric(positions, triangles)
     total = 2.0 * (g11 + g22 - g12) / determinant
     gap = np.square(total) - 12.0 / determinant

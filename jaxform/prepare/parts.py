@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import is_declared, nodal_numbers, ranges_of
+from jaxform.core.parameters import is_declared, listed_numbers, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import as_numbers, check, check_one
 from jaxform.loads import Loading
@@ -28,7 +28,9 @@ def law(material: Law) -> Law:
     """
     if not is_declared(material, Law):
         raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
-    return _with_arrays(material, "material", single=True)
+    made = _with_arrays(material, "material", single=True)
+    made.verify()
+    return made
 
 
 def loading(pressure: Loading) -> Loading:
@@ -78,8 +80,12 @@ def field(name: str, given: Field, count: int, forest: bisection.Forest | None) 
 
 def _with_arrays[T](part: T, section: str, *, single: bool = False) -> T:
     """A part whose numbers are arrays, each in its range."""
+    lists = listed_numbers(part)
     for name, allowed in ranges_of(part).items():
-        (check_one if single else check)(f"{section}.{name}", getattr(part, name), allowed)
+        key, given = f"{section}.{name}", getattr(part, name)
+        (check_one if single and name not in lists else check)(key, given, allowed)
+        if name in lists and (as_numbers(key, given).ndim != 1 or not len(given)):
+            raise InputError("is no list of numbers", "give one for each term", key, given)
     return _replaced(part, {name: as_real(as_numbers(name, getattr(part, name))) for name in ranges_of(part)})
 
 

@@ -10,7 +10,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.materials import Law
-from jaxform.mechanics import membrane
+from jaxform.mechanics import membrane, stiffness
 from jaxform.model.scene import Scene, Solver
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.tools.search import SearchGrid
@@ -70,6 +70,6 @@ def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.A
     square = jnp.square(jnp.linspace(1.0, largest, 64))
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
-    stiffness = membrane.tangent_stiffness(strain, material)
-    stiffest = jnp.max(jnp.where(jnp.isfinite(stiffness), stiffness, 0.0))  # beyond a limit stretch there is none
-    return membrane.stable_step(stiffest * bound, material)
+    values = stiffness.tangent_stiffness(strain, material)
+    stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
+    return stiffness.stable_step(stiffest * bound, material)

@@ -52,7 +52,7 @@ def account(
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = once((edge1, edge2))
         strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
-        energy = area * thickness * material.energy(strain.i1, strain.i2)
+        energy = area * thickness * membrane.energy_density(strain, material)
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
         share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)

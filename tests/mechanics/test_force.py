@@ -15,7 +15,7 @@ from jaxform import shapes
 from jaxform.core.compiling import compiled
 from jaxform.kernels import blocks
 from jaxform.materials import Law
-from jaxform.mechanics import force, membrane
+from jaxform.mechanics import force, membrane, stiffness
 from jaxform.mechanics.elements import Elements
 from jaxform.mechanics.force import Load
 from jaxform.model.tables import Sheet
@@ -196,7 +196,7 @@ def test_tangent_stiffness_is_the_largest_eigenvalue(law: Law, stretch: tuple[fl
         (jnp.asarray(stretch[0] ** 2), jnp.asarray(0.0), jnp.asarray(stretch[1] ** 2)),
         jnp.asarray([1.0, 0.0, 1.0]),
     )
-    got = membrane.tangent_stiffness(strain, law)
+    got = stiffness.tangent_stiffness(strain, law)
     np.testing.assert_allclose(got, np.linalg.eigvalsh(hessian).max(), rtol=1e-9)
 
 
@@ -214,11 +214,11 @@ def test_stable_step_bounds_the_true_limit_closely() -> None:
     mass = membrane.sum_to_nodes(share, sheet.triangles, count)
     tangent = jax.jacobian(lambda x: force.force(load._replace(positions=x), sheet)[0])(load.positions)
     size = start.size
-    stiffness = -tangent[:, :count, :, :count].reshape(size, size)
+    assembled = -tangent[:, :count, :, :count].reshape(size, size)
     root = np.tile(1 / np.sqrt(np.asarray(mass)), 3)
-    limit = 2 / np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root[None, :]).max())
-    bound = membrane.shape_bound(sheet.inverse_metric, sheet.area)
+    limit = 2 / np.sqrt(np.linalg.eigvalsh(root[:, None] * assembled * root[None, :]).max())
+    bound = stiffness.shape_bound(sheet.inverse_metric, sheet.area)
     moving = sheet.area > 0
-    stiff = membrane.stiffness(load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material)
-    step = membrane.stable_step(jnp.max(stiff), load.material)
+    stiff = stiffness.of_elements(load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material)
+    step = stiffness.stable_step(jnp.max(stiff), load.material)
     assert 0.6 * limit < float(step) <= limit

@@ -5,7 +5,7 @@ the mesh or several numbers at once is checked where the scene is built. The doc
 keys means: the pages of the reference are made of it.
 """
 
-from jaxform.io.schema.material import Material, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean
+from jaxform.io.schema.material import Gent, Material, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, Ogden, Yeoh
 from jaxform.io.schema.methods import Adam, FixedPoint, Lbfgs, LeastSquares, Method
 from jaxform.io.schema.mold import BottleHalfMold, BoxInsertMold, FileMold, Mold, RevolvedMold
 from jaxform.io.schema.objectives import (
@@ -44,6 +44,7 @@ __all__ = [
     "FileParison",
     "FixedPoint",
     "FormingTime",
+    "Gent",
     "KineticEnergy",
     "Lbfgs",
     "LeastMass",
@@ -56,6 +57,7 @@ __all__ = [
     "NeoHookean",
     "Objective",
     "Objectives",
+    "Ogden",
     "Output",
     "Parison",
     "Pressure",
@@ -79,4 +81,5 @@ __all__ = [
     "Uniform",
     "Variable",
     "Wanted",
+    "Yeoh",
 ]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Tag
+from pydantic import BeforeValidator, Field, Tag
 
-from jaxform.io.validation import Table, choice, within, wrong
+from jaxform.core.ranges import OF_LAWS
+from jaxform.io.validation import Table, allowing, choice, within, wrong
 
 
 def _one_number(value: Any) -> Any:
@@ -15,6 +16,12 @@ def _one_number(value: Any) -> Any:
     return value
 
 
+def _in(law: str, key: str) -> Any:
+    """The range of a law's number, for `Annotated`."""
+    return allowing(OF_LAWS[law][key])
+
+
+_MOST_TERMS = 6
 _OneNumber = BeforeValidator(_one_number)
 Density = Annotated[float, within("material.density")]
 
@@ -65,9 +72,62 @@ class ModifiedMooneyRivlin(Table):
     density: Density
 
 
+class Yeoh(Table):
+    """W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3.
+
+    Attributes:
+        model: The law.
+        c1: Half the shear modulus in small strain [Pa].
+        c2: Coefficient of the square [Pa].
+        c3: Coefficient of the cube [Pa].
+        density: Mass per volume [kg/m^3].
+    """
+
+    model: Literal["yeoh"]
+    c1: Annotated[float, _in("yeoh", "c1"), _OneNumber]
+    c2: Annotated[float, _in("yeoh", "c2"), _OneNumber] = 0.0
+    c3: Annotated[float, _in("yeoh", "c3"), _OneNumber] = 0.0
+    density: Density
+
+
+class Gent(Table):
+    """W = -mu j_max / 2 ln(1 - (I1 - 3) / j_max), which does not stretch beyond a limit.
+
+    Attributes:
+        model: The law.
+        mu: Shear modulus in small strain [Pa].
+        j_max: Limit of I1 - 3; from 99 % of it on the energy goes on as a parabola.
+        density: Mass per volume [kg/m^3].
+    """
+
+    model: Literal["gent"]
+    mu: Annotated[float, _in("gent", "mu"), _OneNumber]
+    j_max: Annotated[float, _in("gent", "j_max"), _OneNumber]
+    density: Density
+
+
+class Ogden(Table):
+    """W = sum of mu / alpha (l1^alpha + l2^alpha + l3^alpha - 3), l1 to l3 the principal stretches.
+
+    Attributes:
+        model: The law.
+        mu: One number for each term [Pa]; the sum of mu alpha is twice the shear modulus in small strain.
+        alpha: The powers, of which none is 0.
+        density: Mass per volume [kg/m^3].
+    """
+
+    model: Literal["ogden"]
+    mu: Annotated[list[Annotated[float, _in("ogden", "mu")]], Field(min_length=1, max_length=_MOST_TERMS)]
+    alpha: Annotated[list[Annotated[float, _in("ogden", "alpha")]], Field(min_length=1, max_length=_MOST_TERMS)]
+    density: Density
+
+
 Material = Annotated[
     Annotated[NeoHookean, Tag("<neo-hookean>")]
     | Annotated[MooneyRivlin, Tag("<mooney-rivlin>")]
-    | Annotated[ModifiedMooneyRivlin, Tag("<modified-mooney-rivlin>")],
-    *choice("model", ["neo-hookean", "mooney-rivlin", "modified-mooney-rivlin"], later=["ogden"]),
+    | Annotated[ModifiedMooneyRivlin, Tag("<modified-mooney-rivlin>")]
+    | Annotated[Yeoh, Tag("<yeoh>")]
+    | Annotated[Gent, Tag("<gent>")]
+    | Annotated[Ogden, Tag("<ogden>")],
+    *choice("model", ["neo-hookean", "mooney-rivlin", "modified-mooney-rivlin", "yeoh", "gent", "ogden"]),
 ]

@@ -1,0 +1,142 @@
+"""Ogden's law: a sum of powers of the principal stretches."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import within
+from jaxform.core.ranges import OF_LAWS, RANGES
+from jaxform.kernels.blocks import once
+from jaxform.materials.law import PlaneLaw, law
+
+# Of how alike both stretches are, cosh y - 1 with y = ln(l1 / l2): below it a series serves, whose derivatives are
+# good; so many of its terms are as good as all for powers of up to 20.
+_ALIKE, _TERMS = 0.01, 9
+
+_RANGES = OF_LAWS["ogden"]
+
+
+@law
+class Ogden(PlaneLaw):
+    """W = sum of mu_p / alpha_p (l1^alpha_p + l2^alpha_p + l3^alpha_p - 3) (R. W. Ogden, Proc. R. Soc. A 326, 1972).
+
+    With y = ln(l1 / l2) and D = (l1 l2)^2, so that l3 = D^(-1/2), and p = alpha / 2::
+
+        W     = sum of mu / alpha (2 D^(p/2) cosh(p y) + D^(-p) - 3)
+        dW/dT = sum of mu / 2 D^((p-1)/2) sinh(p y) / sinh(y)
+        dW/dD = - sum of mu / 2 (D^(p/2-1) sinh((p-1) y) / sinh(y) + D^(-p-1))
+
+    where T = l1^2 + l2^2 = 2 D^(1/2) cosh(y): all are smooth in T and D, equal stretches included.
+
+    Attributes:
+        mu: One number for each term (n,) [Pa].
+        alpha: The powers (n,), of which none is 0.
+        density: Mass per volume [kg/m^3].
+    """
+
+    mu: jax.Array = within(_RANGES["mu"], listed=True)
+    alpha: jax.Array = within(_RANGES["alpha"], listed=True)
+    density: jax.Array = within(RANGES["material.density"])
+
+    def energy(self, trace: jax.Array, determinant: jax.Array) -> jax.Array:
+        """Strain energy per reference volume [J/m^3], of the shape of both."""
+        plane, total = _Plane(trace, determinant), jnp.zeros_like(trace)
+        for mu, alpha in zip(self.mu, self.alpha, strict=True):
+            power = plane.to(0.5 * alpha)
+            total += mu / alpha * (2.0 * power.area * power.cosine + jnp.square(power.thickness) - 3.0)
+        return total
+
+    def slopes(self, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """dW/dT and dW/dD [Pa]."""
+        plane = _Plane(trace, determinant)
+        by_trace, by_determinant = jnp.zeros_like(trace), jnp.zeros_like(trace)
+        for mu, alpha in zip(self.mu, self.alpha, strict=True):
+            power, half = plane.to(0.5 * alpha), 0.5 * mu
+            # sinh(p y) = sinh((p - 1) y) cosh(y) + cosh((p - 1) y) sinh(y).
+            sines = power.sines_before * plane.cosine + power.cosine_before
+            # Else all of it would be worked out for each of the two again.
+            first = half * power.area * sines
+            second = half * (power.area * power.sines_before + jnp.square(power.thickness))
+            by_trace, by_determinant = once((by_trace + first, by_determinant - second))
+        return by_trace * plane.thickness, by_determinant * jnp.square(plane.thickness)
+
+    def verify(self) -> None:
+        """Raises InputError unless there are as many powers as moduli, none is 0, and the sheet is stiff at first."""
+        mu, alpha = np.asarray(self.mu, float), np.asarray(self.alpha, float)
+        if mu.shape != alpha.shape:
+            raise InputError(f"has {alpha.size} numbers, mu has {mu.size}", "give one for each term", "material.alpha")
+        if not np.all(alpha):
+            raise InputError("has a power of 0", "leave that term out", "material.alpha", alpha.tolist())
+        if np.sum(mu * alpha) <= 0:
+            remedy = "let the sum of mu alpha, twice the shear modulus, be above 0"
+            raise InputError("has no stiffness in small strain", remedy, "material.mu", mu.tolist())
+
+
+class _Power(NamedTuple):
+    """Of stretches to a power p: (l1 l2)^p and (l1 l2)^-p; cosh(p y), cosh((p - 1) y), sinh((p - 1) y) / sinh(y)."""
+
+    area: jax.Array
+    thickness: jax.Array
+    cosine: jax.Array
+    cosine_before: jax.Array
+    sines_before: jax.Array
+
+
+class _Plane:
+    """What powers of principal stretches are made of, element by element (n,)."""
+
+    def __init__(self, trace: jax.Array, determinant: jax.Array) -> None:
+        """Of the trace l1^2 + l2^2 and the determinant (l1 l2)^2."""
+        area = jnp.sqrt(determinant)
+        thickness = 1.0 / area
+        excess = 0.5 * trace * thickness - 1.0  # of cosh y over 1; by rounding it may be below 0
+        alike = excess < _ALIKE
+        # Equal stretches have no derivative of y: there the series serves, and these are any numbers.
+        sine = jnp.sqrt(jnp.where(alike, 1.0, excess * (excess + 2.0)))
+        stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
+        logs = _log(area), _log(stretch)
+        # What all terms use is worked out once.
+        made = once((thickness, excess, 0.5 / sine, 1.0 / stretch, *logs))
+        self.thickness, self.excess, self._half_sine, self._shrink, self._log_area, self._angle = made
+        self._alike, self.cosine, self._stretch = alike, 1.0 + self.excess, stretch
+
+    def to(self, power: jax.Array) -> _Power:
+        """Their power."""
+        area, growth = once((jnp.exp(power * self._log_area), jnp.exp(power * self._angle)))
+        inverse = 1.0 / (area * growth)
+        before, after = growth * self._shrink, inverse * area * self._stretch  # exp((p - 1) y), and its inverse
+        # Chebyshev's T of the order p and p - 1, and U of the order p - 2, about 1.
+        one = power - 1.0
+        near = self._series(power, 0.5, 0), self._series(one, 0.5, 0), one * self._series(one, 1.5, 1)
+        far = 0.5 * (growth + inverse * area), 0.5 * (before + after), (before - after) * self._half_sine
+        chosen = (jnp.where(self._alike, series, closed) for series, closed in zip(near, far, strict=True))
+        return _Power(area, inverse * growth, *chosen)
+
+    def _series(self, power: jax.Array, begin: float, first: int) -> jax.Array:
+        """The hypergeometric series of (first - power, first + power; begin) at minus half the excess."""
+        total = jnp.ones_like(self.excess)
+        for k in reversed(range(_TERMS)):
+            factor = (jnp.square(power) - (k + first) ** 2) / ((k + begin) * (k + 1) * 2.0)
+            total = 1.0 + factor * self.excess * total
+        return total
+
+
+@jax.custom_jvp
+def _log(values: jax.Array) -> jax.Array:
+    """Logarithm of positive values, to rounding, by one step of Halley's method from that in single precision.
+
+    XLA's CPU compiler has the exponential in vectors in double precision, the logarithm in single precision alone.
+    """
+    begin = jnp.log(values.astype(jnp.float32)).astype(values.dtype)
+    grown = jnp.exp(begin)
+    return begin + 2.0 * (values - grown) / (values + grown)
+
+
+@_log.defjvp
+def _log_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    return _log(*values), changes[0] / values[0]
