@@ -271,8 +271,8 @@ def _material(law: str, c: float, density: float, random: Generator, tags: list[
         tags.append("alpha = 0" if alpha == 0 else "alpha")
         return jaxform.MooneyRivlin(as_real(c), as_real(alpha), rho)
     if law == "yeoh":
-        numbers = c, c * random.uniform(-0.05, 0.1), c * 10 ** random.uniform(-4.0, -2.0)
-        return jaxform.Yeoh(*map(as_real, numbers), rho)
+        c2, c3 = c * random.uniform(-0.05, 0.1), c * 10 ** random.uniform(-4.0, -2.0)
+        return jaxform.Yeoh(as_real(c), as_real(c2), as_real(c3), rho)
     if law == "gent":
         return jaxform.Gent(as_real(2 * c), as_real(10 ** random.uniform(0.3, 2.0)), rho)
     if law == "ogden":

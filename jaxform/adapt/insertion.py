@@ -159,7 +159,7 @@ def _between(nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, vo
     weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
     velocities = births.chained(
         [nodes.velocities[:, end] for end in births.ends],
-        lambda first, second: weight * first + (1.0 - weight) * second,
+        lambda first, second: weight[None] * first + (1.0 - weight)[None] * second,
         forest.depth,
     )
     start = at_start(scene, births.node)
@@ -226,7 +226,7 @@ def _settled(
         edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
         length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
-        velocities = jnp.where(flies, _kept(gap, size), 1.0) * velocities
+        velocities = jnp.where(flies, _kept(gap, size), 1.0)[None] * velocities
     # It is on the side of the place that it looks from; what is beyond may look from another wall.
     above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
     side = jnp.where(above < 0.0, -1, 1)
@@ -260,7 +260,7 @@ def _outlook(
     place = jnp.where(worse, second, first)
     there, triangle = wall[place], jnp.maximum(jnp.abs(wall[place]) - 1, 0)
     off = _BEFORE * cells.touch_distance(grid) * jnp.sign(there)
-    begin = jax.lax.stop_gradient(nodes.positions[:, place] + off * _normal(mold, triangle))
+    begin = jax.lax.stop_gradient(nodes.positions[:, place] + off[None] * _normal(mold, triangle))
     way = begin - points
     _, bound = cells.looked_up(points, grid)
     return _Outlook(begin, seen(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
@@ -280,7 +280,7 @@ def _normal(mold: Mold, triangle: jax.Array) -> jax.Array:
     """Unit normals (3, n) of the mold's triangles (n,)."""
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     normal = jnp.stack(cross(e - d, f - d))
-    return normal / jnp.sqrt(dot(normal, normal))
+    return normal / jnp.sqrt(dot(normal, normal))[None]
 
 
 def _height(points: jax.Array, mold: Mold, triangle: jax.Array) -> jax.Array:

@@ -80,7 +80,7 @@ def closest_place(positions: jax.Array, mold: Mold, triangle: jax.Array, lands: 
     away = jnp.where(lands, positions - d, 0.0)
     gamma = dot(cross(away, edge2), normal) / square
     delta = dot(cross(edge1, away), normal) / square
-    flat = d + gamma * edge1 + delta * edge2
+    flat = d + gamma[None] * edge1 + delta[None] * edge2
     inside = (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
     candidates = [_on_segment(positions, *ends) for ends in ((d, e), (e, f), (f, d))]
     best = candidates[0]
@@ -93,4 +93,4 @@ def closest_place(positions: jax.Array, mold: Mold, triangle: jax.Array, lands: 
 
 def _on_segment(points: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Array:
     along = end - begin
-    return begin + jnp.clip(dot(points - begin, along) / dot(along, along), 0.0, 1.0) * along
+    return begin + jnp.clip(dot(points - begin, along) / dot(along, along), 0.0, 1.0)[None] * along

@@ -252,7 +252,7 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     # In proportion, since mass alone changes it: the mobility is given.
     square = dot(now.compliance, now.compliance)
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
-    put(of[2].compliance, packed.put_back(share * now.compliance))
+    put(of[2].compliance, packed.put_back(share[None] * now.compliance))
     if cotangents.want(of[2].thickness):
         none = jnp.zeros_like(discrete.thickness)
         put(of[2].thickness, none.at[packed.element].add(back.summed[0][0] / now.thickness))

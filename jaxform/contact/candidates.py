@@ -191,7 +191,7 @@ def _bounding_spheres(
         if not skip_far:
             radius = jnp.maximum(radius, grid.reach)
         own = scale * jnp.minimum(1.0, grid.farthest / radius)
-        center, radius = positions + 0.5 * own * path, own * radius
+        center, radius = positions + (0.5 * own)[None] * path, own * radius
         cell, bound = looked_up(center, grid)
         x, y, z = center
         return [[x, y, z, radius, bound], [cell], [free & (bound < radius)], [jnp.full_like(x, jnp.inf)]], []
@@ -237,8 +237,8 @@ def _coarse_pairs(spheres: _Spheres, grid: SearchGrid, into: _Pairs, blocks: jax
         def list_triangles(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
             level, found = carry
             slot = level + jnp.arange(DEPTH, dtype=jnp.int32)
-            used = slot < length[:, None]
-            triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot, 0))
+            used = slot[None] < length[:, None]
+            triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot[None], 0))
             keep = used & (distance_bound(center, triangle, grid) <= radius[:, None])
             # The barrier keeps the distances from being worked out again for each use of what they decide.
             keep, triangle = once((keep.ravel(), triangle.ravel()))

@@ -54,7 +54,7 @@ def distance(points: jax.Array, frame: jax.Array) -> jax.Array:
 def _to_segment(away: jax.Array, along: jax.Array) -> jax.Array:
     """Squared distance (n,) [m^2] from segments to points, both from the segments' begin."""
     t = jnp.clip(dot(away, along) / dot(along, along), 0.0, 1.0)
-    gap = away - t * along
+    gap = away - t[None] * along
     return dot(gap, gap)
 
 

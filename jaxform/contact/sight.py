@@ -75,7 +75,7 @@ def _along(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchGrid) 
     """What is seen along a few ways (3, lanes), side by side."""
     path = end - begin
     length = jnp.sqrt(dot(path, path))
-    unit = path / jnp.maximum(length, jnp.finfo(length.dtype).tiny)
+    unit = path / jnp.maximum(length, jnp.finfo(length.dtype).tiny)[None]
     apart = _APART * cells.touch_distance(grid)
     last = length - apart
 
@@ -83,7 +83,7 @@ def _along(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchGrid) 
         return jnp.any(used & (look.way < last))
 
     def step(look: _Look) -> _Look:
-        cell, bound = cells.looked_up(begin + look.way * unit, grid)
+        cell, bound = cells.looked_up(begin + look.way[None] * unit, grid)
         # All that is within reach of its cell is listed there, and nothing is nearer than the bound.
         till = jnp.minimum(look.way + jnp.maximum(bound, grid.reach), last)
         met, triangle, side = _first_beyond(begin, unit, look.way, till, cell, grid)
@@ -114,7 +114,7 @@ def _first_beyond(
         slope = dot(unit, normal)
         level = slope == 0.0
         met = -dot(begin - d, normal) / jnp.where(level, 1.0, slope)
-        away = begin + met * unit - d
+        away = begin + met[None] * unit - d
         gamma, delta = dot(away, dual1), dot(away, dual2)
         inside = (gamma >= -tolerance) & (delta >= -tolerance) & (gamma + delta <= 1.0 + tolerance)
         closer = (first + k < end) & ~level & inside & (met > low) & (met <= high) & (met < best)

@@ -298,4 +298,4 @@ def _landing_point(
     crosses = lands & (fall != 0.0)
     ratio = height / jnp.where(crosses, fall, 1.0)
     beta = jnp.where(crosses, jnp.clip(ratio, 0.0, 1.0), 0.0)
-    return before + beta * (after - before), fall, beta
+    return before + beta[None] * (after - before), fall, beta

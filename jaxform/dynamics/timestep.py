@@ -307,12 +307,12 @@ def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, ja
 
     def squared(_: jax.Array, power: jax.Array) -> jax.Array:
         power = power / jnp.max(jnp.abs(power))
-        return jnp.sum(power[:, :, None] * power, axis=1)
+        return jnp.sum(power[:, :, None] * power[None], axis=1)
 
     power = jax.lax.fori_loop(0, _SQUARINGS, squared, small / bound + jnp.eye(len(small), dtype=small.dtype))
     vector = power[:, jnp.argmax(jnp.diag(power))]
     vector = vector / jnp.sqrt(jnp.sum(jnp.square(vector)))
-    return jnp.sum(vector * jnp.sum(small * vector, axis=1)), vector
+    return jnp.sum(vector * jnp.sum(small * vector[None], axis=1)), vector
 
 
 def _largest_of_few(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -58,11 +58,11 @@ def _fits(
     def moments(x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Array:
         """What the elements, whose middles (n_element,) lie there from a corner, add to its sums (14, n_element)."""
         rows = [jnp.ones_like(values), values, x, y, z, x * x, y * y, z * z, y * z, z * x, x * y]
-        return sheet.area * jnp.stack([*rows, values * x, values * y, values * z])
+        return sheet.area[None] * jnp.stack([*rows, values * x, values * y, values * z])
 
     shares = jnp.concatenate([moments(*middle) for middle in middles], axis=1)
     sums = jnp.zeros((len(shares), mobile.shape[1]), values.dtype).at[:, sheet.triangles.ravel()].add(shares)
-    mean, *first, xx, yy, zz, yz, zx, xy, rise_x, rise_y, rise_z = sums[1:] / jnp.where(sums[0] > 0.0, sums[0], 1.0)
+    mean, *first, xx, yy, zz, yz, zx, xy, rise_x, rise_y, rise_z = sums[1:] / jnp.where(sums[:1] > 0.0, sums[:1], 1.0)
     # The images behind a symmetry plane: what is odd in the distance from it cancels.
     x, y, z = (jnp.where(along, part, 0.0) for along, part in zip(mobile, first, strict=True))
     size = xx + yy + zz

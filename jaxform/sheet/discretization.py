@@ -89,7 +89,7 @@ def discretize(scene: Scene) -> Discretization:
     if tables.counts is not None:
         mass = jnp.where(jnp.arange(mass.size) < tables.counts.nodes, mass, 1.0)
     whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
-    return Discretization(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass, whole)
+    return Discretization(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass[None], whole)
 
 
 def present_discretization(
@@ -122,7 +122,7 @@ def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
     counts = scene.tables.counts or Counts(jnp.int32(forest.root_count), jnp.int32(forest.first_nodes))
     node = jnp.arange(forest.node_room, dtype=jnp.int32)
     place = jnp.arange(forest.owner.size, dtype=jnp.int32)
-    corner, row = 4 * roots + jnp.arange(3, dtype=jnp.int32)[:, None], forest.root_row
+    corner, row = 4 * roots[None] + jnp.arange(3, dtype=jnp.int32)[:, None], forest.root_row
     # What is beyond the first triangles goes nowhere.
     there = roots < counts.elements
     at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
@@ -177,7 +177,7 @@ def refined_discretization(
         bound=forest.bound[element],
         thickness=volume / forest.sheet.area[element],
         mass=heavy,
-        compliance=jnp.where(exists, forest.mobility[:, mesh.node] / heavy, 0.0),
+        compliance=jnp.where(exists[None], forest.mobility[:, mesh.node] / heavy[None], 0.0),
         whole=pack(None, sheet, assembly, counts, stepped=stepped or not scene.packs_moving),
         volumes=volumes,
     )

@@ -253,7 +253,7 @@ def _shares(
     def work(node: jax.Array, exists: jax.Array) -> Any:
         codes = gather(table, node)
         count = jnp.sum(codes >= 0, axis=0, dtype=jnp.int32)
-        return [list(slots(codes, exists)), [jnp.where(exists, count, 0)]], []
+        return [list(slots(codes, exists[None])), [jnp.where(exists, count, 0)]], []
 
     depth = table.shape[0]
     into = [jnp.zeros((depth, node.size), jnp.int32), jnp.zeros((1, node.size), jnp.int32)]

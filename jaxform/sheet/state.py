@@ -194,7 +194,7 @@ def at_start(scene: Scene, node: jax.Array | None = None) -> AtStart:
 def any_mode(positions: jax.Array) -> jax.Array:
     """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
     # The same for a node whatever room there is for others.
-    number = jnp.arange(3, dtype=jnp.uint32)[:, None] + 3 * jnp.arange(positions.shape[1], dtype=jnp.uint32)
+    number = jnp.arange(3, dtype=jnp.uint32)[:, None] + 3 * jnp.arange(positions.shape[1], dtype=jnp.uint32)[None]
     mixed = (number + 1) * jnp.uint32(2654435761)
     mixed = (mixed ^ (mixed >> 15)) * jnp.uint32(2246822519)
     return (mixed >> 8).astype(positions.dtype) / 2**23 - 1.0
