@@ -57,6 +57,7 @@ _FIRST = (
 _QUICK = {
     "architecture",
     "bisection",
+    "errors",
     "formats",
     "hostile",
     "inputs",

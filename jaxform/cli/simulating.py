@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
+from jaxform.core.errors import told_to
 
 if TYPE_CHECKING:
     from jaxform.core.store import Store
@@ -30,7 +31,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         frames = Frames(arguments.out, document.model.output.frames)
         frames.begin(scene)
         loop.compiling(scene, store)
-        with session.meanwhile(lambda: _look_over(scene, document)) as looked:
+        with session.meanwhile(lambda: _look_over(scene, document, arguments.warned)) as looked:
             result = _run(scene, frames, not arguments.quiet, store)
         looked.result()
         summary = session.write_part(arguments, scene, result, reference, draw=draw)
@@ -39,11 +40,17 @@ def simulate(arguments: argparse.Namespace) -> int:
     return session.exit_status(result)
 
 
-def _look_over(scene: Scene, document: Any) -> None:
+def _look_over(scene: Scene, document: Any, warned: list[str]) -> None:
     """Warns of what is hardly meant, while programs are loaded or compiled; then gets ready to write the results."""
     from jaxform.io import files
 
-    files.look_over(scene, document)
+    def tell(sentence: str) -> None:
+        if sentence not in warned:
+            warned.append(sentence)
+            session.warn(sentence)
+
+    with told_to(tell):
+        files.look_over(scene, document)
     import meshio  # noqa: F401
     import scipy.spatial  # noqa: F401
 

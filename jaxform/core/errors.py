@@ -6,6 +6,7 @@ import contextlib
 import os
 import warnings
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,8 +52,24 @@ class InputWarning(UserWarning):
 
 def warn_of(problem: str, remedy: str = "", *, key: str = "", value: Any = None, file: str = "") -> None:
     """Warns of doubtful input, in the words of an `InputError`; it names the line of the user's code."""
-    text = str(InputError(problem, remedy, key, value, file))
-    warnings.warn(text, InputWarning, stacklevel=2, skip_file_prefixes=(_HERE,))
+    text, tell = str(InputError(problem, remedy, key, value, file)), _told.get()
+    if tell is not None:
+        tell(text)
+    else:
+        warnings.warn(text, InputWarning, stacklevel=2, skip_file_prefixes=(_HERE,))
+
+
+_told: ContextVar[Callable[[str], object] | None] = ContextVar("told", default=None)
+
+
+@contextlib.contextmanager
+def told_to(tell: Callable[[str], object]) -> Iterator[None]:
+    """Such warnings are told to a function: on a thread beside others, which may turn Python's warnings off and on."""
+    token = _told.set(tell)
+    try:
+        yield
+    finally:
+        _told.reset(token)
 
 
 @contextlib.contextmanager
