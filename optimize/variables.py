@@ -142,8 +142,9 @@ class Scale:
             raise InputError(
                 "is a time", "scale another number; a FormingTime objective shortens it", "variable.of", of
             )
-        part, _, name = of.partition(".")
-        present = getattr(getattr(scene, part, None), name, None)
+        part, _, name = of.rpartition(".")
+        owner = scene.fields.get(part.removeprefix("fields.")) if "." in part else getattr(scene, part, None)
+        present = getattr(owner, name, None)
         jaxform.replace(scene, {of: 1.0 if present is None else present})  # says what the scene has instead
         self.of, self.bounds = of, bounds
         self._present = jnp.asarray(present)

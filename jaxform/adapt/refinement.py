@@ -53,7 +53,7 @@ def refined(
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned, planned=planned)
     else:
-        due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, scene=scene)
+        due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, grid=scene.tables.grid)
 
     def look(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         return _grown(now[0], scene, adaptivity, now[1], *wanted(*now, adaptivity), None)
@@ -71,7 +71,9 @@ def refined_in_place(
 
     def look(now: tuple[PackedState, Discretization]) -> tuple[PackedState, Discretization]:
         state, body = active.put_back(now[0]), now[1]
-        state, body = _grown(state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene), active)
+        state, body = _grown(
+            state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene.tables.grid), active
+        )
         return active.taken(state), body
 
     return only_if(_is_due(state, adaptivity), look, (state, discrete))
@@ -94,10 +96,12 @@ def _planned(state: State, _: Discretization, adaptivity: Adaptivity, planned: j
     return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
 
 
-def _wanted(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> tuple[jax.Array, Queue]:
+def _wanted(
+    state: State, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None
+) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
     mesh = state.refined_mesh
-    place, count = listed(_marked(state, discrete, adaptivity, scene.tables.grid), mesh.element.size)
+    place, count = listed(_marked(state, discrete, adaptivity, grid), mesh.element.size)
     return closed(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
 
 

@@ -16,6 +16,7 @@ from jaxform.io import files, rewriting
 from jaxform.mesh.profiles import Profile
 from optimize.variables import bounded, limited, log_bounded, log_unbounded, unbounded, unlimited
 from tests import scenes
+from tests.examples.cooling import Cooling
 
 BOUNDS = (0.005, 0.02)
 
@@ -176,6 +177,16 @@ def test_a_scale_multiplies_a_number_of_the_scene() -> None:
     ):
         with pytest.raises(jaxform.InputError, match=words):
             optimize.Scale(scene, of=path, bounds=(0.5, 3.0))
+
+
+def test_a_scale_multiplies_a_number_of_a_field() -> None:
+    plain, numbers = scenes.cup(), (150.0, 0.02, 0.3, 20.0, 10.0)
+    parts: Any = {"parison": plain.parison, "material": plain.material, "pressure": plain.pressure}
+    fields: Any = {"temperature": Cooling(*map(scenes.real, numbers))}
+    scene = jaxform.build_scene(solver=plain.solver, mold=plain.mold, fields=fields, **parts)
+    variable = optimize.Scale(scene, of="fields.temperature.mold_rate", bounds=(0.5, 3.0))
+    found = variable.changes(jnp.asarray(variable.start))["fields.temperature.mold_rate"]
+    np.testing.assert_allclose(found, 0.3, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
