@@ -210,7 +210,8 @@ class LeastMass(Objective):
         self.minimum = self.uniform = float(minimum)
         triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
         volume = area * np.asarray(scene.parison.thickness)[triangles].mean(1)
-        self._first_mass = float(volume.sum() * scene.material.density)
+        density = np.asarray(scene.material.density)
+        self._first_mass = float((volume * (density[triangles].mean(1) if density.ndim else density)).sum())
 
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
         """Mass over that of the scene to begin with."""

@@ -149,6 +149,7 @@ class Scale:
         self.of, self.bounds = of, bounds
         self._present = jnp.asarray(present)
         self._first_nodes = scene.first_nodes
+        self._varies = part == "material" and name in scene.material.zones
         self.start = np.atleast_1d(unbounded(1.0, bounds))
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
@@ -160,9 +161,11 @@ class Scale:
         return bounded(free, (0.0, 1.0))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
-        """The same; a sheet that is not of one thickness as a nodal field of the mesh, (n_node,) [m]."""
+        """The same; what varies over the sheet at the nodes of its mesh, (..., n_node)."""
         values = np.asarray(self.changes(free)[self.of], float)
         if self.of == "parison.thickness":
             values = values[: self._first_nodes]
             return {self.of: float(values[0]) if np.ptp(values) == 0.0 else values}
+        if self._varies:
+            return {self.of: values[..., : self._first_nodes]}
         return {self.of: values.tolist()}

@@ -269,6 +269,14 @@ def _grown(
     return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=active is None)
 
 
+def _held(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, jax.Array]:
+    """Strain energy [J] and enclosed volume [m^3] of the whole sheet; not differentiable."""
+    whole = discrete.whole
+    own = discrete.of_elements(whole.element)
+    fixed = state.nodes.positions, whole.elements, own.thickness, scene.material.with_zones(own.zones)
+    return account(*jax.lax.stop_gradient(fixed))
+
+
 def _with_parts(
     state: State,
     scene: Scene,
@@ -282,15 +290,10 @@ def _with_parts(
     differentiable, forest, volumes = active is None, adaptivity.forest, discrete.forest_volumes
     before, state = state, caught_up(state, scene, discrete, active)
     mesh = dataclasses.replace(bisected(state.refined_mesh, queue, forest), split_at=split_at)
-    body = refined_discretization(scene, forest, mesh, volumes)
+    body = refined_discretization(scene, forest, mesh, volumes, discrete.forest_zones)
     new = insert_nodes(state, mesh, scene, adaptivity, volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
-    (strain, volume), (new_strain, new_volume) = (
-        account(
-            *jax.lax.stop_gradient((s.nodes.positions, b.whole.elements, b.thickness[b.whole.element], scene.material))
-        )
-        for s, b in ((state, discrete), (new, body))
-    )
+    (strain, volume), (new_strain, new_volume) = (_held(s, scene, b) for s, b in ((state, discrete), (new, body)))
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))
     )

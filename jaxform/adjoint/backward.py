@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import Part, once, over_blocks
+from jaxform.materials import Law
 from jaxform.mechanics.elements import Corners, assembled, shares
 from jaxform.mechanics.force import Load, corner_forces
 from jaxform.mechanics.membrane import Vector, dot, vector
@@ -17,14 +18,15 @@ from jaxform.sheet.packing import Packed
 
 
 class Window(NamedTuple):
-    """What stays the same within a window, in packed order; as in `stepping`, and when nodes landed (place,).
+    """What stays the same within a window, in packed order; as in `step`, and when nodes landed (place,).
 
-    Beyond the steps that were taken, pressure and kick are 0.
+    The law has its zones for each element. Beyond the steps that were taken, pressure and kick are 0.
     """
 
     scene: Scene
     packed: Packed
     thickness: jax.Array
+    material: Law
     mass: jax.Array
     compliance: jax.Array
     landed: jax.Array

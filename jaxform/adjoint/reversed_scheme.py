@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from jaxform.adjoint.backward import BackwardNodes, End, Turn, Window, force_cotangent, over_nodes, with_loss
 from jaxform.contact import sticking
+from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import pytree
 from jaxform.dynamics.timestep import LEAST_LEFT
 from jaxform.dynamics.window import window, window_and_impacts
@@ -26,7 +27,7 @@ from jaxform.kernels import blocks
 from jaxform.kernels.blocks import Part, listed, once, only_if, over_blocks
 from jaxform.kernels.derivatives import Cotangents, Rule
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
-from jaxform.mechanics.force import Load, corner_cotangents, corner_forces
+from jaxform.mechanics.force import Load, corner_cotangents, corner_forces, no_sums, zone_cotangents
 from jaxform.mechanics.membrane import dot, rows_of
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
@@ -129,7 +130,7 @@ def _end_of(kept: _Kept, now: Window) -> End:
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         n, positions, velocities, before, speeds, corners = carry
-        load = Load(positions, now.thickness, now.pressure[n], now.scene.material)
+        load = Load(positions, now.thickness, now.pressure[n], now.material)
         corners, _ = corner_forces(load, elements, corners)
 
         def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
@@ -214,10 +215,12 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     number = jnp.arange(longest)
     taken = number < kept.count
     held = packed.taken(kept.stuck) | ~packed.exists
+    own = discrete.of_elements(packed.element)
     now = Window(
         scene=scene,
         packed=packed,
-        thickness=discrete.thickness[packed.element],
+        thickness=own.thickness,
+        material=scene.material.with_zones(own.zones),
         mass=packed.taken(discrete.mass),
         compliance=packed.taken(discrete.compliance),
         landed=jnp.where(held, -1, packed.taken(kept.landed)),
@@ -244,7 +247,8 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     for name in ("external_work", *LOSSES):
         put(getattr(begun.account, name), getattr(end.account, name))
     put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
-    put(of[1].material, jax.tree.unflatten(jax.tree.structure(scene.material), back.law))
+    for name, value in back.law.items():
+        put(getattr(of[1].material, name), value)
     put(of[1].solver.damping, None if scene.solver.damping is None else nodes.damping)
     if scene.mold is not None and nodes.vertices is not None:
         put(of[1].mold.vertices, nodes.vertices)
@@ -256,13 +260,17 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     if cotangents.want(of[2].thickness):
         none = jnp.zeros_like(discrete.thickness)
         put(of[2].thickness, none.at[packed.element].add(back.summed[0][0] / now.thickness))
+    for name, values in back.zones.items():
+        none = jnp.zeros_like(discrete.zones[name])
+        put(of[2].zones[name], none.at[..., packed.element].add(values))
 
 
 class _Back(NamedTuple):
     """On the way back: the next step, the nodes, and room for corner forces.
 
     With them the elements' sums; at every step, and after the last, the cotangents of the pressure, and the volume
-    enclosed by what is active [m^3]; the cotangents of the law's parameters.
+    enclosed by what is active [m^3]; the cotangents of the law's numbers that do not vary, and in the end of those that
+    do (..., room), by name.
     """
 
     number: jax.Array
@@ -271,7 +279,8 @@ class _Back(NamedTuple):
     summed: list[jax.Array]
     pressing: jax.Array
     volumes: jax.Array
-    law: list[jax.Array]
+    law: dict[str, jax.Array]
+    zones: dict[str, jax.Array]
 
 
 def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, volume: jax.Array) -> _Back:
@@ -280,9 +289,13 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
     start, positions, real = _end_of(kept, now), packed.taken(kept.end), now.thickness.dtype
     loss = end.account
     thickens = cotangents.want(of[2].thickness)
-    presses, varies = cotangents.want(of[1].pressure), cotangents.want(of[1].material)
-    parameters = jax.tree.leaves(scene.material)
-    wanted = [True, thickens, presses, *(varies for _ in parameters)]
+    presses, zones = cotangents.want(of[1].pressure), now.material.zones
+    numbers = {name: getattr(scene.material, name) for name in ranges_of(scene.material)}
+    single = [name for name in numbers if name not in zones]
+    varies = any(cotangents.want(getattr(of[1].material, name)) for name in single)
+    wanted = [True, thickens, presses]
+    wanted += [cotangents.want(of[2].zones[name]) if name in zones else varies for name in numbers]
+    first = Load(positions, now.thickness, now.pressure[0], now.material)
     mold = scene.mold
     vertices = mold.vertices if mold is not None and cotangents.want(of[1].mold.vertices) else None
     at_every_step = jnp.zeros(scene.tables.window_room + 1, real)
@@ -303,10 +316,11 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
             vertices=None if vertices is None else jnp.zeros_like(vertices),
         ),
         corners=no_corners(positions, elements) + no_corners(positions, elements),
-        summed=[jnp.zeros((1, now.thickness.size), real)] * thickens,
+        summed=no_sums(first, wanted),
         pressing=at_every_step,
         volumes=at_every_step,
-        law=[jnp.zeros(p.shape, real) for p in parameters],
+        law={name: jnp.zeros_like(numbers[name]) for name in single},
+        zones={},
     )
 
     def back(carry: _Back) -> _Back:
@@ -315,7 +329,7 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
         turn = Turn(
             n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), later_kick=now.kick[n]
         )
-        load = Load(nodes.at, now.thickness, now.pressure[n], scene.material)
+        load = Load(nodes.at, now.thickness, now.pressure[n], now.material)
         damping = scene.solver.damping
         if damping is not None:
             nodes, corners = only_if(
@@ -328,15 +342,18 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
         )
         enclosed = sums.pop()
         pressing = carry.pressing.at[n].set(sums.pop(0)) if presses else carry.pressing
-        law = [total + more for total, more in zip(carry.law, sums, strict=True)] if varies else carry.law
+        law = carry.law
+        if varies:
+            law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
         nodes = over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
         if mold is not None:
             back_over = functools.partial(_landings, mold=mold, now=now, loss=loss.contact_loss)
             nodes = only_if(lands[n - 1], lambda nodes: back_over(nodes, start.before, kept, turn), nodes)
         volumes = carry.volumes.at[n].set(enclosed)
-        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law)
+        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law, {})
 
-    return jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
+    done = jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
+    return done._replace(zones=zone_cotangents(first, wanted, done.summed))
 
 
 differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries, lasting=True)

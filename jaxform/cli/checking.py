@@ -89,7 +89,7 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
 
 def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterator[str]:
     parison = scene.parison
-    law = document.model.material.model
+    law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones)])
     yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
     images = " with its images" if document.model.parison.shape != "file" and _cut(scene) else ""
     yield f"sheet{images}: {seen.sheet}; its thickness is {seen.thinness:.3g} times its size"

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any
 
+import numpy as np
+
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import pytree
 from jaxform.core.ranges import Range, declare
@@ -84,6 +86,11 @@ def ranges_of(part: Any) -> dict[str, Range]:
 def listed_numbers(part: Any) -> list[str]:
     """The names of its numbers that are lists."""
     return [each.name for each in _numbers(part) if each.metadata["listed"]]
+
+
+def varying_numbers(part: Any) -> list[str]:
+    """The names of its numbers that vary over the sheet: those that have one axis more than they are declared with."""
+    return [each.name for each in _numbers(part) if np.ndim(getattr(part, each.name)) > int(each.metadata["listed"])]
 
 
 def nodal_numbers(part: Any) -> list[str]:

@@ -138,7 +138,7 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     positions = moving.nodes.positions
     volume = None if moving.account.pressure is None else active.volume(positions)
     pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
-    load = Load(positions, active.thickness, pressure, scene.material)
+    load = Load(positions, active.thickness, pressure, scene.material.with_zones(active.zones))
     room = no_corners(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
@@ -164,7 +164,8 @@ def _health(
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
-    strain, volume = account(state.nodes.positions, active.packed.elements, active.thickness, scene.material)
+    material = scene.material.with_zones(active.zones)
+    strain, volume = account(state.nodes.positions, active.packed.elements, active.thickness, material)
     strain, volume = strain + active.idle_energy, volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
     excess = held - state.account.external_work - last_work(state, scene, volume)

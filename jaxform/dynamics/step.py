@@ -114,7 +114,8 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
     if moving.account.pressure is not None:
         pressure = _pressure_inside(moving, scene, now)
         mean_pressure = 0.5 * (moving.account.pressure + pressure)
-    load = Load(moving.nodes.positions, now.active.thickness, pressure, scene.material)
+    material = scene.material.with_zones(now.active.zones)
+    load = Load(moving.nodes.positions, now.active.thickness, pressure, material)
     if moving.room is None:
         taken = _taken(load, moving, kick, length, scene, now)
     else:

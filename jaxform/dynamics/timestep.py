@@ -153,12 +153,13 @@ def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.A
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
     rows, elements = membrane.rows_of(state.nodes.positions), active.packed.elements
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array) -> Any:
+    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array, zones: Any) -> Any:
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
-        return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, scene.material)]
+        material = scene.material.with_zones(zones)
+        return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, material)]
 
-    inputs = elements.triangles, elements.inverse_metric, elements.area, active.bound
+    inputs = elements.triangles, elements.inverse_metric, elements.area, active.bound, active.zones
     _, (largest,) = over_blocks(work, elements.block_count, inputs, [], most=1)
     step = stiffness.stable_step(largest, scene.material)
     if not scene.pressure.follows_volume:
@@ -221,7 +222,7 @@ def _highest(
     if scene.pressure.follows_volume:
         volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
     pressure = scene.pressure.at(state.time, volume)
-    load = Load(state.nodes.positions, active.thickness, pressure, scene.material)
+    load = Load(state.nodes.positions, active.thickness, pressure, scene.material.with_zones(active.zones))
 
     def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
         return over_blocks(work, elements.node_block_count, inputs, into, **kinds)

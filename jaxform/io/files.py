@@ -18,6 +18,7 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
+from jaxform.core.ranges import check
 from jaxform.core.store import Store
 from jaxform.io import catalog, fields, schema
 from jaxform.io.survey import warn_of_scene
@@ -143,11 +144,12 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
         pressure, solver = model.pressure, model.solver
         sheet = _sheet(document)
         refinement, forest = _refinement(document, sheet)
+        grown = _grown(sheet, forest)
         scene = build_scene(
-            parison=_parison(document, sheet, forest),
+            parison=_parison(document, grown, forest),
             refinement=refinement,
             forest=forest,
-            material=_material(model.material),
+            material=_material(document, grown),
             pressure=make_pressure(pressure.time, pressure.value, pressure.interpolation),
             solver=make_solver(
                 end_time=solver.end_time,
@@ -196,11 +198,18 @@ def _told_of(file: str, key: str = "") -> Iterator[None]:
 
 
 def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Forest | None) -> Parison:
+    thickness = _quantity(document, document.model.parison.thickness, "parison.thickness", sheet)
     if forest is None:
-        thickness = _thickness(document, sheet)
         return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
+    return grown_parison(forest, thickness)
+
+
+def _grown(sheet: shapes.Sheet, forest: bisection.Forest | None) -> shapes.Sheet:
+    """The sheet with all nodes that refinement may make, and its fields at them."""
+    if forest is None:
+        return sheet
     given = {name: bisection.extended(values, forest.ends, forest.depth) for name, values in sheet.fields.items()}
-    return grown_parison(forest, _thickness(document, replace(sheet, positions=forest.positions, fields=given)))
+    return replace(sheet, positions=forest.positions, fields=given)
 
 
 def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinement | None, bisection.Forest | None]:
@@ -255,10 +264,12 @@ def _profile(table: schema.Profile, key: str) -> Profile:
     return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
 
 
-def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
-    table, key = document.model.parison.thickness, "parison.thickness"
+def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
+    """What may vary over the sheet: a number, or values at its nodes (n_node,)."""
     if isinstance(table, schema.Profile):
         return _profile(table, key)(sheet.positions)
+    if isinstance(table, schema.NumberProfile):
+        return Profile(table.along, tuple(table.at), tuple(table.value), key)(sheet.positions)
     if isinstance(table, schema.FieldReference):
         with _told_of("", f"{key}.file"):
             path = disk.located(table.file, document.folder)
@@ -272,9 +283,21 @@ def _thickness(document: SceneDocument, sheet: shapes.Sheet) -> NDArray[np.float
     return table
 
 
-def _material(table: Any) -> materials.Law:
+def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
+    table = document.model.material
     law = materials.LAWS[table.model]
-    return law(**{name: as_real(getattr(table, name)) for name in ranges_of(law)})
+
+    def number(name: str) -> Any:
+        value, key = getattr(table, name), f"material.{name}"
+        for profile in value if isinstance(value, list) else [value]:
+            if isinstance(profile, schema.NumberProfile):
+                check(f"{key}.value", profile.value, ranges_of(law)[name])
+        if not isinstance(value, list):
+            return as_real(_quantity(document, value, key, sheet))
+        terms = [_quantity(document, one, f"{key}[{k}]", sheet) for k, one in enumerate(value)]
+        return as_real(np.stack(np.broadcast_arrays(*terms)))
+
+    return law(**{name: number(name) for name in ranges_of(law)})
 
 
 def _mold(document: SceneDocument) -> Mold | None:

@@ -17,7 +17,7 @@ from jaxform.core.writing import whole
 from jaxform.io.files import SceneDocument, _sheet
 from jaxform.mesh import meshes
 
-_PATHS = ("parison.path", "parison.thickness.file", "mold.path", "output.reference")
+_PATHS = ("parison.path", "mold.path", "output.reference")
 
 
 def write_scene(
@@ -27,8 +27,9 @@ def write_scene(
 
     Args:
         document: The scene to change.
-        changes: New values at dotted keys: plain values, or arrays; a nodal parison.thickness [m] of shape
-            (n_node,) goes into a mesh file beside the scene file.
+        changes: New values at dotted keys: plain values, or arrays; arrays of what varies over the sheet,
+            parison.thickness (n_node,) [m] and numbers of the material (..., n_node), go into mesh files beside the
+            scene file.
         folder: Where to write.
         name: The name of the scene file.
 
@@ -38,11 +39,13 @@ def write_scene(
     folder = Path(folder)
     data = copy.deepcopy(document.data)
     data.setdefault("name", document.name)
-    for key in _PATHS:
+    for key in [*_PATHS, *_field_files(data)]:
         _rewrite_path(data, key, document.folder)
     for key, value in changes.items():
-        if key == "parison.thickness" and np.ndim(value) == 1 and not isinstance(value, str | dict):
-            value = _write_field(document, np.asarray(value), folder / f"{Path(name).stem}-thickness.vtu")
+        part, _, number = key.partition(".")
+        varies = part == "material" and isinstance(value, np.ndarray) and value.ndim > 0
+        if varies or (key == "parison.thickness" and np.ndim(value) == 1 and not isinstance(value, str | dict)):
+            value = _write_fields(document, np.asarray(value), number, folder / f"{Path(name).stem}-{number}.vtu")
         _put(data, key, value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
     path = folder / name
     with whole(path) as fresh:
@@ -50,22 +53,39 @@ def write_scene(
     return path
 
 
+def _field_files(data: Mapping[str, Any]) -> list[str]:
+    """The keys of all mesh files that fields are in."""
+    found = []
+    for section in ("parison", "material"):
+        for key, value in data.get(section, {}).items():
+            items = {f"{section}.{key}": value} if isinstance(value, dict) else {}
+            if isinstance(value, list):
+                items = {f"{section}.{key}.{k}": item for k, item in enumerate(value)}
+            found += [f"{path}.file" for path, item in items.items() if isinstance(item, dict) and "file" in item]
+    return found
+
+
 def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> None:
     *sections, last = key.split(".")
     table: Any = data
     for section in sections:
-        table = table.get(section) if isinstance(table, dict) else None
+        inner = table.get(section) if isinstance(table, dict) else None
+        table = table[int(section)] if isinstance(table, list) else inner
     if isinstance(table, dict) and last in table:
         names = table[last]
         moved = [str(disk.located(name, folder)) for name in ([names] if isinstance(names, str) else names)]
         table[last] = moved[0] if isinstance(names, str) else moved
 
 
-def _write_field(document: SceneDocument, value: NDArray[Any], path: Path) -> dict[str, str]:
+def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, path: Path) -> Any:
+    """Writes values (n_node,), or a list of such, as fields of the mesh; what the scene file then says of them."""
     sheet = _sheet(document)
+    names = [number] if values.ndim == 1 else [f"{number}_{k + 1}" for k in range(len(values))]
+    fields = dict(zip(names, np.atleast_2d(np.asarray(values, float)), strict=True))
     with whole(path) as fresh:
-        meshes.write_vtu(fresh, sheet.positions, sheet.triangles, {"thickness": np.asarray(value, float)})
-    return {"file": path.name, "field": "thickness"}
+        meshes.write_vtu(fresh, sheet.positions, sheet.triangles, fields)
+    tables = [{"file": path.name, "field": name} for name in names]
+    return tables[0] if values.ndim == 1 else tables
 
 
 def _put(data: dict[str, Any], key: str, value: Any) -> None:

@@ -216,14 +216,15 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
         warn_of(
             f"the thickness is {many}:{guess or ' a film?'}", remedy, key="parison.thickness", value=mean, file=file
         )
-    density = float(scene.material.density)
+    lightest, heaviest = float(scene.material.density.min()), float(scene.material.density.max())
+    density = heaviest if lightest >= _LIGHT else lightest
     if not _LIGHT <= density <= _HEAVY:
         remedy = "give kg/m^3" + (f": {1e3 * density:.4g} where it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
         warn_of("no plastic or rubber has such a density", remedy, key="material.density", value=density, file=file)
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
-    stiffness = float(scene.material.stiffness())
+    stiffness = float(scene.material.stiffness().mean())
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import dataclass_transform
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Self, dataclass_transform
 
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.parameters import declared_part, parameter, varying_numbers, within
 from jaxform.core.pytree import static
 
 Slope = jax.Array | None
@@ -34,10 +35,20 @@ class Law:
             def energy(self, i1, i2):
                 return self.c1 * (i1 - 3.0) + self.c2 * (i1 - 3.0) ** 2
 
-    Every law has a `density` [kg/m^3].
+    Every law has a `density` [kg/m^3]. A number may vary over the sheet (zones): it then has one axis more, the last,
+    with a value for each node in a scene, and for each element where the law is worked out.
     """
 
     density: jax.Array
+
+    @property
+    def zones(self) -> dict[str, jax.Array]:
+        """Its numbers that vary over the sheet, (..., n) each, by name."""
+        return {name: getattr(self, name) for name in varying_numbers(self)}
+
+    def with_zones(self, zones: Mapping[str, jax.Array]) -> Self:
+        """The same with other values of numbers that vary."""
+        return dataclasses.replace(self, **zones) if zones else self  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
     def energy(self, i1: jax.Array, i2: jax.Array, /) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants, element by element."""
@@ -56,9 +67,13 @@ class Law:
         )
 
     def stiffness(self) -> jax.Array:
-        """C of an equally stiff neo-Hookean sheet in small strain [Pa]: a sixth of its modulus."""
-        none = jnp.full_like(self.density, _UNSTRAINED)
+        """C of an equally stiff neo-Hookean sheet in small strain [Pa], a sixth of its modulus: a number, or (n,)."""
+        none = jnp.full(self._places(), _UNSTRAINED, self.density.dtype)
         return sum((slope for slope in self.slopes(none, none) if slope is not None), jnp.zeros_like(none))
+
+    def _places(self) -> tuple[int, ...]:
+        """How many places its numbers vary over, (n,); () where they do not."""
+        return next((values.shape[-1:] for values in self.zones.values()), ())
 
     def verify(self) -> None:
         """Raises InputError where the numbers, each in its range, do not fit together; called on the host."""
@@ -78,8 +93,8 @@ class PlaneLaw(Law):
         return by_trace, by_determinant
 
     def stiffness(self) -> jax.Array:
-        """C of an equally stiff neo-Hookean sheet in small strain [Pa]: a sixth of its modulus."""
-        one = jnp.ones_like(self.density)
+        """C of an equally stiff neo-Hookean sheet in small strain [Pa], a sixth of its modulus: a number, or (n,)."""
+        one = jnp.ones(self._places(), self.density.dtype)
         return self.slopes(2.0 * one, one)[0]
 
 

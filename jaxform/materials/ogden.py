@@ -68,13 +68,16 @@ class Ogden(PlaneLaw):
     def verify(self) -> None:
         """Raises InputError unless there are as many powers as moduli, none is 0, and the sheet is stiff at first."""
         mu, alpha = np.asarray(self.mu, float), np.asarray(self.alpha, float)
-        if mu.shape != alpha.shape:
-            raise InputError(f"has {alpha.size} numbers, mu has {mu.size}", "give one for each term", "material.alpha")
+        if len(mu) != len(alpha):
+            problem = f"has {len(alpha)} numbers, mu has {len(mu)}"
+            raise InputError(problem, "give one for each term", "material.alpha")
+        # Of zones each place is looked at.
+        mu, alpha = np.broadcast_arrays(*(own if own.ndim > 1 else own[:, None] for own in (mu, alpha)))
         if not np.all(alpha):
-            raise InputError("has a power of 0", "leave that term out", "material.alpha", alpha.tolist())
-        if np.sum(mu * alpha) <= 0:
+            raise InputError("has a power of 0", "leave that term out", "material.alpha", alpha[:, 0].tolist())
+        if np.any(soft := np.sum(mu * alpha, axis=0) <= 0):
             remedy = "let the sum of mu alpha, twice the shear modulus, be above 0"
-            raise InputError("has no stiffness in small strain", remedy, "material.mu", mu.tolist())
+            raise InputError("has no stiffness in small strain", remedy, "material.mu", mu[:, np.argmax(soft)].tolist())
 
 
 class _Power(NamedTuple):

@@ -127,7 +127,7 @@ def nodal_sum(corners: Corners, elements: Elements) -> jax.Array:
 
 
 def over_elements(
-    work: Callable[..., Any], elements: Elements, more: tuple[jax.Array, ...], into: list[jax.Array], sums: int = 1
+    work: Callable[..., Any], elements: Elements, more: tuple[Any, ...], into: list[jax.Array], sums: int = 1
 ) -> Any:
     """What a pass over the blocks of elements in use writes and sums; `work` gets their geometry and `more`."""
     return over_blocks(work, elements.block_count, (own_of(elements), *more), into, sums=sums)

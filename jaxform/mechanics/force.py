@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.core.parameters import ranges_of
 from jaxform.kernels.blocks import once, over_blocks
 from jaxform.kernels.differentiated import Differentiated
 from jaxform.materials import Law
@@ -56,7 +57,7 @@ class Load(NamedTuple):
         positions: (3, place) [m]; or its rows, where no derivative is taken.
         thickness: Initial thickness (room,) [m].
         pressure: A number [Pa].
-        material: The law with its parameters.
+        material: The law with its parameters; those that vary over the sheet for each element (..., room).
     """
 
     positions: Any
@@ -90,12 +91,12 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
     """
     rows = rows_of(load.positions)
 
-    def work(own: Own, thickness: jax.Array) -> Any:
+    def work(own: Own, thickness: jax.Array, zones: Any) -> Any:
         (sides,) = sides_of(own, rows)
         (first, edge1, edge2), normal = sides, normal_of(sides, own)
         inverse, area = own.inverse_metric, own.area
         g = metric(edge1, edge2)
-        factors = stress_factors(g, inverse, load.material)
+        factors = stress_factors(g, inverse, load.material.with_zones(zones))
         factors = once((area * thickness * factors[0], area * thickness * factors[1]))
         s = once(stress(g, inverse, factors))
         push = _scaled(load.pressure / 6.0, normal)
@@ -103,7 +104,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
         arm = minus(first, elements.origin)
         return together(_shares(push, pull2, pull3), own), [dot(arm, normal)]
 
-    corners, (volume,) = over_elements(work, elements, (load.thickness,), into)
+    corners, (volume,) = over_elements(work, elements, (load.thickness, load.material.zones), into)
     return with_overflow(corners, elements), volume / 6.0
 
 
@@ -172,10 +173,11 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
     moved = None if change.positions is None else rows_of(change.positions)
     looked = [rows_of(load.positions)] + ([] if moved is None else [moved])
     thickened = () if change.thickness is None else (change.thickness,)
-    parameters, structure = jax.tree.flatten(load.material)
-    varied = [(k, t) for k, t in enumerate(structure.flatten_up_to(change.material)) if t is not None]
+    zones, changed_numbers = load.material.zones, _numbers_of(load.material, change.material)
+    zone_changes = {name: changed_numbers.pop(name) for name in zones if name in changed_numbers}
 
-    def work(own: Own, thickness: jax.Array, *more: jax.Array) -> Any:
+    def work(own: Own, thickness: jax.Array, zones: Any, zone_changes: Any, *more: jax.Array) -> Any:
+        material = load.material.with_zones(zones)
         (first, edge1, edge2), *changed = sides = sides_of(own, *looked)
         normal, inverse, area = normal_of(sides[0], own), own.inverse_metric, own.area
         g, weight, share = metric(edge1, edge2), area * thickness, _pressure_share(load.pressure, area)
@@ -184,16 +186,16 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         volume = jnp.zeros_like(area)
         if moved is not None:
             w0, w1, w2 = changed[0]
-            s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, load.material)
+            s, ds = _stress_and_change(g, _metric_change(edge1, edge2, w1, w2), inverse, weight, material)
             pull2, pull3 = _pulls(s, w1, w2)
             changes.append(ds)
             normal_change = turned(plus(cross(w1, edge2), cross(edge1, w2)), own)
             push = _scaled(share, normal_change)
             volume = used(area) * (dot(w0, normal) + dot(minus(first, elements.origin), normal_change))
         for thicker in more:
-            changes.append(_weighted_stress(g, inverse, area * thicker, load.material))
-        for k, tangent in varied:
-            changes.append(_along_parameter(g, inverse, weight, parameters, structure, k, tangent))
+            changes.append(_weighted_stress(g, inverse, area * thicker, material))
+        for name, tangent in (changed_numbers | zone_changes).items():
+            changes.append(_along_number(g, inverse, weight, material, name, tangent))
         if changes:
             total = changes[0]
             for part in changes[1:]:
@@ -205,20 +207,26 @@ def _corner_changes(load: Load, elements: Elements, change: Load, into: Corners)
         pull2, pull3, push = once((pull2, pull3, push))
         return together(_shares(push, pull2, pull3), own), [volume]
 
-    corners, (volume,) = over_elements(work, elements, (load.thickness, *thickened), into)
+    inputs = load.thickness, zones, zone_changes, *thickened
+    corners, (volume,) = over_elements(work, elements, inputs, into)
     return with_overflow(corners, elements), volume / 6.0
 
 
-def _along_parameter(
-    g: Metric, inverse: jax.Array, weight: jax.Array, parameters: list[Any], structure: Any, k: int, tangent: jax.Array
+def _numbers_of(material: Law, change: Any) -> dict[str, jax.Array]:
+    """The changes of a law's numbers, by name, of a tree like it with None where there is none."""
+    changes = jax.tree.structure(material).flatten_up_to(change)
+    return {name: each for name, each in zip(ranges_of(material), changes, strict=True) if each is not None}
+
+
+def _along_number(
+    g: Metric, inverse: jax.Array, weight: jax.Array, material: Law, name: str, tangent: jax.Array
 ) -> Metric:
-    """Change of the weighted stress along one parameter of the material."""
+    """Change of the weighted stress along one number of the material."""
 
     def along(value: jax.Array) -> Metric:
-        material = jax.tree.unflatten(structure, [*parameters[:k], value, *parameters[k + 1 :]])
-        return _weighted_stress(g, inverse, weight, material)
+        return _weighted_stress(g, inverse, weight, material.with_zones({name: value}))
 
-    return jax.jvp(along, (parameters[k],), (tangent,))[1]
+    return jax.jvp(along, (getattr(material, name),), (tangent,))[1]
 
 
 def corner_cotangents(
@@ -237,27 +245,27 @@ def corner_cotangents(
     Args:
         load: What the force is worked out for.
         elements: Its elements.
-        wanted: Which leaves of the load.
+        wanted: Which leaves of the load; of the material those of its numbers, in their order.
         nodal: Cotangent of the nodal force; None where there is none.
         volume: That of the volume; None where there is none.
         into: Room for corner forces, from `no_corners`; empty where the positions' cotangent is not wanted.
-        summed: Sums over steps that are added to: (1, room) of the cotangents of the thickness' logarithm where the
-            thickness is wanted.
+        summed: Sums over steps that are added to, those of `no_sums`.
         forces: Whether `corner_forces` is worked out along with it, since most of it is at hand; `into` then has room
             for the corners' cotangents and, after them, their forces.
 
     Returns:
-        The corners' cotangents, the sums, and the cotangents of the pressure and of all the material's parameters, as
-        far as they are wanted; with the forces the enclosed volume [m^3] comes last.
+        The corners' cotangents, the sums, and the cotangents of the pressure and of all the material's numbers that
+        do not vary, as far as they are wanted; with the forces the enclosed volume [m^3] comes last.
     """
     pushed = None if nodal is None else rows_of(nodal)
     looked = [rows_of(load.positions)] + ([] if pushed is None else [pushed])
-    parameters, structure = jax.tree.flatten(load.material)
     moves, thickens, presses = wanted[:3]
-    varies = any(wanted[3:])
+    zones, names, wanted_zones = load.material.zones, _single(load.material), _wanted_zones(load, wanted)
+    varies = any(want for name, want in zip(ranges_of(load.material), wanted[3:], strict=True) if name in names)
 
     def work(*blocks: Any) -> Any:
-        old, (block, thickness) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
+        old, (block, thickness, zones) = (list(blocks[0]), blocks[1:]) if summed else ([], blocks)
+        material = load.material.with_zones(zones)
         (first, edge1, edge2), *pushes = sides = sides_of(block, *looked)
         normal, inverse, area = normal_of(sides[0], block), block.inverse_metric, block.area
         weight, pressure = area * thickness, _pressure_share(load.pressure, area)
@@ -269,7 +277,7 @@ def corner_cotangents(
             w0, w1, w2 = pushes[0]
             total = plus(_scaled(3.0, w0), plus(w1, w2))
             g, g_change = metric(edge1, edge2), once(_metric_change(edge1, edge2, w1, w2))
-            s, ds = _stress_and_change(g, g_change, inverse, weight, load.material)
+            s, ds = _stress_and_change(g, g_change, inverse, weight, material)
             if forces:
                 own_shares = _shares(_scaled(load.pressure / 6.0, normal), *_pulls(s, edge1, edge2))
             if moves:
@@ -284,13 +292,17 @@ def corner_cotangents(
                 old[0] = [old[0][0] + dot(half_change, s)]
             if presses:
                 sums.append(dot(normal, total) / 6.0)
-            if varies:
-                # Of a list of numbers each has a row.
-                spread = [jnp.broadcast_to(p[..., None], (*p.shape, area.size)) for p in parameters]
-                pull = jax.vjp(
-                    lambda p: _weighted_stress(g, inverse, weight, jax.tree.unflatten(structure, p)), spread
-                )[1]
-                sums.extend(row for rows in pull(half_change)[0] for row in rows.reshape(-1, area.size))
+            if varies or wanted_zones:
+                spread = {name: zones[name] for name in wanted_zones}
+                if varies:
+                    # Of a list of numbers each has a row.
+                    spread |= {name: _rows(getattr(material, name), area.size) for name in names}
+                pull = jax.vjp(lambda p: _weighted_stress(g, inverse, weight, material.with_zones(p)), spread)[1]
+                found = {name: list(rows.reshape(-1, area.size)) for name, rows in pull(half_change)[0].items()}
+                for k, name in enumerate(wanted_zones, int(thickens)):
+                    old[k] = [x + own for x, own in zip(old[k], found[name], strict=True)]
+                if varies:
+                    sums.extend(row for name in names for row in found[name])
         if volume is not None and moves:
             share = used(area) * (volume / 6.0)
             turn = plus(turn, _scaled(share, minus(first, elements.origin)))
@@ -306,9 +318,10 @@ def corner_cotangents(
         corners = list(zip(own, cotangent1, cotangent2, strict=True)) + own_shares
         return [*old, *together(corners, block)], sums
 
+    parameters = [getattr(load.material, name) for name in names]
     numbers = sum(p.size for p in parameters) if varies else 0
     count = 0 if pushed is None else int(presses) + numbers + int(forces)
-    inputs = own_of(elements), load.thickness
+    inputs = own_of(elements), load.thickness, zones
     room = [*summed, *into]
     arrays, sums = over_blocks(work, elements.block_count, inputs, room, sums=count, update=len(summed))
     corners = [
@@ -318,6 +331,39 @@ def corner_cotangents(
         begin = int(presses)
         sums[begin : begin + numbers] = _listed(sums[begin : begin + numbers], parameters)
     return corners, arrays[: len(summed)], sums
+
+
+def no_sums(load: Load, wanted: list[bool]) -> list[jax.Array]:
+    """What `corner_cotangents` adds to, element by element, where nothing was summed yet.
+
+    Of the logarithm of the thickness (1, room) where that is wanted, then of each number of the law that varies and is
+    wanted (k, room).
+    """
+    room, real = load.thickness.size, load.thickness.dtype
+    sizes = [getattr(load.material, name).size // room for name in _wanted_zones(load, wanted)]
+    return [jnp.zeros((size, room), real) for size in ([1] if wanted[1] else []) + sizes]
+
+
+def zone_cotangents(load: Load, wanted: list[bool], summed: list[jax.Array]) -> dict[str, jax.Array]:
+    """Of the law's numbers that vary and are wanted (..., room), by name, what they came to."""
+    names = _wanted_zones(load, wanted)
+    own = summed[int(wanted[1]) :]
+    return {name: rows.reshape(getattr(load.material, name).shape) for name, rows in zip(names, own, strict=True)}
+
+
+def _wanted_zones(load: Load, wanted: list[bool]) -> list[str]:
+    zones = load.material.zones
+    return [name for name, want in zip(ranges_of(load.material), wanted[3:], strict=True) if want and name in zones]
+
+
+def _single(material: Law) -> list[str]:
+    """The names of a law's numbers that do not vary over the sheet."""
+    zones = material.zones
+    return [name for name in ranges_of(material) if name not in zones]
+
+
+def _rows(number: jax.Array, size: int) -> jax.Array:
+    return jnp.broadcast_to(number[..., None], (*number.shape, size))
 
 
 def _listed(sums: list[jax.Array], parameters: list[jax.Array]) -> list[jax.Array]:
@@ -332,8 +378,7 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
     if nodal is None:
         wanted = [wanted[0], *(False for _ in wanted[1:])]
     thickens, presses = wanted[1:3]
-    none = [jnp.zeros((1, *load.thickness.shape), load.thickness.dtype)] if thickens else []
-    corners, summed, sums = corner_cotangents(load, elements, wanted, nodal, volume, into, none)
+    corners, summed, sums = corner_cotangents(load, elements, wanted, nodal, volume, into, no_sums(load, wanted))
     found: list[jax.Array | None] = [None] * len(wanted)
     if wanted[0]:
         found[0] = nodal_sum(corners, elements)
@@ -341,8 +386,9 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
         found[1] = summed[0][0] / load.thickness
     if presses:
         found[2] = sums.pop(0)
-    if any(wanted[3:]):
-        found[3:] = [value if want else None for value, want in zip(sums, wanted[3:], strict=True)]
+    numbers = zone_cotangents(load, wanted, summed) | dict(zip(_single(load.material), sums, strict=False))
+    for k, name in enumerate(ranges_of(load.material), 3):
+        found[k] = numbers[name] if wanted[k] else None
     return found
 
 

@@ -246,8 +246,8 @@ def principal_stretches(strain: Invariants) -> tuple[jax.Array, jax.Array]:
 
 
 def element_mean(values: jax.Array, triangles: jax.Array) -> jax.Array:
-    """Mean over each triangle's nodes (n_element,) of nodal values (n_node,)."""
-    return (values[triangles[0]] + values[triangles[1]] + values[triangles[2]]) / 3.0
+    """Mean over each triangle's nodes (..., n_element) of nodal values (..., n_node)."""
+    return (values[..., triangles[0]] + values[..., triangles[1]] + values[..., triangles[2]]) / 3.0
 
 
 def sum_to_nodes(values: jax.Array, triangles: jax.Array, node_count: int) -> jax.Array:

@@ -103,18 +103,21 @@ def of_elements(
 ) -> jax.Array:
     """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
 
+    Divided by the density where that varies.
+
     Args:
         positions: (3, n_node) [m].
         triangles: (3, n_element).
         inverse_reference: Inverse of the initial metric (3, n_element) [1/m^2].
         bound: Lambda_G (n_element,) [1/m^2].
         moving: Mask (n_element,).
-        material: The law.
+        material: The law, its zones (n_element,).
     """
     _, edge1, edge2 = edges(positions, triangles)
     edge1, edge2 = once((edge1, edge2))
     strain = invariants(metric(edge1, edge2), inverse_reference)
-    return jnp.where(moving, tangent_stiffness(strain, material) * bound, 0.0)
+    found = tangent_stiffness(strain, material) * bound
+    return jnp.where(moving, found / material.density if material.density.ndim else found, 0.0)
 
 
 def stable_step(largest: jax.Array, material: Law) -> jax.Array:
@@ -123,4 +126,5 @@ def stable_step(largest: jax.Array, material: Law) -> jax.Array:
     dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension. The thickness cancels between stiffness and lumped mass.
     Infinite where nothing can move.
     """
-    return 2.0 / jnp.sqrt(3.0 * largest / material.density)
+    square = 3.0 * largest
+    return 2.0 / jnp.sqrt(square if material.density.ndim else square / material.density)

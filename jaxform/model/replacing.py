@@ -25,7 +25,8 @@ from jaxform.model.scene import Scene
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
 
-    A number takes its old shape, or may be broadcast to it. Meshes are not replaced but built anew. Of values that are
+    A number takes its old shape, or may be broadcast to it; one of the law may take a value at each node of the parison
+    instead, (..., n_node). Meshes are not replaced but built anew. Of values that are
     traced it is not known here whether they are in their range: `simulate` then simulates nothing and its status says
     so.
 
@@ -147,13 +148,24 @@ def _designable(scene: Scene, path: str) -> jax.Array:
 def _fitted(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Array:
     arrays = [leaf for leaf in jax.tree.leaves(value) if isinstance(leaf, jax.Array)]
     new = _of_arrays(path, value) if arrays else as_real(as_numbers(path, value))
-    try:
-        new = jnp.broadcast_to(new, old.shape)
-    except ValueError:
-        raise InputError(f"has shape {new.shape}", f"give shape {old.shape}", path) from None
+    shapes = _shapes(path, old, scene)
+    if new.shape not in shapes:
+        try:
+            new = jnp.broadcast_to(new, old.shape)
+        except ValueError:
+            raise InputError(f"has shape {new.shape}", f"give shape {' or '.join(map(str, shapes))}", path) from None
     if not isinstance(new, Tracer):
         check(path, new, _range(path, scene))
     return new
+
+
+def _shapes(path: str, old: jax.Array, scene: Scene) -> list[tuple[int, ...]]:
+    """What shapes a number may have: of the law's also that of zones."""
+    if not path.startswith("material."):
+        return [old.shape]
+    name = path.removeprefix("material.")
+    own = old.shape[:-1] if name in scene.material.zones else old.shape
+    return [own, (*own, len(scene.parison.thickness))]
 
 
 def _of_arrays(path: str, value: Any) -> jax.Array:

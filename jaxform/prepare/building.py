@@ -48,7 +48,7 @@ def build_scene(
 
     Args:
         parison: The sheet.
-        material: Its law.
+        material: Its law; a number of it may have a value at each node of the parison (..., n_node).
         pressure: The pressure history, or any other loading.
         solver: Options of the time integration.
         mold: The mold; None for free inflation.
@@ -65,9 +65,10 @@ def build_scene(
             the run would take more steps than anyone would wait for.
     """
     _warn_of_float32()
-    material, pressure, count = parts.law(material), parts.loading(pressure), len(parison.positions)
+    pressure, count = parts.loading(pressure), len(parison.positions)
     if refinement is not None and forest is None:
         forest, parison = planted(parison, refinement)
+    material = parts.law(material, count, forest)
     carried = {str(key): parts.field(str(key), own, count, forest) for key, own in (fields or {}).items()}
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import is_declared, listed_numbers, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_real
-from jaxform.core.ranges import as_numbers, check, check_one
+from jaxform.core.ranges import as_numbers, check
 from jaxform.loads import Loading
 from jaxform.materials import Law
 from jaxform.mesh import bisection
@@ -20,17 +20,26 @@ from jaxform.model.field import Field
 _RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
 
 
-def law(material: Law) -> Law:
-    """The law of a scene.
+def law(material: Law, count: int, forest: bisection.Forest | None) -> Law:
+    """The law of a scene with so many nodes, its zones with values at all nodes of its forest.
 
     Raises:
-        InputError: It is none, or a number is not one number in its range.
+        InputError: It is none, or a number is not one number in its range, nor one at each node.
     """
     if not is_declared(material, Law):
         raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
-    made = _with_arrays(material, "material", single=True)
+    made = _with_arrays(material, "material", nodes={count} if forest is None else {count, len(forest.positions)})
     made.verify()
-    return made
+    if forest is None:
+        return made
+    ends, depth = forest.ends, forest.depth
+    return made.with_zones(
+        {
+            name: as_real(bisection.extended(np.asarray(own).T, ends, depth).T)
+            for name, own in made.zones.items()
+            if own.shape[-1] < len(forest.positions)
+        }
+    )
 
 
 def loading(pressure: Loading) -> Loading:
@@ -78,14 +87,19 @@ def field(name: str, given: Field, count: int, forest: bisection.Forest | None) 
     return made
 
 
-def _with_arrays[T](part: T, section: str, *, single: bool = False) -> T:
-    """A part whose numbers are arrays, each in its range."""
+def _with_arrays[T](part: T, section: str, nodes: set[int] | None = None) -> T:
+    """A part whose numbers are arrays, each in its range: where `nodes` are given one number, or so many."""
     lists = listed_numbers(part)
     for name, allowed in ranges_of(part).items():
         key, given = f"{section}.{name}", getattr(part, name)
-        (check_one if single and name not in lists else check)(key, given, allowed)
-        if name in lists and (as_numbers(key, given).ndim != 1 or not len(given)):
+        check(key, given, allowed)
+        shape, listed = as_numbers(key, given).shape, name in lists
+        if listed and (len(shape) == 0 or shape[0] == 0 or len(shape) > 1 + (nodes is not None)):
             raise InputError("is no list of numbers", "give one for each term", key, given)
+        if nodes is not None and len(shape) > int(listed) and (len(shape) > 1 + listed or shape[-1] not in nodes):
+            many = " or ".join(map(str, sorted(nodes)))
+            problem = f"has shape {shape}, is not one number, nor one at each node ({many})"
+            raise InputError(problem, allowed.remedy, key)
     return _replaced(part, {name: as_real(as_numbers(name, getattr(part, name))) for name in ranges_of(part)})
 
 

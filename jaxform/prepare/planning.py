@@ -70,6 +70,12 @@ def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.A
     square = jnp.square(jnp.linspace(1.0, largest, 64))
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
-    values = stiffness.tangent_stiffness(strain, material)
-    stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
-    return stiffness.stable_step(stiffest * bound, material)
+
+    def steps(zones: dict[str, jax.Array]) -> jax.Array:
+        own = material.with_zones(zones)
+        values = stiffness.tangent_stiffness(strain, own)
+        stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
+        return stiffness.stable_step(stiffest * bound, own)
+
+    zones = material.zones
+    return jnp.min(jax.vmap(steps, in_axes=-1)(zones)) if zones else steps(zones)

@@ -151,7 +151,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         element_thickness=jnp.where(used, now.thickness * ratio, 0.0),
         stretches=jnp.stack(membrane.principal_stretches(strain), axis=1),
         velocities=nodes.velocities.T,
-        mass=jnp.sum(scene.material.density * sheet.area * now.thickness),
+        mass=jnp.sum(now.zones.get("density", scene.material.density) * sheet.area * now.thickness),
         added_mass=_added_mass(scene, now, mesh),
         energy=Energy(
             strain=strain_energy(state, scene, now),

@@ -11,6 +11,7 @@ from jaxform.core.parameters import nodal_numbers
 from jaxform.core.pytree import as_index
 from jaxform.kernels import sizes
 from jaxform.loads import Loading, Pressure
+from jaxform.materials import Law
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement, Scene
 from jaxform.model.tables import Assembly, Bend, Forest, Pairs, Sheet
@@ -82,6 +83,17 @@ def parison_with_room(parison: Parison, elements: int, order: Order) -> Parison:
         clamped=nodal_with_room(parison.clamped, order, True),
         fixed=nodal_with_room(np.asarray(parison.fixed).T, order, True).T,
     )
+
+
+def material_with_room(material: Law, order: Order) -> Law:
+    """The law; at nodes beyond, its zones are as at the first node."""
+    there = nodal_with_room(np.ones(len(order.node), bool), order, False)
+
+    def longer(own: Any) -> Any:
+        values = np.asarray(own)
+        return np.where(there, nodal_with_room(values, order, 0.0), values[..., :1])
+
+    return material.with_zones({name: longer(own) for name, own in material.zones.items()})
 
 
 def sheet_with_room(sheet: Sheet, room: int, order: Order) -> Sheet:

@@ -29,6 +29,7 @@ from jaxform.runs.arrays import (
     grid_with_room,
     like_first,
     lying_with_room,
+    material_with_room,
     mold_with_room,
     nodal_with_room,
     padded_to,
@@ -165,7 +166,7 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
     )
     whole = Scene(
         parison=parison_with_room(scene.parison, elements, order),
-        material=scene.material,
+        material=material_with_room(scene.material, order),
         pressure=pressure_with_room(scene.pressure),
         solver=dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
         mold=None if scene.mold is None else mold_with_room(scene.mold),

@@ -26,7 +26,8 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
     """Strain energy [J]."""
     sheet = discrete.sheet
     volume = sheet.area * discrete.thickness
-    return membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, scene.material)
+    material = scene.material.with_zones(discrete.zones)
+    return membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, material)
 
 
 def account(
@@ -42,24 +43,24 @@ def account(
         positions: (3, place) [m].
         elements: The elements, of nodes at these places.
         thickness: Their initial thickness (room,) [m].
-        material: Their law.
+        material: Their law, its zones (room,).
         counted: Those that count (room,); all by default.
     """
     rows = membrane.rows_of(positions)
 
-    def work(own: Any, thickness: jax.Array, counted: Any, orientation: Any) -> Any:
+    def work(own: Any, thickness: jax.Array, zones: Any, counted: Any, orientation: Any) -> Any:
         triangles, inverse, area = own
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = once((edge1, edge2))
         strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
-        energy = area * thickness * membrane.energy_density(strain, material)
+        energy = area * thickness * membrane.energy_density(strain, material.with_zones(zones))
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
         share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
         return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
-    inputs = own, thickness, counted, elements.orientation
+    inputs = own, thickness, material.zones, counted, elements.orientation
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return energy, volume / 6.0
 
@@ -90,5 +91,5 @@ def enclosed_volume(positions: jax.Array, sheet: Sheet | Elements, counted: jax.
 
 def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
     """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
-    scale = jax.lax.stop_gradient(scene.material.stiffness() * volume)
+    scale = jax.lax.stop_gradient(jnp.max(scene.material.stiffness()) * volume)
     return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

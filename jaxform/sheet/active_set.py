@@ -47,6 +47,7 @@ class ActiveSet:
     Attributes:
         packed: Their order.
         thickness: Initial thickness of the elements (room,) [m].
+        zones: Numbers of the law that vary over the sheet, of the elements (..., room), by name.
         bound: Largest eigenvalue of their shape gradients (room,) [1/m^2].
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
@@ -58,6 +59,7 @@ class ActiveSet:
 
     packed: Packed
     thickness: jax.Array
+    zones: dict[str, jax.Array]
     bound: jax.Array
     mass: jax.Array
     compliance: jax.Array
@@ -149,7 +151,8 @@ def _idle(positions: jax.Array, scene: Scene, discrete: Discretization, packed: 
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
     whole = discrete.whole
     counted = ~packed.kept[whole.element]
-    fixed = positions, whole.elements, discrete.thickness[whole.element], scene.material
+    own = discrete.of_elements(whole.element)
+    fixed = positions, whole.elements, own.thickness, scene.material.with_zones(own.zones)
     return account(*jax.lax.stop_gradient(fixed), counted)
 
 
@@ -179,14 +182,15 @@ def _working(
 
 
 def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
-    thickness = discrete.thickness[packed.element]
+    own = discrete.of_elements(packed.element)
     return ActiveSet(
         packed=packed,
-        thickness=thickness,
+        thickness=own.thickness,
+        zones=own.zones,
         bound=discrete.bound[packed.element],
         mass=packed.taken(discrete.mass),
         compliance=packed.taken(discrete.compliance),
-        substance=jax.lax.stop_gradient(total(packed.elements.area * thickness)),
+        substance=jax.lax.stop_gradient(total(packed.elements.area * own.thickness)),
         idle_volume=idle_volume,
         idle_energy=idle_energy,
     )

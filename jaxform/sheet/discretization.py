@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -43,6 +46,13 @@ class Mesh:
     row: jax.Array
 
 
+class Substance(NamedTuple):
+    """What elements are made of: their initial thickness (n,) [m], and numbers of the law that vary (..., n)."""
+
+    thickness: jax.Array
+    zones: dict[str, jax.Array]
+
+
 @pytree
 class Discretization:
     """The discretization of the sheet: without refinement the same over a run, with it until elements are added.
@@ -54,20 +64,24 @@ class Discretization:
         assembly: How nodes gather their force.
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         thickness: Initial thickness of the elements (n_element,) [m].
+        zones: Numbers of the law that vary over the sheet, of the elements (..., n_element), by name.
         mass: Lumped mass of the nodes (n_node,) [kg], with what fine elements are given to keep the step long.
         compliance: Mobility over mass (3, n_node) [1/kg].
         whole: All elements and nodes, packed.
         volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
+        forest_zones: As `zones`, of all triangles of the forest.
     """
 
     sheet: Sheet
     assembly: Assembly
     bound: jax.Array
     thickness: jax.Array
+    zones: dict[str, jax.Array]
     mass: jax.Array
     compliance: jax.Array
     whole: Packed
     volumes: jax.Array | None = None
+    forest_zones: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
 
     @property
     def forest_volumes(self) -> jax.Array:
@@ -75,21 +89,28 @@ class Discretization:
         assert self.volumes is not None
         return self.volumes
 
+    def of_elements(self, element: jax.Array) -> Substance:
+        """What the elements of these numbers (n,) are made of."""
+        return Substance(self.thickness[element], {name: own[..., element] for name, own in self.zones.items()})
+
 
 def discretize(scene: Scene) -> Discretization:
     """The sheet of a scene; of a refined one as it is at first."""
     tables = scene.tables
     if scene.adaptivity is not None:
         forest = scene.adaptivity.forest
-        return refined_discretization(scene, forest, first_mesh(scene, scene.adaptivity), _volumes(scene, forest))
+        volumes, mesh = _volumes(scene, forest), first_mesh(scene, scene.adaptivity)
+        return refined_discretization(scene, forest, mesh, volumes, _forest_zones(scene, forest, volumes))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
-    share = scene.material.density * sheet.area * thickness / 3.0
+    zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
+    share = zones.get("density", scene.material.density) * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
     if tables.counts is not None:
         mass = jnp.where(jnp.arange(mass.size) < tables.counts.nodes, mass, 1.0)
     whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
-    return Discretization(sheet, tables.assembly, tables.bound, thickness, mass, tables.mobility / mass[None], whole)
+    compliance = tables.mobility / mass[None]
+    return Discretization(sheet, tables.assembly, tables.bound, thickness, zones, mass, compliance, whole)
 
 
 def present_discretization(
@@ -98,7 +119,8 @@ def present_discretization(
     """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
     if mesh is None or first.volumes is None or scene.adaptivity is None:
         return first
-    return refined_discretization(scene, scene.adaptivity.forest, mesh, first.volumes, stepped=stepped)
+    forest = scene.adaptivity.forest
+    return refined_discretization(scene, forest, mesh, first.volumes, first.forest_zones, stepped=stepped)
 
 
 def _volumes(scene: Scene, forest: Forest) -> jax.Array:
@@ -113,6 +135,24 @@ def _volumes(scene: Scene, forest: Forest) -> jax.Array:
     for _ in range(forest.depth):
         levels.append(levels[-1][0::2] + levels[-1][1::2])
     return jnp.concatenate(levels[::-1])
+
+
+def _forest_zones(scene: Scene, forest: Forest, volumes: jax.Array) -> dict[str, jax.Array]:
+    """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the law's numbers that vary, by name.
+
+    At the deepest level from the nodes' values; above, the mean of the parts, weighted by their volume, so that no
+    bisection makes or loses mass.
+    """
+    deepest, places = forest.root_count << forest.depth, forest.sheet.triangles
+    found = {}
+    for name, own in scene.material.zones.items():
+        weighted = [membrane.element_mean(own, places[:, -deepest:]) * volumes[-deepest:]]
+        for _ in range(forest.depth):
+            weighted.append(weighted[-1][..., 0::2] + weighted[-1][..., 1::2])
+        there = volumes > 0.0  # beyond the first triangles there may be room
+        mean = jnp.concatenate(weighted[::-1], axis=-1) / jnp.where(there, volumes, 1.0)
+        found[name] = jnp.where(there, mean, jax.lax.stop_gradient(own[..., :1]))
+    return found
 
 
 def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
@@ -153,9 +193,15 @@ def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
 
 
 def refined_discretization(
-    scene: Scene, forest: Forest, mesh: Mesh, volumes: jax.Array, *, stepped: bool = False
+    scene: Scene,
+    forest: Forest,
+    mesh: Mesh,
+    volumes: jax.Array,
+    forest_zones: dict[str, jax.Array],
+    *,
+    stepped: bool = False,
 ) -> Discretization:
-    """The sheet of the elements that a mesh lists, of which the forest's have these volumes (n_triangle,) [m^3]."""
+    """The sheet of the elements that a mesh lists, from what the forest's triangles are made of."""
     element = mesh.element
     used = jnp.arange(element.size) < mesh.element_count
     exists = jnp.arange(mesh.node.size) < mesh.node_count
@@ -166,7 +212,9 @@ def refined_discretization(
         origin=forest.sheet.origin,
     )
     volume = volumes[element]
-    share = jnp.where(used, forest.heavier[element] * scene.material.density * volume / 3.0, 0.0)
+    zones = {name: own[..., element] for name, own in forest_zones.items()}
+    density = zones.get("density", scene.material.density)
+    share = jnp.where(used, forest.heavier[element] * density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
     heavy = jnp.where(exists, mass, 1.0)
     none = jnp.zeros(0, jnp.int32)
@@ -176,8 +224,10 @@ def refined_discretization(
         assembly=assembly,
         bound=forest.bound[element],
         thickness=volume / forest.sheet.area[element],
+        zones=zones,
         mass=heavy,
         compliance=jnp.where(exists[None], forest.mobility[:, mesh.node] / heavy[None], 0.0),
         whole=pack(None, sheet, assembly, counts, stepped=stepped or not scene.packs_moving),
         volumes=volumes,
+        forest_zones=forest_zones,
     )

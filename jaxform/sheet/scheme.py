@@ -87,7 +87,8 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
     active = active or active_set_of(state, scene, discrete, differentiable=True)
     packed = active.taken(state)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
-    load = Load(packed.nodes.positions, active.thickness, scene.pressure.at(state.time, volume), scene.material)
+    material = scene.material.with_zones(active.zones)
+    load = Load(packed.nodes.positions, active.thickness, scene.pressure.at(state.time, volume), material)
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
     nodal, _ = force(load, active.packed.elements)
     velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)

@@ -22,6 +22,7 @@ from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Pari
 from jaxform.io.schema.quantities import (
     ElementSize,
     FieldReference,
+    NumberProfile,
     Profile,
     SceneReference,
     TargetProfile,
@@ -55,6 +56,7 @@ __all__ = [
     "Mold",
     "MooneyRivlin",
     "NeoHookean",
+    "NumberProfile",
     "Objective",
     "Objectives",
     "Ogden",

@@ -1,19 +1,14 @@
-"""Tables of the laws."""
+"""Tables of the laws; each number may vary over the sheet."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, Tag
+from pydantic import Field, Tag
 
 from jaxform.core.ranges import OF_LAWS
-from jaxform.io.validation import Table, allowing, choice, within, wrong
-
-
-def _one_number(value: Any) -> Any:
-    if isinstance(value, dict) or (isinstance(value, str) and value.startswith("field:")):
-        raise wrong("stiffness zones are not there yet", "give one number", value=value)
-    return value
+from jaxform.io.schema.quantities import Zoned
+from jaxform.io.validation import Table, allowing, choice, within
 
 
 def _in(law: str, key: str) -> Any:
@@ -22,8 +17,7 @@ def _in(law: str, key: str) -> Any:
 
 
 _MOST_TERMS = 6
-_OneNumber = BeforeValidator(_one_number)
-Density = Annotated[float, within("material.density")]
+Density = Zoned[Annotated[float, within("material.density")]]
 
 
 class NeoHookean(Table):
@@ -36,7 +30,7 @@ class NeoHookean(Table):
     """
 
     model: Literal["neo-hookean"]
-    c: Annotated[float, within("material.c"), _OneNumber]
+    c: Zoned[Annotated[float, within("material.c")]]
     density: Density
 
 
@@ -51,8 +45,8 @@ class MooneyRivlin(Table):
     """
 
     model: Literal["mooney-rivlin"]
-    c: Annotated[float, within("material.c"), _OneNumber]
-    alpha: Annotated[float, within("material.alpha"), _OneNumber]
+    c: Zoned[Annotated[float, within("material.c")]]
+    alpha: Zoned[Annotated[float, within("material.alpha")]]
     density: Density
 
 
@@ -67,8 +61,8 @@ class ModifiedMooneyRivlin(Table):
     """
 
     model: Literal["modified-mooney-rivlin"]
-    a01: Annotated[float, within("material.a01"), _OneNumber]
-    a02: Annotated[float, within("material.a02"), _OneNumber]
+    a01: Zoned[Annotated[float, within("material.a01")]]
+    a02: Zoned[Annotated[float, within("material.a02")]]
     density: Density
 
 
@@ -84,9 +78,9 @@ class Yeoh(Table):
     """
 
     model: Literal["yeoh"]
-    c1: Annotated[float, _in("yeoh", "c1"), _OneNumber]
-    c2: Annotated[float, _in("yeoh", "c2"), _OneNumber] = 0.0
-    c3: Annotated[float, _in("yeoh", "c3"), _OneNumber] = 0.0
+    c1: Zoned[Annotated[float, _in("yeoh", "c1")]]
+    c2: Zoned[Annotated[float, _in("yeoh", "c2")]] = 0.0
+    c3: Zoned[Annotated[float, _in("yeoh", "c3")]] = 0.0
     density: Density
 
 
@@ -101,8 +95,8 @@ class Gent(Table):
     """
 
     model: Literal["gent"]
-    mu: Annotated[float, _in("gent", "mu"), _OneNumber]
-    j_max: Annotated[float, _in("gent", "j_max"), _OneNumber]
+    mu: Zoned[Annotated[float, _in("gent", "mu")]]
+    j_max: Zoned[Annotated[float, _in("gent", "j_max")]]
     density: Density
 
 
@@ -117,8 +111,8 @@ class Ogden(Table):
     """
 
     model: Literal["ogden"]
-    mu: Annotated[list[Annotated[float, _in("ogden", "mu")]], Field(min_length=1, max_length=_MOST_TERMS)]
-    alpha: Annotated[list[Annotated[float, _in("ogden", "alpha")]], Field(min_length=1, max_length=_MOST_TERMS)]
+    mu: Annotated[list[Zoned[Annotated[float, _in("ogden", "mu")]]], Field(min_length=1, max_length=_MOST_TERMS)]
+    alpha: Annotated[list[Zoned[Annotated[float, _in("ogden", "alpha")]]], Field(min_length=1, max_length=_MOST_TERMS)]
     density: Density
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, Tag, model_validator
 
@@ -15,7 +15,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 """Of what no memory is taken for beforehand."""
 Place = Literal["radius", "x", "y", "z"]
 
-_THICKNESS_FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
+_FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
 
 
 class Profile(Table):
@@ -33,6 +33,25 @@ class Profile(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Profile:
+        _check_knots(self.at, self.value)
+        return self
+
+
+class NumberProfile(Table):
+    """A quantity, piecewise linear along a place in the initial sheet.
+
+    Attributes:
+        along: Place in the initial sheet: distance from the z axis, or a coordinate.
+        at: Knots [m], increasing; the value is held beyond the first and the last.
+        value: One per knot, in the unit and the range of the quantity.
+    """
+
+    along: Place
+    at: Annotated[list[Coordinate], Field(min_length=1)]
+    value: list[Number]
+
+    @model_validator(mode="after")
+    def _check(self) -> NumberProfile:
         _check_knots(self.at, self.value)
         return self
 
@@ -87,7 +106,7 @@ def _check_knots(at: list[float], value: list[float]) -> None:
 
 def _own_field(text: str) -> str:
     if not text.startswith("field:") or text == "field:":
-        raise wrong("is not a number", _THICKNESS_FORMS, value=text)
+        raise wrong("is not a number", _FORMS, value=text)
     return text
 
 
@@ -107,6 +126,15 @@ Thickness = Annotated[
     | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
     form(_quantity_form),
 ]
+_N = TypeVar("_N")
+Zoned = Annotated[
+    Annotated[_N, Tag("<number>")]
+    | Annotated[NumberProfile, Tag("<profile>")]
+    | _Reference
+    | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
+    form(_quantity_form),
+]
+"""A number, or what may vary over the sheet."""
 ElementSize = Annotated[
     _Number | Annotated[Profile, Tag("<profile>")],
     form(lambda value: "profile" if isinstance(value, dict) else "number"),
