@@ -305,7 +305,7 @@ def show_parts(window: int = 20) -> Table:
         )
 
     def balance(state: State, scene: jaxform.Scene, active: ActiveSet) -> Any:
-        return account.account(state.nodes.positions, active.packed.elements, active.thickness, scene.material)
+        return account.account(state.nodes.positions, active.packed.elements, active.thickness, scene.material, None)
 
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
         "nothing": (lambda state, *_: state.nodes.positions[0, 0], scene),

@@ -16,7 +16,7 @@ from benchmarks.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
 from jaxform.core.compiling import compiled, compiler_options
 from jaxform.kernels import blocks
 from jaxform.materials import Law, MooneyRivlin
-from jaxform.mechanics import force
+from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Elements, Shares, assembled, no_corners
 from jaxform.mechanics.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
 from jaxform.model import tables
@@ -179,8 +179,8 @@ def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Law) -> Callable[
 
         def advance(_: jax.Array, state: Any) -> Any:
             x, v, corners, volume = state
-            load = force.Load(x, thickness, pressure, law)
-            corners, volume = force.corner_forces(load, whole.elements, corners)
+            load = Load(x, thickness, pressure, law)
+            corners, volume = corner_forces(load, whole.elements, corners)
             nodal = assembled(corners, _shares(whole.elements))
             v = [w + step * f * c for w, f, c in zip(v, nodal, compliance, strict=True)]
             return vector(a + step * w for a, w in zip(x, v, strict=True)), v, corners, volume

@@ -27,7 +27,7 @@ from benchmarks.random_scenes import FURTHER, NAMES, STRANGERS, family_of
 from jaxform import shapes
 from jaxform.materials import Law
 from jaxform.mechanics import force
-from jaxform.mechanics.force import Load
+from jaxform.mechanics.corners import Load
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW

@@ -6,7 +6,19 @@ from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
 from .loads import Loading, Pressure, loading, make_pressure
-from .materials import Gent, Law, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, Ogden, PlaneLaw, Yeoh, law
+from .materials import (
+    Christensen,
+    Gent,
+    Law,
+    Maxwell,
+    ModifiedMooneyRivlin,
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    PlaneLaw,
+    Yeoh,
+    law,
+)
 from .model.field import Field, Surroundings, field
 from .model.replacing import replace
 from .model.scene import (
@@ -32,12 +44,14 @@ from .tools.mold import Mold, make_mold
 __all__ = [
     "Adjoint",
     "Checkpointed",
+    "Christensen",
     "Field",
     "Gent",
     "InputError",
     "InputWarning",
     "Law",
     "Loading",
+    "Maxwell",
     "ModifiedMooneyRivlin",
     "Mold",
     "Moment",

@@ -15,6 +15,7 @@ import numpy as np
 
 import jaxform
 from jaxform import InputError, Scene
+from jaxform.model.replacing import number_at
 
 Bounds = tuple[float, float]
 
@@ -143,8 +144,7 @@ class Scale:
                 "is a time", "scale another number; a FormingTime objective shortens it", "variable.of", of
             )
         part, _, name = of.rpartition(".")
-        owner = scene.fields.get(part.removeprefix("fields.")) if "." in part else getattr(scene, part, None)
-        present = getattr(owner, name, None)
+        present = number_at(scene, of)
         jaxform.replace(scene, {of: 1.0 if present is None else present})  # says what the scene has instead
         self.of, self.bounds = of, bounds
         self._present = jnp.asarray(present)

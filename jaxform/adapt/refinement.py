@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxform.adapt.inheritance import inherited
 from jaxform.adapt.insertion import insert_nodes
 from jaxform.adapt.remeshing import Queue, bisected, closed, queued
 from jaxform.contact.cells import cell_of
@@ -22,8 +23,8 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
 from jaxform.model.tables import SHORT_WINDOW, Bend
-from jaxform.sheet.account import account, kinetic_energy
-from jaxform.sheet.active_set import ActiveSet
+from jaxform.sheet.account import kinetic_energy
+from jaxform.sheet.active_set import ActiveSet, held_by
 from jaxform.sheet.discretization import NEVER, Discretization, levels, node_room, refined_discretization
 from jaxform.sheet.scheme import caught_up
 from jaxform.sheet.state import PackedState, Schedule, State, Status
@@ -163,7 +164,8 @@ def with_more_room(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[
         row=_padded(mesh.row, elements),
     )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    state = dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, status=status)
+    memory = None if state.memory is None else _padded(state.memory, elements)
+    state = dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, memory=memory, status=status)
     return _with(scene, more), state
 
 
@@ -269,14 +271,6 @@ def _grown(
     return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=active is None)
 
 
-def _held(state: State, scene: Scene, discrete: Discretization) -> tuple[jax.Array, jax.Array]:
-    """Strain energy [J] and enclosed volume [m^3] of the whole sheet; not differentiable."""
-    whole = discrete.whole
-    own = discrete.of_elements(whole.element)
-    fixed = state.nodes.positions, whole.elements, own.thickness, scene.material.with_zones(own.zones)
-    return account(*jax.lax.stop_gradient(fixed))
-
-
 def _with_parts(
     state: State,
     scene: Scene,
@@ -293,11 +287,13 @@ def _with_parts(
     body = refined_discretization(scene, forest, mesh, volumes, discrete.forest_zones)
     new = insert_nodes(state, mesh, scene, adaptivity, volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
-    (strain, volume), (new_strain, new_volume) = (_held(s, scene, b) for s, b in ((state, discrete), (new, body)))
+    if state.memory is not None:
+        new = dataclasses.replace(new, memory=inherited(state.memory, state.refined_mesh, mesh, forest))
+    held, new_held = (held_by(s, scene, b) for s, b in ((state, discrete), (new, body)))
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))
     )
-    loss = strain + kinetic - new_strain - new_kinetic
+    loss = held.energy + kinetic - new_held.energy - new_kinetic
     made = dataclasses.replace(
         new,
         mesh=mesh,
@@ -305,7 +301,7 @@ def _with_parts(
         account=dataclasses.replace(
             state.account,
             refinement_loss=state.account.refinement_loss + loss,
-            volume=state.account.volume + new_volume - volume,
+            volume=state.account.volume + new_held.volume - held.volume,
         ),
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 from jaxform.kernels.blocks import Part, once, over_blocks
 from jaxform.materials import Law
+from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, assembled, shares
-from jaxform.mechanics.force import Load, corner_forces
 from jaxform.mechanics.membrane import Vector, dot, vector
 from jaxform.model.scene import Scene
 from jaxform.sheet.packing import Packed

@@ -26,10 +26,11 @@ from jaxform.dynamics.window import window, window_and_impacts
 from jaxform.kernels import blocks
 from jaxform.kernels.blocks import Part, listed, once, only_if, over_blocks
 from jaxform.kernels.derivatives import Cotangents, Rule
+from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
-from jaxform.mechanics.force import Load, corner_cotangents, corner_forces, no_sums, zone_cotangents
 from jaxform.mechanics.membrane import dot, rows_of
 from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.pullback import corner_cotangents, no_sums, zone_cotangents
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import idle_volume, packed_moving

@@ -63,7 +63,8 @@ class Reversed(Adjoint):
         """Raises InputError where a scene has a part that cannot be stepped backwards."""
         if not scene.reversible:
             problem = (
-                "cannot step this scene backwards: it has fields of its own, or a pressure that follows the volume"
+                "cannot step this scene backwards: it has fields of its own, viscous modes, or a pressure that follows "
+                "the volume"
             )
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
 

@@ -63,7 +63,7 @@ def declared_part[T](
     if not (isinstance(cls, type) and issubclass(cls, base)) or getattr(cls, method) is getattr(base, method):
         raise InputError(f"is no {base.__name__.lower()}", remedy, value=getattr(cls, "__name__", str(cls)))
     made = pytree(cls)
-    declared = {part.name: part.metadata.get("range") for part in _numbers(made)}
+    declared = {each.name: each.metadata.get("range") for each in _numbers(made)}
     missing = sorted(key for key, allowed in {**dict.fromkeys(needed), **declared}.items() if allowed is None)
     if missing:
         text = ", ".join(missing)
@@ -75,7 +75,7 @@ def declared_part[T](
 
 def is_declared(part: Any, base: type) -> bool:
     """Whether a part is of a declared class of a kind: one that derives from such a class is none by itself."""
-    return isinstance(part, base) and "__dataclass_fields__" in vars(type(part))
+    return isinstance(part, base) and type(part) is not base and "__dataclass_fields__" in vars(type(part))
 
 
 def ranges_of(part: Any) -> dict[str, Range]:
@@ -99,4 +99,5 @@ def nodal_numbers(part: Any) -> list[str]:
 
 
 def _numbers(part: Any) -> list[dataclasses.Field[Any]]:
-    return [each for each in dataclasses.fields(part) if not each.metadata.get("static")]
+    plain = (each for each in dataclasses.fields(part) if not each.metadata.get("static"))
+    return [each for each in plain if not each.metadata.get("part")]

@@ -77,6 +77,8 @@ RANGES: dict[str, Range] = {
     "material.a01": Range("Pa", above=0.0),
     "material.a02": Range("Pa", least=0.0),
     "material.density": Range("kg/m^3", above=0.0),
+    "material.viscous.modulus": Range("Pa", above=0.0),
+    "material.viscous.time": Range("s", above=0.0),
     "solver.end_time": Range("s", above=0.0),
     "solver.damping": Range("1/s", least=0.0),
     "solver.safety": Range(above=0.0, most=1.0),

@@ -16,8 +16,9 @@ from jaxform.contact.broad_phase import (
 from jaxform.dynamics.step import FAR, Moving, Window
 from jaxform.kernels.blocks import only_if, over_blocks
 from jaxform.mechanics import membrane
+from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
-from jaxform.mechanics.force import Load, corner_forces
+from jaxform.mechanics.response import present
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import account, energy_rounding, last_work
@@ -40,6 +41,7 @@ def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Windo
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
+        memory=moving.memory,
         account=dataclasses.replace(
             moving.account,
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
@@ -138,7 +140,9 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     positions = moving.nodes.positions
     volume = None if moving.account.pressure is None else active.volume(positions)
     pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
-    load = Load(positions, active.thickness, pressure, scene.material.with_zones(active.zones))
+    modes = scene.material.viscous
+    memory = None if modes is None or moving.memory is None else present(moving.memory, modes)
+    load = Load(positions, active.thickness, pressure, *active.response(scene.material, memory))
     room = no_corners(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
@@ -165,9 +169,11 @@ def _health(
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
     material = scene.material.with_zones(active.zones)
-    strain, volume = account(state.nodes.positions, active.packed.elements, active.thickness, material)
-    strain, volume = strain + active.idle_energy, volume + active.idle_volume
+    inside = account(state.nodes.positions, active.packed.elements, active.thickness, material, state.memory)
+    strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
+    if inside.loss is not None:
+        held += 0.5 * state.control.step_length * inside.loss
     excess = held - state.account.external_work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding

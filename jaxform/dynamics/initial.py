@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 
 from jaxform.adapt.remeshing import started_mesh
@@ -10,7 +11,19 @@ from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import enclosed_volume
+from jaxform.sheet.discretization import Mesh
 from jaxform.sheet.state import Account, AtStart, Control, Replay, State, any_mode, at_start
+
+
+def _first_memory(scene: Scene, mesh: Mesh | None) -> jax.Array | None:
+    """The stress of viscous modes (4 n_mode, n_element) of a sheet that was never strained; None without such."""
+    modes, adaptivity, pairs = scene.material.viscous, scene.adaptivity, scene.tables.assembly.pairs
+    if modes is None:
+        return None
+    if mesh is not None and adaptivity is not None:
+        return modes.at_first(adaptivity.forest.sheet.inverse_metric[:, mesh.element])
+    # In the basis that elements are worked through in.
+    return modes.at_first(scene.tables.sheet.inverse_metric if pairs is None else pairs.inverse_metric)
 
 
 def initial_state(scene: Scene) -> State:
@@ -40,7 +53,7 @@ def initial_state(scene: Scene) -> State:
             mode=any_mode(positions) if scene.solver.sharp_step else None,
             fields=fields,
         ),
-        account=Account(volume, pressure, *[zero] * 8),
+        account=Account(volume, pressure, *[zero] * 8, viscous_loss=None if scene.material.viscous is None else zero),
         control=Control(
             step_length=zero,
             span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
@@ -53,6 +66,7 @@ def initial_state(scene: Scene) -> State:
         ),
         replay=Replay(none, zero),
         mesh=mesh,
+        memory=_first_memory(scene, mesh),
         time=zero,
         steps=none,
         windows=none,

@@ -24,11 +24,21 @@ from jaxform.contact.broad_phase import (
 from jaxform.contact.lists import Candidates
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import once, only_if, over_blocks, total
+from jaxform.materials import Recursion
 from jaxform.mechanics import membrane
+from jaxform.mechanics.corners import (
+    Load,
+    Remembered,
+    corner_forces,
+    corner_forces_remembered,
+    remembered,
+    stresses_now,
+)
 from jaxform.mechanics.elements import Corners, assembled, shares
-from jaxform.mechanics.force import Load, corner_forces, force
+from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.response import Memory, present
 from jaxform.model.field import Surroundings, stepped
 from jaxform.model.scene import Scene, Tool
 from jaxform.sheet.active_set import ActiveSet
@@ -42,15 +52,18 @@ FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 class Moving:
     """What changes from step to step inside a window, in packed order.
 
-    Positions (3, place) [m] are three rows where no derivative is taken: else they would be taken apart in every step.
-    `landed` is the step in which a node landed, NEVER where it has not in this window, and the impact that of
-    `sticking.Landing`, None where it is not kept. What was seen last of the mold is None where there is none, the room
-    where derivatives are taken, and that for meetings in either case.
+    The memory is what elements remember from one step to the next (4 n_mode, room), before the first step and at the
+    window's end the stress of their viscous modes; None where they have none. Positions (3, place) [m] are three rows
+    where no derivative is taken: else they would be taken apart in every step. `landed` is the step in which a node
+    landed, NEVER where it has not in this window, and the impact that of `sticking.Landing`, None where it is not kept.
+    What was seen last of the mold is None where there is none, the room where derivatives are taken, and that for
+    meetings in either case.
     """
 
     nodes: Nodes
     fields: dict[str, jax.Array]
     account: Account
+    memory: jax.Array | None
     landed: jax.Array
     impact: jax.Array | None
     count: jax.Array
@@ -80,6 +93,7 @@ class Window:
         duration: What it is to last [s].
         candidates: The list of nodes near the mold; None where there is no mold.
         wary: Whether no look at the nodes is trusted, since the last window was not taken.
+        recursion: How viscous modes go over a step; None where there are none.
     """
 
     active: ActiveSet
@@ -91,6 +105,7 @@ class Window:
     duration: jax.Array
     candidates: Candidates | None
     wary: jax.Array
+    recursion: Recursion | None
 
 
 def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Window) -> Moving:
@@ -114,8 +129,8 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
     if moving.account.pressure is not None:
         pressure = _pressure_inside(moving, scene, now)
         mean_pressure = 0.5 * (moving.account.pressure + pressure)
-    material = scene.material.with_zones(now.active.zones)
-    load = Load(moving.nodes.positions, now.active.thickness, pressure, material)
+    response = now.active.response(scene.material, _memory(moving, scene, now))
+    load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
     if moving.room is None:
         taken = _taken(load, moving, kick, length, scene, now)
     else:
@@ -133,7 +148,9 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
             pressure=None if account.pressure is None else jnp.where(moving.halted, account.pressure, pressure),
             external_work=account.external_work + mean_pressure * (volume - account.volume),
             damping_loss=account.damping_loss + taken.loss,
+            viscous_loss=_with_loss(account.viscous_loss, kick, taken.remembered),
         ),
+        memory=_kept(moving, taken.remembered),
         count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
     )
@@ -142,6 +159,35 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=_flown(moved, scene, now))
     return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+
+
+def _memory(moving: Moving, scene: Scene, now: Window) -> Memory | None:
+    """What elements remember as the step begins: in a window's first one the stress of their modes itself."""
+    modes = scene.material.viscous
+    if modes is None or moving.memory is None or now.recursion is None:
+        return None
+    gain = jnp.where(moving.count == 0, 0.0, now.recursion.gain)
+    return dataclasses.replace(present(moving.memory, modes), gain=gain)
+
+
+def _with_loss(before: jax.Array | None, kick: jax.Array, remembered: Remembered | None) -> jax.Array | None:
+    return before if before is None or remembered is None else before + kick * remembered.loss
+
+
+def _kept(moving: Moving, remembered: Remembered | None) -> jax.Array | None:
+    """What elements remember after the step; of a halted window what they did."""
+    if remembered is None or moving.memory is None or moving.room is not None:
+        return None if remembered is None else remembered.rest
+    return jnp.where(moving.halted, moving.memory, remembered.rest)
+
+
+def settled(moving: Moving, scene: Scene, now: Window) -> jax.Array | None:
+    """The stress of the modes where a window ends; None where there are none."""
+    memory = _memory(moving, scene, now)
+    if memory is None:
+        return None
+    load = Load(moving.nodes.positions, now.active.thickness, now.length, scene.material.elastic, memory)
+    return stresses_now(load, now.active.packed.elements, differentiable=moving.room is None)
 
 
 def _pressure_inside(moving: Moving, scene: Scene, now: Window) -> jax.Array:
@@ -186,13 +232,17 @@ def _flown(moved: Moving, scene: Scene, now: Window) -> jax.Array:
 
 
 class _Taken(NamedTuple):
-    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J]."""
+    """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
+
+    And what elements remember; None where they have no viscous modes.
+    """
 
     positions: jax.Array | membrane.Vector
     velocities: jax.Array
     volume: jax.Array
     loss: jax.Array | float
     room: Corners | None
+    remembered: Remembered | None
 
 
 def _taken(load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window) -> _Taken:
@@ -201,7 +251,10 @@ def _taken(load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene
     velocities, losses = kicked(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
     positions = moving.nodes.positions + length * jnp.stack(velocities)
     loss = total(losses) if losses is not None else 0.0
-    return _Taken(positions, jnp.stack(velocities), volume, loss, None)
+    rest, modes = None, scene.material.viscous
+    if modes is not None and now.recursion is not None:
+        rest = remembered(load, now.active.packed.elements, modes, now.recursion)
+    return _Taken(positions, jnp.stack(velocities), volume, loss, None, rest)
 
 
 def _taken_in_blocks(
@@ -209,7 +262,11 @@ def _taken_in_blocks(
 ) -> _Taken:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
     elements = now.active.packed.elements
-    corners, volume = corner_forces(load, elements, room)
+    modes, rest = scene.material.viscous, None
+    if modes is None or now.recursion is None:
+        corners, volume = corner_forces(load, elements, room)
+    else:
+        corners, volume, rest = corner_forces_remembered(load, elements, room, modes, now.recursion)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
 
     def work(old: Any, own: Any, nodes: Any) -> Any:
@@ -225,7 +282,7 @@ def _taken_in_blocks(
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
     new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4, kept=False)
     positions = vector(row for (row,) in new[:3])
-    return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners)
+    return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners, rest)
 
 
 def _looked(moving: Moving, now: Window, candidates: Candidates) -> Moving:

@@ -18,8 +18,9 @@ import jax.numpy as jnp
 
 from jaxform.kernels.blocks import Part, once, only_if, over_blocks
 from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics.corners import Load, corner_changes
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
-from jaxform.mechanics.force import Load, corner_changes
+from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Room
@@ -153,13 +154,15 @@ def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.A
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
     rows, elements = membrane.rows_of(state.nodes.positions), active.packed.elements
 
-    def work(triangles: jax.Array, inverse: jax.Array, area: jax.Array, bound: jax.Array, zones: Any) -> Any:
+    def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any) -> Any:
+        triangles, inverse, area = own
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
         material = scene.material.with_zones(zones)
-        return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, material)]
+        return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, material, memory)]
 
-    inputs = elements.triangles, elements.inverse_metric, elements.area, active.bound, active.zones
+    own = elements.triangles, elements.inverse_metric, elements.area
+    inputs = own, active.bound, active.zones, state.memory
     _, (largest,) = over_blocks(work, elements.block_count, inputs, [], most=1)
     step = stiffness.stable_step(largest, scene.material)
     if not scene.pressure.follows_volume:
@@ -222,7 +225,9 @@ def _highest(
     if scene.pressure.follows_volume:
         volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
     pressure = scene.pressure.at(state.time, volume)
-    load = Load(state.nodes.positions, active.thickness, pressure, scene.material.with_zones(active.zones))
+    modes = scene.material.viscous
+    memory = None if modes is None or state.memory is None else at_once(state.memory, modes)
+    load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
 
     def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
         return over_blocks(work, elements.node_block_count, inputs, into, **kinds)

@@ -22,7 +22,7 @@ from jaxform.contact.broad_phase import (
 from jaxform.contact.candidates import list_candidates
 from jaxform.contact.lists import Candidates, Lists, no_lists
 from jaxform.dynamics.closing import SLACK, close, looked_over
-from jaxform.dynamics.step import Moving, Row, Window, step
+from jaxform.dynamics.step import Moving, Row, Window, settled, step
 from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
 from jaxform.kernels.blocks import as_one, entry
 from jaxform.mechanics import membrane
@@ -115,6 +115,7 @@ def _stepped(
         duration=duration,
         candidates=_list_candidates(state, scene, active, duration, length, room),
         wary=state.control.last_count == 0,
+        recursion=None if scene.material.viscous is None else scene.material.viscous.recursion(length),
     )
     nodes = state.nodes
     corners = None if differentiable else no_corners(nodes.positions, active.packed.elements)
@@ -134,6 +135,7 @@ def _stepped(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: entry(x, taken), steps))[0], moving, now.most
         )
         moving = _with_positions(moving, jnp.stack(moving.nodes.positions))
+    moving = dataclasses.replace(moving, memory=settled(moving, scene, now))
     found = dataclasses.replace(
         state,
         nodes=dataclasses.replace(nodes, mode=limit.mode),
@@ -201,6 +203,7 @@ def _begun(state: PackedState, now: Window, room: Corners | None, impacts: bool)
         nodes=state.nodes.stepped(),
         fields=state.nodes.fields,
         account=state.account,
+        memory=state.memory,
         landed=jnp.full(places, NEVER, jnp.int32),
         impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
         count=jnp.int32(0),

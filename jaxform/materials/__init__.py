@@ -5,6 +5,7 @@ from jaxform.materials.law import Law, PlaneLaw, Slope, law
 from jaxform.materials.mooney_rivlin import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.materials.neo_hookean import NeoHookean
 from jaxform.materials.ogden import Ogden
+from jaxform.materials.viscous import MODES, Christensen, Maxwell, Modes, Recursion
 from jaxform.materials.yeoh import Yeoh
 
 LAWS: dict[str, type[Law]] = {
@@ -19,13 +20,18 @@ LAWS: dict[str, type[Law]] = {
 
 __all__ = [
     "LAWS",
+    "MODES",
+    "Christensen",
     "Gent",
     "Law",
+    "Maxwell",
+    "Modes",
     "ModifiedMooneyRivlin",
     "MooneyRivlin",
     "NeoHookean",
     "Ogden",
     "PlaneLaw",
+    "Recursion",
     "Slope",
     "Yeoh",
     "law",

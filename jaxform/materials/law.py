@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Self, dataclass_transform
+from typing import ClassVar, Self, dataclass_transform
 
 import jax
 import jax.numpy as jnp
 
 from jaxform.core.parameters import declared_part, parameter, varying_numbers, within
 from jaxform.core.pytree import static
+from jaxform.materials.viscous import Modes
 
 Slope = jax.Array | None
 """A derivative of the energy; None where the law never has it, so that the step does not compute it."""
@@ -18,6 +19,7 @@ Slope = jax.Array | None
 _UNSTRAINED = 3.0  # both invariants of a sheet that is not strained
 
 
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Law:
     """Strain energy of an incompressible isotropic material, as a function of the invariants (I1, I2).
 
@@ -37,9 +39,22 @@ class Law:
 
     Every law has a `density` [kg/m^3]. A number may vary over the sheet (zones): it then has one axis more, the last,
     with a value for each node in a scene, and for each element where the law is worked out.
+
+    Attributes:
+        viscous: Viscous modes, whose stress is added; what the law says is then what is left in the end. None without.
     """
 
-    density: jax.Array
+    viscous: Modes | None = dataclasses.field(default=None, metadata={"part": True})
+    density: ClassVar[jax.Array]  # each law declares it
+
+    @property
+    def elastic(self) -> Self:
+        """The law without its viscous modes."""
+        return self if self.viscous is None else dataclasses.replace(self, viscous=None)
+
+    def stiffness_at_once(self) -> jax.Array:
+        """As `stiffness`, with what the viscous modes add at once."""
+        return self.stiffness() if self.viscous is None else self.stiffness() + self.viscous.stiffness()
 
     @property
     def zones(self) -> dict[str, jax.Array]:

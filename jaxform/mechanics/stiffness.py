@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import once
-from jaxform.materials import Law, PlaneLaw
+from jaxform.materials import Law, Modes, PlaneLaw
+from jaxform.materials.viscous import Rows, Strained
 from jaxform.mechanics.membrane import (
     Invariants,
     Vector,
@@ -16,6 +17,7 @@ from jaxform.mechanics.membrane import (
     metric,
     principal_stretches,
 )
+from jaxform.mechanics.response import free_across, modes_of, strained
 
 
 @jax.jit
@@ -93,6 +95,23 @@ def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
     return [squares[0], mixed, squares[1]]
 
 
+def viscous_stiffness(strain: Invariants, now: Strained, stresses: list[Rows], modes: Modes) -> jax.Array:
+    """What viscous modes add at most (n,) [Pa] to the largest eigenvalue of the tangent, from the stress of each.
+
+    Three terms, each at its largest: the stress in the plane, the pressure that frees the sheet of stress across, and
+    how the modes' own stress answers to strain.
+    """
+    larger, smaller = principal_stretches(strain)
+    one, mixed, two = free_across(stresses, now)
+    a, b, c = now.initial
+    half = 0.5 * (one * a + 2.0 * mixed * b + two * c)
+    determinant = (one * two - mixed * mixed) * (a * c - b * b)
+    in_plane = half + jnp.sqrt(jnp.maximum(jnp.square(half) - determinant, 0.0))
+    across = sum((rows[3] for rows in stresses), jnp.zeros_like(larger))
+    pressure = 6.0 * jnp.maximum(across, 0.0) / (strain.determinant * jnp.square(smaller))
+    return jnp.maximum(in_plane, 0.0) + pressure + modes.stiffening(larger, smaller)
+
+
 def of_elements(
     positions: jax.Array | Vector,
     triangles: jax.Array,
@@ -100,6 +119,7 @@ def of_elements(
     bound: jax.Array,
     moving: jax.Array,
     material: Law,
+    memory: jax.Array | None = None,
 ) -> jax.Array:
     """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
 
@@ -112,11 +132,16 @@ def of_elements(
         bound: Lambda_G (n_element,) [1/m^2].
         moving: Mask (n_element,).
         material: The law, its zones (n_element,).
+        memory: The stress of its viscous modes (4 n_mode, n_element); None where it has none.
     """
     _, edge1, edge2 = edges(positions, triangles)
     edge1, edge2 = once((edge1, edge2))
-    strain = invariants(metric(edge1, edge2), inverse_reference)
-    found = tangent_stiffness(strain, material) * bound
+    g = metric(edge1, edge2)
+    strain = invariants(g, inverse_reference)
+    found = tangent_stiffness(strain, material)
+    if memory is not None and material.viscous is not None:
+        found += viscous_stiffness(strain, strained(g, inverse_reference), modes_of(memory), material.viscous)
+    found *= bound
     return jnp.where(moving, found / material.density if material.density.ndim else found, 0.0)
 
 

@@ -17,7 +17,7 @@ from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import DESIGNABLE, RANGES, Range, as_numbers, check, declared
 from jaxform.loads import Loading
-from jaxform.materials import Law
+from jaxform.materials import Law, Modes
 from jaxform.model.field import Field
 from jaxform.model.scene import Scene
 
@@ -48,14 +48,17 @@ def _put(scene: Scene, path: str, values: Any) -> Scene:
     owner: Any = dataclasses.replace(_owner(scene, part), **{name: values})
     if part.startswith("fields."):
         return dataclasses.replace(scene, fields={**scene.fields, part.removeprefix("fields."): owner})
-    return dataclasses.replace(scene, **{part: owner})
+    return _put(scene, part, owner) if "." in part else dataclasses.replace(scene, **{part: owner})
 
 
 def _owner(scene: Scene, part: str) -> Any:
-    """The part of a scene that paths such as "material" and "fields.temperature" name; None where there is none."""
+    """The part of a scene that paths such as "material.viscous" and "fields.hot" name; None where there is none."""
     if part.startswith("fields."):
         return scene.fields.get(part.removeprefix("fields."))
-    return getattr(scene, part, None)
+    owner: Any = scene
+    for name in part.split("."):
+        owner = getattr(owner, name, None)
+    return owner
 
 
 def check_numbers(scene: Scene) -> None:
@@ -113,7 +116,7 @@ def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> ja
 def _range(path: str, scene: Scene) -> Range:
     part, _, name = path.rpartition(".")
     owner = _owner(scene, part)
-    return ranges_of(owner)[name] if isinstance(owner, Law | Loading | Field) else RANGES[path]
+    return ranges_of(owner)[name] if isinstance(owner, Law | Modes | Loading | Field) else RANGES[path]
 
 
 def _key(path: str) -> str:
@@ -124,17 +127,18 @@ def _key(path: str) -> str:
 def _numbers(scene: Scene) -> dict[str, jax.Array]:
     """Those of `DESIGNABLE` that the scene has."""
     own = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in ranges_of(field)]
-    found = {path: _at(scene, path) for path in (*DESIGNABLE, *own)}
+    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *own)}
     return {path: values for path, values in found.items() if values is not None}
 
 
-def _at(scene: Scene, path: str) -> Any:
+def number_at(scene: Scene, path: str) -> Any:
+    """The number of a scene at a path, or whatever else is there; None where nothing is."""
     part, _, name = path.rpartition(".")
     return getattr(_owner(scene, part), name, None)
 
 
 def _designable(scene: Scene, path: str) -> jax.Array:
-    old = _at(scene, path)
+    old = number_at(scene, path)
     if _key(path) in DESIGNABLE and old is not None:
         return old
     if old is not None:
@@ -164,6 +168,8 @@ def _shapes(path: str, old: jax.Array, scene: Scene) -> list[tuple[int, ...]]:
     if not path.startswith("material."):
         return [old.shape]
     name = path.removeprefix("material.")
+    if "." in name:
+        return [old.shape]
     own = old.shape[:-1] if name in scene.material.zones else old.shape
     return [own, (*own, len(scene.parison.thickness))]
 

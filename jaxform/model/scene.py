@@ -185,7 +185,7 @@ class Scene:
     @property
     def reversible(self) -> bool:
         """Whether every part of it can be stepped backwards, as the reversed scheme does."""
-        return not self.fields and not self.pressure.follows_volume
+        return not self.fields and not self.pressure.follows_volume and self.material.viscous is None
 
 
 def pushes_of(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:

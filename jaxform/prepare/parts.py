@@ -13,7 +13,7 @@ from jaxform.core.parameters import is_declared, listed_numbers, nodal_numbers, 
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import as_numbers, check
 from jaxform.loads import Loading
-from jaxform.materials import Law
+from jaxform.materials import Law, Modes
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
 
@@ -28,7 +28,8 @@ def law(material: Law, count: int, forest: bisection.Forest | None) -> Law:
     """
     if not is_declared(material, Law):
         raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
-    made = _with_arrays(material, "material", nodes={count} if forest is None else {count, len(forest.positions)})
+    made = _replaced(material, {"viscous": _modes(material.viscous)})
+    made = _with_arrays(made, "material", nodes={count} if forest is None else {count, len(forest.positions)})
     made.verify()
     if forest is None:
         return made
@@ -40,6 +41,19 @@ def law(material: Law, count: int, forest: bisection.Forest | None) -> Law:
             if own.shape[-1] < len(forest.positions)
         }
     )
+
+
+def _modes(modes: Modes | None) -> Modes | None:
+    if modes is None:
+        return None
+    key = "material.viscous"
+    if not is_declared(modes, Modes):
+        raise InputError("are no viscous modes", "use jaxform.Christensen or jaxform.Maxwell", key)
+    made = _with_arrays(modes, key)
+    if made.modulus.shape != made.time.shape:
+        problem = f"has {made.time.size} numbers, modulus has {made.modulus.size}"
+        raise InputError(problem, "give one for each mode", f"{key}.time")
+    return made
 
 
 def loading(pressure: Loading) -> Loading:

@@ -9,8 +9,9 @@ import numpy as np
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import MOST_STEPS
-from jaxform.materials import Law
+from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics.response import Memory, overstress, strained
 from jaxform.model.scene import Scene, Solver
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.tools.search import SearchGrid
@@ -64,6 +65,16 @@ def first_step(scene: Scene) -> float:
     return float(scene.solver.safety) * float(_stiffest_step(bound, scene.material, as_real(1.0)))
 
 
+def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
+    """What viscous modes add at most [Pa] where a sheet is stretched at once along both axes, with these squares."""
+    none, one = jnp.zeros_like(square), jnp.ones_like(square)
+    g = square, none, square
+    unit = jnp.stack([one, none, one])
+    memory = Memory(modes.at_first(unit), modes.recursion(none[0]).gain, modes.kind)
+    stresses = overstress(g, unit, memory)[1]
+    return stiffness.viscous_stiffness(membrane.invariants(g, unit), strained(g, unit), stresses, modes)
+
+
 @jax.jit
 def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.Array:
     """The step [s] for the largest bound [1/m^2] of the elements, up to a stretch."""
@@ -74,6 +85,8 @@ def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.A
     def steps(zones: dict[str, jax.Array]) -> jax.Array:
         own = material.with_zones(zones)
         values = stiffness.tangent_stiffness(strain, own)
+        if own.viscous is not None:
+            values += _stiffness_at_once(square, own.viscous)
         stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
         return stiffness.stable_step(stiffest * bound, own)
 

@@ -15,7 +15,14 @@ from jaxform.mechanics.nodes import Rule
 from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy
 from jaxform.results.recovery import nodal_ratio
-from jaxform.sheet.account import enclosed_volume, energy_rounding, kinetic_energy, last_work, strain_energy
+from jaxform.sheet.account import (
+    enclosed_volume,
+    energy_rounding,
+    kinetic_energy,
+    last_work,
+    strain_energy,
+    viscous_loss,
+)
 from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
 from jaxform.sheet.state import Schedule, State, Taken
 
@@ -158,7 +165,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
             external_work=state.account.external_work
             + last_work(state, scene, enclosed_volume(state.nodes.positions, sheet)),
-            **state.account.losses(),
+            **(state.account.losses() | {"viscous_loss": viscous_loss(state, scene, now)}),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
             rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),

@@ -78,7 +78,7 @@ def advance(
         return _Going(after, now, active, taken, carry.count + 1)
 
     now = present_discretization(scene, state.mesh, first, stepped=True)
-    active = with_room(whole_set(now), scene)
+    active = with_room(whole_set(state, now), scene)
     begun = _Going(active.taken(state), now, active, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
     return gone.active.put_back(gone.state), gone.taken, finished(gone.state, scene)

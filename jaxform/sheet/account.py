@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from jaxform.kernels.blocks import once, over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Elements
+from jaxform.mechanics.response import modes_of, strained
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Sheet
 from jaxform.sheet.discretization import Discretization
@@ -27,7 +29,43 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
     sheet = discrete.sheet
     volume = sheet.area * discrete.thickness
     material = scene.material.with_zones(discrete.zones)
-    return membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, material)
+    energy = membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, material)
+    held = _in_modes(state, scene, discrete, lambda modes, *now: modes.energy(*now))
+    return energy if held is None else energy + held
+
+
+def viscous_loss(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
+    """What was lost in viscous modes [J] up to now: the next step adds that since half a step ago."""
+    power = _in_modes(state, scene, discrete, lambda modes, *now: modes.loss(*now))
+    if power is None or state.account.viscous_loss is None:
+        return jnp.zeros_like(state.time)
+    return state.account.viscous_loss + 0.5 * state.control.step_length * power
+
+
+def _in_modes(
+    state: State, scene: Scene, discrete: Discretization, density: Callable[..., jax.Array]
+) -> jax.Array | None:
+    """The integral over the sheet of something in its viscous modes; None where there are none."""
+    modes, whole = scene.material.viscous, discrete.whole
+    if modes is None or state.memory is None:
+        return None
+    elements = whole.elements
+    _, edge1, edge2 = membrane.edges(whole.taken(state.nodes.positions), elements.triangles)
+    now = strained(membrane.metric(edge1, edge2), elements.inverse_metric)
+    found = density(modes, modes_of(state.memory[:, whole.element]), now)
+    volume = elements.area * discrete.thickness[whole.element]
+    return jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
+
+
+class Held(NamedTuple):
+    """What elements hold: strain energy [J], with that of viscous modes, and the volume [m^3] that they enclose.
+
+    And the power that is lost in the modes [W]; None where there are none.
+    """
+
+    energy: jax.Array
+    volume: jax.Array
+    loss: jax.Array | None
 
 
 def account(
@@ -35,34 +73,42 @@ def account(
     elements: Elements,
     thickness: jax.Array,
     material: Law,
+    memory: jax.Array | None,
     counted: jax.Array | None = None,
-) -> tuple[jax.Array, jax.Array]:
-    """Strain energy [J] and enclosed volume [m^3] of elements, in one pass; not differentiable.
+) -> Held:
+    """What elements hold, in one pass; not differentiable.
 
     Args:
         positions: (3, place) [m].
         elements: The elements, of nodes at these places.
         thickness: Their initial thickness (room,) [m].
         material: Their law, its zones (room,).
+        memory: The stress of its viscous modes (4 n_mode, room); None where it has none.
         counted: Those that count (room,); all by default.
     """
-    rows = membrane.rows_of(positions)
+    rows, modes = membrane.rows_of(positions), material.viscous
 
-    def work(own: Any, thickness: jax.Array, zones: Any, counted: Any, orientation: Any) -> Any:
+    def work(own: Any, thickness: jax.Array, zones: Any, memory: Any, counted: Any, orientation: Any) -> Any:
         triangles, inverse, area = own
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = once((edge1, edge2))
-        strain = membrane.invariants(membrane.metric(edge1, edge2), inverse)
-        energy = area * thickness * membrane.energy_density(strain, material.with_zones(zones))
+        g = membrane.metric(edge1, edge2)
+        strain = membrane.invariants(g, inverse)
+        density, lost = membrane.energy_density(strain, material.with_zones(zones)), []
+        if modes is not None and memory is not None:
+            now, stresses = strained(g, inverse), modes_of(memory)
+            density += modes.energy(stresses, now)
+            lost = [area * thickness * modes.loss(stresses, now)]
+        energy = area * thickness * density
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
         share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
-        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
+        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)] + [jnp.where(used, x, 0.0) for x in lost]
 
     own = elements.triangles, elements.inverse_metric, elements.area
-    inputs = own, thickness, material.zones, counted, elements.orientation
-    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
-    return energy, volume / 6.0
+    inputs = own, thickness, material.zones, memory, counted, elements.orientation
+    _, found = over_blocks(work, elements.block_count, inputs, [], sums=2 + (memory is not None))
+    return Held(found[0], found[1] / 6.0, *found[2:] or [None])
 
 
 def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
@@ -91,5 +137,5 @@ def enclosed_volume(positions: jax.Array, sheet: Sheet | Elements, counted: jax.
 
 def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
     """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
-    scale = jax.lax.stop_gradient(jnp.max(scene.material.stiffness()) * volume)
+    scale = jax.lax.stop_gradient(jnp.max(scene.material.stiffness_at_once()) * volume)
     return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

@@ -15,11 +15,13 @@ import jax.numpy as jnp
 from jaxform.contact.lists import Lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
+from jaxform.materials import Law
 from jaxform.mechanics.elements import Corners
 from jaxform.mechanics.nodes import Rule
+from jaxform.mechanics.response import Memory, Response
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, Sheet
-from jaxform.sheet.account import account, enclosed_volume
+from jaxform.sheet.account import Held, account, enclosed_volume
 from jaxform.sheet.discretization import Discretization, Mesh
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
@@ -54,6 +56,7 @@ class ActiveSet:
         substance: Volume of the elements themselves [m^3].
         idle_volume: Enclosed by what is not active [m^3].
         idle_energy: Its strain energy [J].
+        memory: As in `State`, when it was packed; None without viscous modes.
         room: Kept from the last window; None where each window has its own.
     """
 
@@ -66,6 +69,7 @@ class ActiveSet:
     substance: jax.Array
     idle_volume: jax.Array
     idle_energy: jax.Array
+    memory: jax.Array | None = None
     room: Room | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
@@ -83,11 +87,22 @@ class ActiveSet:
                 return own
             return own | ~self.packed.exists if rule.beyond is True else jnp.where(self.packed.exists, own, rule.beyond)
 
-        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken)))
+        memory = None if state.memory is None else state.memory[:, self.packed.element]
+        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken), memory=memory))
 
     def put_back(self, state: PackedState) -> State:
         """A state in the mesh's order."""
-        return dataclasses.replace(state, nodes=state.nodes.mapped(lambda values, _: self.packed.put_back(values)))
+        nodes = state.nodes.mapped(lambda values, _: self.packed.put_back(values))
+        memory = self.memory
+        if memory is not None and state.memory is not None:
+            # What is not active remembers what it did.
+            own = jnp.where(self.packed.elements.area > 0.0, self.packed.element, memory.shape[1])
+            memory = memory.at[:, own].set(state.memory, mode="drop")
+        return dataclasses.replace(state, nodes=nodes, memory=memory)
+
+    def response(self, material: Law, memory: Memory | None = None) -> Response:
+        """How its elements answer to strain, of a scene with this law."""
+        return Response(material.elastic.with_zones(self.zones), memory)
 
 
 def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: Discretization) -> Packed:
@@ -102,13 +117,13 @@ def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: D
 def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
     """What a window works through that begins with a state in the mesh's order."""
     packed = packed_moving(state.nodes.stuck, state.mesh, scene, discrete)
-    return _working(packed, state.nodes.positions, scene, discrete, differentiable=differentiable)
+    return _working(packed, state, scene, discrete, differentiable=differentiable)
 
 
-def whole_set(discrete: Discretization) -> ActiveSet:
+def whole_set(state: State, discrete: Discretization) -> ActiveSet:
     """All there is, in the mesh's own order."""
     none = jnp.zeros((), discrete.mass.dtype)
-    return _with_masses(discrete.whole, discrete, none, none)
+    return _with_masses(discrete.whole, discrete, none, none, state.memory)
 
 
 def repacked(
@@ -145,14 +160,21 @@ def idle_volume(positions: jax.Array, scene: Scene, discrete: Discretization, pa
     return enclosed_volume(positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
 
 
-def _idle(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> tuple[jax.Array, jax.Array]:
+def _idle(state: State, scene: Scene, discrete: Discretization, packed: Packed) -> tuple[jax.Array, jax.Array]:
     """Its strain energy [J] and the volume [m^3], not differentiable."""
+    positions = state.nodes.positions
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
-    whole = discrete.whole
-    counted = ~packed.kept[whole.element]
+    held = held_by(state, scene, discrete, ~packed.kept[discrete.whole.element])
+    return held.energy, held.volume
+
+
+def held_by(state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None) -> Held:
+    """What the elements that count (room,) hold, in the order of the whole; not differentiable."""
+    whole, memory = discrete.whole, state.memory
     own = discrete.of_elements(whole.element)
-    fixed = positions, whole.elements, own.thickness, scene.material.with_zones(own.zones)
+    material, rows = scene.material.with_zones(own.zones), None if memory is None else memory[:, whole.element]
+    fixed = state.nodes.positions, whole.elements, own.thickness, material, rows
     return account(*jax.lax.stop_gradient(fixed), counted)
 
 
@@ -170,18 +192,25 @@ def _(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _working(
-    packed: Packed, positions: jax.Array, scene: Scene, discrete: Discretization, *, differentiable: bool
+    packed: Packed, state: State, scene: Scene, discrete: Discretization, *, differentiable: bool
 ) -> ActiveSet:
-    energy, volume = _idle(positions, scene, discrete, packed)
+    positions = state.nodes.positions
+    energy, volume = _idle(state, scene, discrete, packed)
     if differentiable:
         volume = idle_volume(positions, scene, discrete, packed)
     elif scene.packs_moving:
         # Second derivatives take this way as well.
         volume = _with_slope(volume, positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
-    return _with_masses(packed, discrete, volume, energy)
+    return _with_masses(packed, discrete, volume, energy, state.memory)
 
 
-def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
+def _with_masses(
+    packed: Packed,
+    discrete: Discretization,
+    idle_volume: jax.Array,
+    idle_energy: jax.Array,
+    memory: jax.Array | None,
+) -> ActiveSet:
     own = discrete.of_elements(packed.element)
     return ActiveSet(
         packed=packed,
@@ -193,4 +222,5 @@ def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Arra
         substance=jax.lax.stop_gradient(total(packed.elements.area * own.thickness)),
         idle_volume=idle_volume,
         idle_energy=idle_energy,
+        memory=memory,
     )

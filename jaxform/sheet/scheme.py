@@ -14,10 +14,12 @@ import jax.numpy as jnp
 from jaxform.kernels.blocks import once
 from jaxform.loads import Loading
 from jaxform.mechanics import membrane
-from jaxform.mechanics.force import Load, force
+from jaxform.mechanics.corners import Load
+from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
+from jaxform.mechanics.response import present
 from jaxform.model.scene import Scene
-from jaxform.sheet.account import enclosed_volume, last_work
+from jaxform.sheet.account import enclosed_volume, last_work, viscous_loss
 from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import State
@@ -87,8 +89,10 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
     active = active or active_set_of(state, scene, discrete, differentiable=True)
     packed = active.taken(state)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
-    material = scene.material.with_zones(active.zones)
-    load = Load(packed.nodes.positions, active.thickness, scene.pressure.at(state.time, volume), material)
+    modes = scene.material.viscous
+    memory = None if packed.memory is None or modes is None else present(packed.memory, modes)
+    pressure = scene.pressure.at(state.time, volume)
+    load = Load(packed.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
     nodal, _ = force(load, active.packed.elements)
     velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
@@ -103,5 +107,6 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
             pressure=None if account.pressure is None else load.pressure,
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
+            viscous_loss=None if account.viscous_loss is None else viscous_loss(state, scene, discrete),
         ),
     )

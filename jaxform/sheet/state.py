@@ -76,6 +76,7 @@ class Account:
         kinetic_peak: Largest kinetic energy at the end of a window.
         kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end.
         imbalance: Energy held and lost beyond the external work, at the last window's end.
+        viscous_loss: Taken by viscous modes up to half a step ago; None where there are none.
     """
 
     volume: jax.Array
@@ -88,10 +89,12 @@ class Account:
     kinetic_peak: jax.Array
     kinetic_excess: jax.Array
     imbalance: jax.Array
+    viscous_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
 
     def losses(self) -> dict[str, jax.Array]:
         """The terms by which energy left, by name."""
-        return {name: getattr(self, name) for name in LOSSES}
+        found = {name: getattr(self, name) for name in LOSSES}
+        return {name: value for name, value in found.items() if value is not None}
 
 
 LOSSES = marked(Account, LOSS)
@@ -138,6 +141,7 @@ class State:
         control: How long its steps and windows are.
         replay: Where it is in a schedule.
         mesh: Which triangles of the forest there are; None without refinement.
+        memory: The stress of viscous modes now (4 n_mode, n_element), as `materials.viscous` has it; None without.
         time: [s].
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
@@ -148,6 +152,7 @@ class State:
     control: Control
     replay: Replay
     mesh: Mesh | None
+    memory: jax.Array | None
     time: jax.Array
     steps: jax.Array
     windows: jax.Array
@@ -166,7 +171,7 @@ class State:
 
 
 PackedState = NewType("PackedState", State)
-"""A state whose nodes are in the packed order of `active_set.ActiveSet`, as windows have them."""
+"""A state in the packed order of `active_set.ActiveSet`, as windows have it: its nodes, and its memory."""
 
 
 class AtStart(NamedTuple):
@@ -218,7 +223,6 @@ def carries(state: State) -> State:
     none: Any = jax.tree.map(lambda _: False, state)
     smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
     pressure = None if state.account.pressure is None else True
-    account = dataclasses.replace(
-        none.account, **dict.fromkeys(("volume", "external_work", *LOSSES), True), pressure=pressure
-    )
-    return dataclasses.replace(none, nodes=smooth, account=account)
+    terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
+    account = dataclasses.replace(none.account, **terms, pressure=pressure)
+    return dataclasses.replace(none, nodes=smooth, account=account, memory=None if state.memory is None else True)

@@ -13,7 +13,7 @@ import pytest
 
 import jaxform
 from jaxform.mechanics import force
-from jaxform.mechanics.force import Load
+from jaxform.mechanics.corners import Load
 from tests import scenes
 from tests.mechanics.test_force import LAWS, _case, _random_like
 

@@ -17,6 +17,7 @@ from jaxform.dynamics import timestep
 from jaxform.dynamics.initial import initial_state
 from jaxform.kernels import blocks
 from jaxform.mechanics import force, membrane
+from jaxform.mechanics.corners import Load
 from jaxform.model.tables import Sheet
 from jaxform.prepare import planning
 from jaxform.runs import batch, loop
@@ -65,7 +66,7 @@ def test_what_sticks_is_packed_away() -> None:
     # The force on the nodes of these elements is that of these elements alone.
     random = np.random.default_rng(0).normal(0, 0.05, state.nodes.positions.shape)
     positions = state.nodes.positions + random
-    load = force.Load(packed.taken(positions), discrete.thickness[packed.element], scenes.real(0.1), scene.material)
+    load = Load(packed.taken(positions), discrete.thickness[packed.element], scenes.real(0.1), scene.material)
     got, volume = force.force(load, elements)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
     thickness = jnp.where(jnp.asarray(moving), discrete.thickness, 0.0)[whole.element]
@@ -73,7 +74,7 @@ def test_what_sticks_is_packed_away() -> None:
         jnp.where(jnp.asarray(moving)[whole.element], values, 0.0)
         for values in (whole.elements.area, jnp.asarray(whole.elements.orientation))
     )
-    full = force.Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
+    full = Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
     expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area, orientation=orientation))
     np.testing.assert_allclose(packed.put_back(got), whole.put_back(expected), atol=1e-15)
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
@@ -113,7 +114,7 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list(
         kept[len(sheet.triangles) :][:packed_away] = False
         mesh = Sheet(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3))
         packed = packing.pack(jnp.asarray(kept) if packed_away else None, mesh, assembly)
-        load = force.Load(packed.taken(moved), jnp.full(packed.element.size, 0.01), scenes.real(0.0), law)
+        load = Load(packed.taken(moved), jnp.full(packed.element.size, 0.01), scenes.real(0.0), law)
         got = packed.put_back(force.force(load, packed.elements)[0])
         expected = -jax.grad(energy)(moved, np.asarray(packed.kept))
         np.testing.assert_allclose(got, expected, atol=1e-12 * float(jnp.abs(expected).max()))
@@ -141,7 +142,7 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
     def limit(positions: jax.Array, pressure: jax.Array) -> jax.Array:
         discrete = discretize(scene)
         whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-        load = force.Load(whole.taken(positions.T), discrete.thickness[whole.element], pressure, scene.material)
+        load = Load(whole.taken(positions.T), discrete.thickness[whole.element], pressure, scene.material)
         count = positions.shape[0]
         tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
         stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
@@ -340,13 +341,12 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
         np.testing.assert_array_equal(got, expected)
     # What is not active makes up for what the account leaves out.
     whole = discrete.whole
-    energy, volume = account(
-        state.nodes.positions * 1.1, whole.elements, discrete.thickness[whole.element], scene.material
-    )
+    thickness = discrete.thickness[whole.element]
+    energy, volume, _ = account(state.nodes.positions * 1.1, whole.elements, thickness, scene.material, None)
     moved = state.with_nodes(positions=state.nodes.positions * 1.1)
     active = active_set_of(moved, scene, discrete)
     elements = active.packed.elements
-    own, inside = account(active.taken(moved).nodes.positions, elements, active.thickness, scene.material)
+    own, inside, _ = account(active.taken(moved).nodes.positions, elements, active.thickness, scene.material, None)
     assert 0.0 < float(own) < float(energy)
     np.testing.assert_allclose(own + active.idle_energy, energy, rtol=1e-13)
     np.testing.assert_allclose(inside + active.idle_volume, volume, rtol=1e-13, atol=1e-16)

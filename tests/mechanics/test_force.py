@@ -16,8 +16,8 @@ from jaxform.core.compiling import compiled
 from jaxform.kernels import blocks
 from jaxform.materials import Law
 from jaxform.mechanics import force, membrane, stiffness
+from jaxform.mechanics.corners import Load
 from jaxform.mechanics.elements import Elements
-from jaxform.mechanics.force import Load
 from jaxform.model.tables import Sheet
 from jaxform.sheet import packing
 from tests.scenes import mooney, real

@@ -1,0 +1,264 @@
+"""Viscous modes: stress on top of a law's that remembers how the sheet was strained; and Christensen's and Maxwell's.
+
+The stress of each mode is kept for each element, as four numbers: the components 11, 12, 22 of the second Piola-
+Kirchhoff stress in the basis of the element's initial edges [Pa/m^2], and that across the sheet [Pa], from which the
+pressure follows that keeps the sheet free of stress across. (Four, not three: without the last a sphere that
+should grow by 8.7 % grows by 12.4 %.)
+
+Over a step the strain is taken to be linear in time, for which the recursion is exact. With k the step over the
+mode's time, M what its stress follows, and x the stress::
+
+    x_new = exp(-k) x_old + gain M_new - back M_old
+
+so that r = exp(-k) x - back M is all that goes from step to step.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, NamedTuple, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.pytree import static
+from jaxform.core.ranges import RANGES
+
+Symmetric = tuple[jax.Array, jax.Array, jax.Array]
+Rows = list[jax.Array]
+
+_SHORT = 0.05  # of a mode's time: shorter steps take a series
+
+
+class Strained(NamedTuple):
+    """Of elements (n,): metric, inverse of the initial one, and trace and determinant of the strain in the plane."""
+
+    metric: Symmetric
+    inverse: Symmetric
+    trace: jax.Array
+    determinant: jax.Array
+
+    @property
+    def initial(self) -> Symmetric:
+        """The initial metric."""
+        a, b, c = self.inverse
+        scale = 1.0 / self._inverse_area
+        return c * scale, -b * scale, a * scale
+
+    @property
+    def present_inverse(self) -> Symmetric:
+        """The inverse of the present metric."""
+        a, b, c = self.metric
+        scale = self._inverse_area / self.determinant
+        return c * scale, -b * scale, a * scale
+
+    @property
+    def raised(self) -> Symmetric:
+        """The present metric with its components raised by the initial one: by the theorem of Cayley and Hamilton."""
+        a, b, c = self.metric
+        r, scale = self.inverse, self._inverse_area
+        return self.trace * r[0] - scale * c, self.trace * r[1] + scale * b, self.trace * r[2] - scale * a
+
+    @property
+    def _inverse_area(self) -> jax.Array:
+        a, b, c = self.inverse
+        return a * c - b * b
+
+
+class Recursion(NamedTuple):
+    """How modes go over a step (n_mode,): what of their stress is left, what they gain, and what they give back."""
+
+    left: jax.Array
+    gain: jax.Array
+    back: jax.Array
+
+
+class Modes:
+    """Viscous modes of one kind, a modulus and a time each; the kind is the class.
+
+    Attributes:
+        kind: Its name.
+        modulus: One number for each mode (n_mode,) [Pa].
+        time: Relaxation times (n_mode,) [s].
+    """
+
+    kind: ClassVar[str] = ""
+    modulus: jax.Array
+    time: jax.Array
+
+    @staticmethod
+    def measure(strained: Strained) -> Rows:
+        """What the stress of a mode follows: 11, 12, 22 [1/m^2], and across."""
+        raise NotImplementedError
+
+    def recursion(self, step: jax.Array) -> Recursion:
+        """Of a step [s], or of steps that are different for each mode and element (n_mode, n)."""
+        raise NotImplementedError
+
+    def at_first(self, inverse: jax.Array) -> jax.Array:
+        """The stress (4 n_mode, n) of elements that were never strained, with this inverse metric (3, n)."""
+        raise NotImplementedError
+
+    def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
+        """What the modes store (n,) [J/m^3], from the stress of each."""
+        raise NotImplementedError
+
+    def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
+        """What they dissipate (n,) [W/m^3]."""
+        raise NotImplementedError
+
+    def stiffening(self, larger: jax.Array, smaller: jax.Array) -> jax.Array:
+        """Largest eigenvalue (n,) [Pa] of how the stress of all modes answers at once to strain, at these stretches."""
+        raise NotImplementedError
+
+    def stiffness(self) -> jax.Array:
+        """C of an equally stiff neo-Hookean sheet in small strain, at once [Pa]."""
+        raise NotImplementedError
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+def modes[T: Modes](cls: type[T]) -> type[T]:
+    """Makes a class a kind of modes: a frozen dataclass and a pytree, its numbers known to `replace` and to designs."""
+    remedy = "derive it from Modes and say what its stress follows"
+    return declared_part(cls, Modes, "measure", remedy, "material.viscous", needed=("modulus", "time"))
+
+
+@modes
+class Christensen(Modes):
+    """S = integral of g1(t - s) dE/ds ds, E = (C - 1) / 2, g1 a sum of exponentials (the paper's reference 13).
+
+    Attributes:
+        modulus: One number for each mode (n_mode,) [Pa]; half their sum is added to the shear modulus at once.
+        time: Relaxation times (n_mode,) [s].
+    """
+
+    kind: ClassVar[str] = "christensen"
+    modulus: jax.Array = within(RANGES["material.viscous.modulus"], listed=True)
+    time: jax.Array = within(RANGES["material.viscous.time"], listed=True)
+
+    @staticmethod
+    def measure(strained: Strained) -> Rows:
+        """The strain E, with its components raised by the initial metric."""
+        plane = [0.5 * (new - old) for new, old in zip(strained.raised, strained.inverse, strict=True)]
+        return [*plane, 0.5 * (1.0 / strained.determinant - 1.0)]
+
+    def recursion(self, step: jax.Array) -> Recursion:
+        """The stress relaxes, and follows the strain."""
+        left, lag = _relaxed(step, self.time)
+        gain = _beside(self.modulus, lag) * (1.0 - lag)
+        return Recursion(left, gain, gain)
+
+    def at_first(self, inverse: jax.Array) -> jax.Array:
+        """None."""
+        return jnp.zeros((4 * self.modulus.size, inverse.shape[1]), inverse.dtype)
+
+    def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
+        """Half the square of the stress over the modulus."""
+        terms = (0.5 / modulus * _square(x, strained) for modulus, x in zip(self.modulus, stress, strict=True))
+        return sum(terms, jnp.zeros_like(strained.determinant))
+
+    def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
+        """The square of the stress over the viscosity."""
+        rates = 1.0 / (self.modulus * self.time)
+        terms = (rate * _square(x, strained) for rate, x in zip(rates, stress, strict=True))
+        return sum(terms, jnp.zeros_like(strained.determinant))
+
+    def stiffening(self, larger: jax.Array, smaller: jax.Array) -> jax.Array:
+        """Grows with the square of the stretch."""
+        area = jnp.square(larger * smaller)
+        across = (1.0 / jnp.square(larger) + 1.0 / jnp.square(smaller)) / jnp.square(area)
+        return jnp.sum(self.modulus) * (jnp.square(larger) + across)
+
+    def stiffness(self) -> jax.Array:
+        """A quarter of the moduli."""
+        return 0.25 * jnp.sum(self.modulus)
+
+
+@modes
+class Maxwell(Modes):
+    """S = sum of g A, dA/dt = (C^-1 - A) / time, A = 1 at first: upper-convected Maxwell modes, for melts.
+
+    The same is known as Lodge's rubber-like liquid and as K-BKZ without damping.
+
+    Attributes:
+        modulus: One number for each mode (n_mode,) [Pa]; their sum is added to the shear modulus at once.
+        time: Relaxation times (n_mode,) [s].
+    """
+
+    kind: ClassVar[str] = "maxwell"
+    modulus: jax.Array = within(RANGES["material.viscous.modulus"], listed=True)
+    time: jax.Array = within(RANGES["material.viscous.time"], listed=True)
+
+    @staticmethod
+    def measure(strained: Strained) -> Rows:
+        """The inverse of C."""
+        return [*strained.present_inverse, strained.determinant]
+
+    def recursion(self, step: jax.Array) -> Recursion:
+        """The stress goes towards that of a sheet that was always strained as it is."""
+        left, lag = _relaxed(step, self.time)
+        modulus = _beside(self.modulus, lag)
+        return Recursion(left, modulus * lag, modulus * (left - 1.0 + lag))
+
+    def at_first(self, inverse: jax.Array) -> jax.Array:
+        """As in rubber that is not strained."""
+        rows = jnp.concatenate([inverse, jnp.ones_like(inverse[:1])])
+        return (self.modulus[:, None, None] * rows[None]).reshape(-1, inverse.shape[1])
+
+    def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
+        """That of dumbbells: g / 2 (tr c - ln det c - 3) of the conformation c."""
+        total = jnp.zeros_like(strained.determinant)
+        for modulus, x in zip(self.modulus, stress, strict=True):
+            trace, determinant, across = _conformation(modulus, x, strained)
+            total += 0.5 * modulus * (trace + across - 3.0 - jnp.log(determinant * across))
+        return total
+
+    def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
+        """G / (2 time) (tr c + tr c^-1 - 6)."""
+        total = jnp.zeros_like(strained.determinant)
+        for modulus, time, x in zip(self.modulus, self.time, stress, strict=True):
+            trace, determinant, across = _conformation(modulus, x, strained)
+            total += 0.5 * modulus / time * (trace + trace / determinant + across + 1.0 / across - 6.0)
+        return total
+
+    def stiffening(self, larger: jax.Array, smaller: jax.Array) -> jax.Array:
+        """None: at once only the pressure answers."""
+        return jnp.zeros_like(larger)
+
+    def stiffness(self) -> jax.Array:
+        """Half the moduli."""
+        return 0.5 * jnp.sum(self.modulus)
+
+
+MODES: dict[str, type[Modes]] = {"christensen": Christensen, "maxwell": Maxwell}
+"""Those that a scene file names."""
+
+
+def _relaxed(step: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Exp(-k), k the step over the times, and 1 - (1 - exp(-k)) / k: how far a mode lags behind."""
+    k = step / _beside(time, step)
+    short = jnp.minimum(k, _SHORT)
+    series = short * (1 / 2 - short * (1 / 6 - short * (1 / 24 - short * (1 / 120 - short / 720))))
+    long = jnp.maximum(k, _SHORT)
+    return jnp.exp(-k), jnp.where(k < _SHORT, series, 1.0 + jnp.expm1(-long) / long)
+
+
+def _beside(numbers: jax.Array, like: jax.Array) -> jax.Array:
+    """Numbers (n_mode,), as (n_mode, 1) where the others are (n_mode, n)."""
+    return numbers[:, None] if like.ndim == 2 else numbers
+
+
+def _square(x: Rows, strained: Strained) -> jax.Array:
+    """The square (n,) [Pa^2] of a stress."""
+    g = strained.initial
+    a, b = x[0] * g[0] + x[1] * g[1], x[0] * g[1] + x[1] * g[2]
+    c, d = x[1] * g[0] + x[2] * g[1], x[1] * g[1] + x[2] * g[2]
+    return a * a + 2.0 * b * c + d * d + x[3] * x[3]
+
+
+def _conformation(modulus: jax.Array, x: Rows, strained: Strained) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Trace and determinant in the plane, and the eigenvalue across, of the conformation of a mode (n,)."""
+    g, one = strained.metric, 1.0 / modulus
+    trace = one * (x[0] * g[0] + 2.0 * x[1] * g[1] + x[2] * g[2])
+    determinant = one * one * (x[0] * x[2] - x[1] * x[1]) * (g[0] * g[2] - g[1] * g[1])
+    return trace, determinant, one * x[3] / strained.determinant

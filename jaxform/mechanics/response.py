@@ -1,0 +1,170 @@
+"""How an element answers to strain: by the stress of its law, and of viscous modes where it has such."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.parameters import ranges_of
+from jaxform.core.pytree import pytree, static
+from jaxform.kernels.blocks import once
+from jaxform.materials import MODES, Law, Modes, Recursion
+from jaxform.materials.viscous import Rows, Strained
+from jaxform.mechanics.membrane import Metric, invariants, plus, stress, stress_factors
+
+
+@pytree
+class Memory:
+    """What elements remember: the stress of mode k is `rest[k] + gain[k] M`, M what it follows.
+
+    Attributes:
+        rest: (4 n_mode, n), four rows a mode.
+        gain: (n_mode,), or of each element (n_mode, n).
+        kind: Name of the kind of modes.
+        only_slope: Whether `rest` is the stress itself, and the gain says only how it answers to a change.
+    """
+
+    rest: jax.Array
+    gain: jax.Array
+    kind: str = static()
+    only_slope: bool = static(default=False)
+
+
+def present(stress: jax.Array, modes: Modes) -> Memory:
+    """Of elements whose modes have this stress (4 n_mode, n) now."""
+    return Memory(stress, jnp.zeros_like(modes.modulus), modes.kind)
+
+
+def at_once(stress: jax.Array, modes: Modes) -> Memory:
+    """The same, with how it answers to a change of the strain that takes no time."""
+    none = jnp.zeros((), modes.time.dtype)
+    return Memory(stress, modes.recursion(none).gain, modes.kind, only_slope=True)
+
+
+class Response(NamedTuple):
+    """A law, without its viscous modes, and what elements remember; None where they have no such modes.
+
+    Its numbers are those of the law and of the memory; those that vary are of each element (..., n).
+    """
+
+    material: Law
+    memory: Memory | None = None
+
+    @property
+    def numbers(self) -> dict[str, jax.Array]:
+        """All of them, by name, in the order of the leaves of a load."""
+        found = {name: getattr(self.material, name) for name in ranges_of(self.material)}
+        if self.memory is not None:
+            found |= {"memory.rest": self.memory.rest, "memory.gain": self.memory.gain}
+        return found
+
+    @property
+    def zones(self) -> dict[str, jax.Array]:
+        """Those that vary."""
+        found = self.material.zones
+        if self.memory is not None:
+            found = found | {"memory.rest": self.memory.rest}
+            found |= {"memory.gain": self.memory.gain} if self.memory.gain.ndim == 2 else {}
+        return found
+
+    @property
+    def single(self) -> dict[str, jax.Array]:
+        """Those that do not vary."""
+        zones = self.zones
+        return {name: number for name, number in self.numbers.items() if name not in zones}
+
+    def having(self, numbers: Mapping[str, jax.Array]) -> Response:
+        """The same with other numbers."""
+        of_law = {name: number for name, number in numbers.items() if not name.startswith("memory.")}
+        memory = self.memory
+        if memory is not None:
+            rest, gain = numbers.get("memory.rest", memory.rest), numbers.get("memory.gain", memory.gain)
+            memory = Memory(rest, gain, memory.kind, memory.only_slope)
+        return Response(self.material.with_zones(of_law), memory)
+
+
+def stress_of(g: Metric, inverse: Any, weight: jax.Array, response: Response) -> Metric:
+    """A0 h0 S^ab (n,): what multiplies the edges in the nodal forces."""
+    a, b = stress_factors(g, inverse, response.material)
+    s = stress(g, inverse, (weight * a, weight * b))
+    return s if response.memory is None else plus(s, _scaled(weight, overstress(g, inverse, response.memory)[0]))
+
+
+def stress_once(g: Metric, inverse: Any, weight: jax.Array, response: Response) -> tuple[Metric, list[Rows]]:
+    """The same, kept for all its uses, and the stress of each mode."""
+    factors = stress_factors(g, inverse, response.material)
+    s = stress(g, inverse, once((weight * factors[0], weight * factors[1])))
+    if response.memory is None:
+        return once(s), []
+    more, modes = overstress(g, inverse, response.memory)
+    return once((plus(s, _scaled(weight, more)), modes))
+
+
+def stress_and_change(
+    g: Metric, change: Metric, inverse: Any, weight: jax.Array, response: Response
+) -> tuple[Metric, Metric]:
+    """A0 h0 S^ab, and its change along that of the metric (n,)."""
+
+    def factors(g: Metric) -> tuple[jax.Array, jax.Array]:
+        a, b = stress_factors(g, inverse, response.material)
+        return weight * a, weight * b
+
+    # Both divide; kept, they are worked out once instead of for each of the six components.
+    own, rate = once(jax.jvp(factors, (g,), (change,)))
+    b = own[1]
+    s = stress(g, inverse, own)
+    ds = plus(stress(g, inverse, rate), (b * change[2], -b * change[1], b * change[0]))
+    memory = response.memory
+    if memory is not None:
+        more, more_change = jax.jvp(lambda g: overstress(g, inverse, memory)[0], (g,), (change,))
+        s, ds = plus(s, _scaled(weight, more)), plus(ds, _scaled(weight, more_change))
+    return once((s, ds))
+
+
+def strained(g: Metric, inverse: Any) -> Strained:
+    """What viscous modes look at."""
+    r = inverse[0], inverse[1], inverse[2]
+    strain = invariants(g, r)
+    return Strained(g, r, strain.trace, strain.determinant)
+
+
+def overstress(g: Metric, inverse: Any, memory: Memory) -> tuple[Metric, list[Rows]]:
+    """Stress S^ab [Pa/m^2] of all modes, free across the sheet, and that of each mode by itself."""
+    now = strained(g, inverse)
+    measure = MODES[memory.kind].measure(now)
+    if memory.only_slope:
+        measure = [row - jax.lax.stop_gradient(row) for row in measure]
+    modes = [
+        [memory.rest[4 * k + i] + gain * row for i, row in enumerate(measure)] for k, gain in enumerate(memory.gain)
+    ]
+    return free_across(modes, now), modes
+
+
+def modes_of(memory: jax.Array) -> list[Rows]:
+    """The stress of each mode, of rows (4 n_mode, n)."""
+    return [list(memory[k : k + 4]) for k in range(0, len(memory), 4)]
+
+
+def free_across(modes: list[Rows], now: Strained) -> Metric:
+    """The modes' stress in the plane with the pressure that takes away what they have across it."""
+    one, mixed, two, across = (sum(rows[1:], rows[0]) for rows in zip(*modes, strict=True))
+    pressure = across / now.determinant
+    a, b, c = now.present_inverse
+    return one - pressure * a, mixed - pressure * b, two - pressure * c
+
+
+def kept(modes: list[Rows], g: Metric, inverse: Any, memory: Memory, recursion: Recursion) -> Rows:
+    """What goes on to the next step, as `Memory.rest` (4 n_mode rows), after a step with that recursion."""
+    measure = MODES[memory.kind].measure(strained(g, inverse))
+    return [
+        left * x - back * row
+        for rows, left, back in zip(modes, recursion.left, recursion.back, strict=True)
+        for x, row in zip(rows, measure, strict=True)
+    ]
+
+
+def _scaled(factor: jax.Array, s: Metric) -> Metric:
+    return factor * s[0], factor * s[1], factor * s[2]
