@@ -241,7 +241,7 @@ def _look(
     scene: jaxform.Scene, state: State, now: discretization.Discretization
 ) -> tuple[State, discretization.Discretization]:
     packed = active_set.active_set_of(state, scene, now)
-    refined, now = refinement.refined_in_place(packed.taken(state), scene, now, packed)
+    refined, now, _ = refinement.refined_in_place(packed.taken(state), scene, now, packed)
     return packed.put_back(refined), now
 
 

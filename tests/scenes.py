@@ -128,5 +128,5 @@ def bisected(scene: Scene, state: State, sheet: Discretization, wanted: jax.Arra
 def looked_at(state: State, scene: Scene, sheet: Discretization) -> tuple[State, Discretization]:
     """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
     packed = active_set.active_set_of(state, scene, sheet)
-    refined, sheet = refinement.refined_in_place(packed.taken(state), scene, sheet, packed)
+    refined, sheet, packed = refinement.refined_in_place(packed.taken(state), scene, sheet, packed)
     return packed.put_back(refined), sheet

@@ -64,20 +64,29 @@ def refined(
 
 def refined_in_place(
     state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet
-) -> tuple[PackedState, Discretization]:
-    """The same of a state in the order of the last window's active set; no derivative is taken."""
+) -> tuple[PackedState, Discretization, ActiveSet]:
+    """The same of a state in the order of the last window's active set; no derivative is taken.
+
+    And that set: where elements have a memory, it has that of the new ones, in whose order it is to be packed anew.
+    """
     adaptivity = scene.adaptivity
     if state.mesh is None or adaptivity is None:
-        return state, discrete
+        return state, discrete, active
 
-    def look(now: tuple[PackedState, Discretization]) -> tuple[PackedState, Discretization]:
-        state, body = active.put_back(now[0]), now[1]
+    def look(now: Any) -> tuple[PackedState, Discretization, Any]:
+        packed, body, _ = now
+        state = active.put_back(packed)
         state, body = _grown(
             state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene.tables.grid), active
         )
-        return active.taken(state), body
+        idle = active.idle
+        if idle is not None and state.memory is not None:
+            idle = dataclasses.replace(idle, stress=state.memory[:, idle.element], since=state.time)
+        return active.taken(state), body, (state.memory, idle)
 
-    return only_if(_is_due(state, adaptivity), look, (state, discrete))
+    begun = state, discrete, (active.memory, active.idle)
+    state, discrete, (memory, idle) = only_if(_is_due(state, adaptivity), look, begun)
+    return state, discrete, dataclasses.replace(active, memory=memory, idle=idle)
 
 
 def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:

@@ -172,8 +172,6 @@ def _health(
     inside = account(state.nodes.positions, active.packed.elements, active.thickness, material, state.memory)
     strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
-    if inside.loss is not None:
-        held += 0.5 * state.control.step_length * inside.loss
     excess = held - state.account.external_work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding

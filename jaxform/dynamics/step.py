@@ -148,7 +148,7 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
             pressure=None if account.pressure is None else jnp.where(moving.halted, account.pressure, pressure),
             external_work=account.external_work + mean_pressure * (volume - account.volume),
             damping_loss=account.damping_loss + taken.loss,
-            viscous_loss=_with_loss(account.viscous_loss, kick, taken.remembered),
+            viscous_loss=_with_loss(moving, length, taken.remembered),
         ),
         memory=_kept(moving, taken.remembered),
         count=moving.count + jnp.where(moving.halted, 0, 1),
@@ -170,8 +170,12 @@ def _memory(moving: Moving, scene: Scene, now: Window) -> Memory | None:
     return dataclasses.replace(present(moving.memory, modes), gain=gain)
 
 
-def _with_loss(before: jax.Array | None, kick: jax.Array, remembered: Remembered | None) -> jax.Array | None:
-    return before if before is None or remembered is None else before + kick * remembered.loss
+def _with_loss(moving: Moving, length: jax.Array, remembered: Remembered | None) -> jax.Array | None:
+    """What modes lost up to half a step after the step's begin, or from there where a window begins; by trapezoids."""
+    before = moving.account.viscous_loss
+    if before is None or remembered is None:
+        return before
+    return before + jnp.where(moving.count == 0, 0.5, 1.0) * length * remembered.loss
 
 
 def _kept(moving: Moving, remembered: Remembered | None) -> jax.Array | None:
@@ -181,13 +185,17 @@ def _kept(moving: Moving, remembered: Remembered | None) -> jax.Array | None:
     return jnp.where(moving.halted, moving.memory, remembered.rest)
 
 
-def settled(moving: Moving, scene: Scene, now: Window) -> jax.Array | None:
-    """The stress of the modes where a window ends; None where there are none."""
-    memory = _memory(moving, scene, now)
-    if memory is None:
-        return None
+def settled(moving: Moving, scene: Scene, now: Window) -> Moving:
+    """A window's end: with the stress of viscous modes for what is remembered, and all that they lost."""
+    memory, modes, lost = _memory(moving, scene, now), scene.material.viscous, moving.account.viscous_loss
+    if memory is None or modes is None or lost is None:
+        return moving
     load = Load(moving.nodes.positions, now.active.thickness, now.length, scene.material.elastic, memory)
-    return stresses_now(load, now.active.packed.elements, differentiable=moving.room is None)
+    found = stresses_now(load, now.active.packed.elements, modes, differentiable=moving.room is None)
+    lost += jnp.where(moving.count == 0, 0.0, 0.5) * now.length * found.loss
+    return dataclasses.replace(
+        moving, memory=found.rest, account=dataclasses.replace(moving.account, viscous_loss=lost)
+    )
 
 
 def _pressure_inside(moving: Moving, scene: Scene, now: Window) -> jax.Array:

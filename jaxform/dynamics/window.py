@@ -135,7 +135,7 @@ def _stepped(
             lambda moving, taken: advance(moving, jax.tree.map(lambda x: entry(x, taken), steps))[0], moving, now.most
         )
         moving = _with_positions(moving, jnp.stack(moving.nodes.positions))
-    moving = dataclasses.replace(moving, memory=settled(moving, scene, now))
+    moving = settled(moving, scene, now)
     found = dataclasses.replace(
         state,
         nodes=dataclasses.replace(nodes, mode=limit.mode),

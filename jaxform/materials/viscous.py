@@ -250,10 +250,11 @@ def _beside(numbers: jax.Array, like: jax.Array) -> jax.Array:
 
 def _square(x: Rows, strained: Strained) -> jax.Array:
     """The square (n,) [Pa^2] of a stress."""
+    # In the plane that of the trace less twice the determinant.
     g = strained.initial
-    a, b = x[0] * g[0] + x[1] * g[1], x[0] * g[1] + x[1] * g[2]
-    c, d = x[1] * g[0] + x[2] * g[1], x[1] * g[1] + x[2] * g[2]
-    return a * a + 2.0 * b * c + d * d + x[3] * x[3]
+    trace = x[0] * g[0] + 2.0 * x[1] * g[1] + x[2] * g[2]
+    determinant = (x[0] * x[2] - x[1] * x[1]) * (g[0] * g[2] - g[1] * g[1])
+    return trace * trace - 2.0 * determinant + x[3] * x[3]
 
 
 def _conformation(modulus: jax.Array, x: Rows, strained: Strained) -> tuple[jax.Array, jax.Array, jax.Array]:

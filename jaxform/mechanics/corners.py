@@ -19,6 +19,7 @@ from jaxform.mechanics.elements import (
     Corners,
     Elements,
     Own,
+    metrics_of,
     normal_of,
     over_elements,
     own_of,
@@ -31,10 +32,9 @@ from jaxform.mechanics.elements import (
 from jaxform.mechanics.membrane import Metric, Vector, cross, dot, edges, metric, minus, plus, rows_of
 from jaxform.mechanics.response import (
     Memory,
+    Overstress,
     Response,
-    kept,
     overstress,
-    strained,
     stress_and_change,
     stress_of,
     stress_once,
@@ -105,12 +105,13 @@ def corner_forces_remembered(
     varying, single = _split(recursion)
 
     def work(old: Any, own: Own, thickness: jax.Array, zones: Any, varying: Any) -> Any:
-        present = response.having(zones | {"memory.rest": jnp.stack(old[0])})
-        corners, volume, (g, stresses) = _forces(rows, own, thickness, load.pressure, elements.origin, present)
-        rate = modes.loss(stresses, strained(g, own.inverse_metric))
+        # As they are: put together, the rows would be copied.
+        present = response.having(zones | {"memory.rest": old[0]})
+        corners, volume, found = _forces(rows, own, thickness, load.pressure, elements.origin, present)
+        assert found is not None
+        rate = modes.loss(found.modes, found.strained)
         lost = jnp.where(own.area > 0.0, own.area * thickness * rate, 0.0)
-        new = kept(stresses, g, own.inverse_metric, memory, Recursion(**(varying | single)))
-        return [new, *together(corners, own)], [volume, lost]
+        return [found.kept(Recursion(**(varying | single))), *together(corners, own)], [volume, lost]
 
     inputs = own_of(elements), load.thickness, zones, varying
     (rest, *corners), (volume, loss) = over_blocks(
@@ -122,33 +123,38 @@ def corner_forces_remembered(
 def remembered(load: Load, elements: Elements, modes: Modes, recursion: Recursion) -> Remembered:
     """The same alone, differentiable."""
     assert load.memory is not None
-    _, edge1, edge2 = edges(load.positions, elements.triangles)
-    g, inverse = metric(edge1, edge2), elements.inverse_metric
-    stresses = overstress(g, inverse, load.memory)[1]
-    rate = modes.loss(stresses, strained(g, inverse))
+    found = overstress(*metrics_of(load.positions, elements), load.memory)
+    rate = modes.loss(found.modes, found.strained)
     loss = jnp.where(elements.area > 0.0, elements.area * load.thickness * rate, 0.0)
-    return Remembered(jnp.stack(kept(stresses, g, inverse, load.memory, recursion)), jnp.sum(loss))
+    return Remembered(jnp.stack(found.kept(recursion)), jnp.sum(loss))
 
 
-def stresses_now(load: Load, elements: Elements, *, differentiable: bool) -> jax.Array:
-    """The stress of the modes (4 n_mode, room) at these positions."""
+def stresses_now(load: Load, elements: Elements, modes: Modes, *, differentiable: bool) -> Remembered:
+    """The stress of the modes at these positions, in place of what is remembered, and the power that is lost."""
     assert load.memory is not None
     rows, memory = rows_of(load.positions), load.memory
 
-    def stresses(triangles: jax.Array, inverse: Any, memory: Memory) -> Rows:
-        _, edge1, edge2 = edges(load.positions if differentiable else rows, triangles)
-        return [row for mode in overstress(metric(edge1, edge2), inverse, memory)[1] for row in mode]
+    def work(g: Metric, inverse: Any, volume: jax.Array, memory: Memory) -> tuple[Rows, jax.Array]:
+        found = overstress(g, inverse, memory, once)
+        lost = jnp.where(volume > 0.0, volume * modes.loss(found.modes, found.strained), 0.0)
+        return [row for mode in found.modes for row in mode], lost
 
     if differentiable:
-        return jnp.stack(stresses(elements.triangles, elements.inverse_metric, memory))
+        stress, lost = work(*metrics_of(load.positions, elements), elements.area * load.thickness, memory)
+        return Remembered(jnp.stack(stress), jnp.sum(lost))
     zones = {"gain": memory.gain} if memory.gain.ndim == 2 else {}
 
-    def work(old: Any, triangles: jax.Array, inverse: jax.Array, zones: Any) -> Any:
-        return [stresses(triangles, inverse, dataclasses.replace(memory, rest=jnp.stack(old[0]), **zones))], []
+    def of_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any) -> Any:
+        _, edge1, edge2 = edges(rows, triangles)
+        present = dataclasses.replace(memory, rest=old[0], **zones)
+        stress, lost = work(metric(edge1, edge2), inverse, volume[0] * volume[1], present)
+        return [stress], [lost]
 
-    inputs = elements.triangles, elements.inverse_metric, zones
-    (found,), _ = over_blocks(work, elements.block_count, inputs, [memory.rest], update=1, kept=False)
-    return found
+    inputs = elements.triangles, elements.inverse_metric, (elements.area, load.thickness), zones
+    (stress,), (loss,) = over_blocks(
+        of_block, elements.block_count, inputs, [memory.rest], sums=1, update=1, kept=False
+    )
+    return Remembered(stress, loss)
 
 
 def _split(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
@@ -159,16 +165,16 @@ def _split(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str, jax.Ar
 
 def _forces(
     rows: Vector, own: Own, thickness: jax.Array, pressure: jax.Array, origin: jax.Array, response: Response
-) -> tuple[list[Vector], jax.Array, tuple[Metric, list[list[jax.Array]]]]:
-    """The corners' forces, six times the volume below, the metric, and the stress of each viscous mode."""
+) -> tuple[list[Vector], jax.Array, Overstress | None]:
+    """The corners' forces, six times the volume below, and what viscous modes do."""
     (sides,) = sides_of(own, rows)
     (first, edge1, edge2), normal = sides, normal_of(sides, own)
     g = metric(edge1, edge2)
-    s, modes = stress_once(g, own.inverse_metric, own.area * thickness, response)
+    s, found = stress_once(g, own.inverse_metric, own.area * thickness, response)
     push = scaled(pressure / 6.0, normal)
     pull2, pull3 = pulls(s, edge1, edge2)
     arm = minus(first, origin)
-    return shares_of(push, pull2, pull3), dot(arm, normal), (g, modes)
+    return shares_of(push, pull2, pull3), dot(arm, normal), found
 
 
 def pressure_share(pressure: jax.Array, area: jax.Array) -> jax.Array:

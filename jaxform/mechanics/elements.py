@@ -11,10 +11,13 @@ import jax.numpy as jnp
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import Halves, PerBlock, entry, halves, on_cpu, once, over_blocks, put
 from jaxform.mechanics.membrane import (
+    Metric,
     Vector,
     cross,
+    edges,
     gather,
     looked_up,
+    metric,
     minus,
     summed_up,
     vector,
@@ -196,6 +199,22 @@ def together(corners: Sequence[Vector], own: Own) -> list[Any]:
     # Kept, for they are cut into halves.
     ends = once([(first, second) for first, second, _ in corners])
     return [(Halves(*map(summed, two)), third) for two, (_, _, third) in zip(ends, corners, strict=True)]
+
+
+def metrics_of(positions: jax.Array, elements: Elements) -> tuple[Metric, Metric]:
+    """Present metric and inverse of the initial one, all elements (room,) at once, of nodes at positions (3, place).
+
+    Those that are not in use are as if not strained, so that nothing of them spoils a derivative.
+    """
+    _, edge1, edge2 = edges(positions, elements.triangles)
+    used = elements.area > 0.0
+
+    def safe(g: Metric) -> Metric:
+        a, b, c = (jnp.where(used, part, unit) for part, unit in zip(g, (1.0, 0.0, 1.0), strict=True))
+        return a, b, c
+
+    r = elements.inverse_metric
+    return safe(metric(edge1, edge2)), safe((r[0], r[1], r[2]))
 
 
 def normal_of(sides: Sides, own: Own) -> Vector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -21,13 +21,13 @@ class Memory:
     """What elements remember: the stress of mode k is `rest[k] + gain[k] M`, M what it follows.
 
     Attributes:
-        rest: (4 n_mode, n), four rows a mode.
+        rest: (4 n_mode, n), four rows a mode; in loops over blocks a list of them.
         gain: (n_mode,), or of each element (n_mode, n).
         kind: Name of the kind of modes.
         only_slope: Whether `rest` is the stress itself, and the gain says only how it answers to a change.
     """
 
-    rest: jax.Array
+    rest: Any
     gain: jax.Array
     kind: str = static()
     only_slope: bool = static(default=False)
@@ -90,17 +90,20 @@ def stress_of(g: Metric, inverse: Any, weight: jax.Array, response: Response) ->
     """A0 h0 S^ab (n,): what multiplies the edges in the nodal forces."""
     a, b = stress_factors(g, inverse, response.material)
     s = stress(g, inverse, (weight * a, weight * b))
-    return s if response.memory is None else plus(s, _scaled(weight, overstress(g, inverse, response.memory)[0]))
+    return s if response.memory is None else plus(s, _scaled(weight, overstress(g, inverse, response.memory).total))
 
 
-def stress_once(g: Metric, inverse: Any, weight: jax.Array, response: Response) -> tuple[Metric, list[Rows]]:
-    """The same, kept for all its uses, and the stress of each mode."""
+def stress_once(g: Metric, inverse: Any, weight: jax.Array, response: Response) -> tuple[Metric, Overstress | None]:
+    """The same, kept for all its uses, and what the modes do."""
+    memory = response.memory
+    if memory is not None:
+        g = once(g)
     factors = stress_factors(g, inverse, response.material)
     s = stress(g, inverse, once((weight * factors[0], weight * factors[1])))
-    if response.memory is None:
-        return once(s), []
-    more, modes = overstress(g, inverse, response.memory)
-    return once((plus(s, _scaled(weight, more)), modes))
+    if memory is None:
+        return once(s), None
+    more = overstress(g, inverse, memory, once)
+    return once(plus(s, _scaled(weight, more.total))), more
 
 
 def stress_and_change(
@@ -119,7 +122,7 @@ def stress_and_change(
     ds = plus(stress(g, inverse, rate), (b * change[2], -b * change[1], b * change[0]))
     memory = response.memory
     if memory is not None:
-        more, more_change = jax.jvp(lambda g: overstress(g, inverse, memory)[0], (g,), (change,))
+        more, more_change = jax.jvp(lambda g: overstress(g, inverse, memory).total, (g,), (change,))
         s, ds = plus(s, _scaled(weight, more)), plus(ds, _scaled(weight, more_change))
     return once((s, ds))
 
@@ -131,16 +134,41 @@ def strained(g: Metric, inverse: Any) -> Strained:
     return Strained(g, r, strain.trace, strain.determinant)
 
 
-def overstress(g: Metric, inverse: Any, memory: Memory) -> tuple[Metric, list[Rows]]:
-    """Stress S^ab [Pa/m^2] of all modes, free across the sheet, and that of each mode by itself."""
-    now = strained(g, inverse)
-    measure = MODES[memory.kind].measure(now)
+class Overstress(NamedTuple):
+    """What viscous modes do.
+
+    Attributes:
+        total: Stress S^ab [Pa/m^2] of all, free across the sheet.
+        modes: That of each by itself, four rows.
+        measure: What it follows.
+        strained: The strain.
+    """
+
+    total: Metric
+    modes: list[Rows]
+    measure: Rows
+    strained: Strained
+
+    def kept(self, recursion: Recursion) -> Rows:
+        """What goes on to the next step, as `Memory.rest` (4 n_mode rows), after a step with that recursion."""
+        return [
+            left * x - back * row
+            for rows, left, back in zip(self.modes, recursion.left, recursion.back, strict=True)
+            for x, row in zip(rows, self.measure, strict=True)
+        ]
+
+
+def overstress(g: Metric, inverse: Any, memory: Memory, keep: Callable[[Any], Any] = lambda x: x) -> Overstress:
+    """What viscous modes do at a metric; `keep` is applied to what is used more than once."""
+    now = keep(strained(g, inverse))
+    measure = keep(MODES[memory.kind].measure(now))
+    followed = measure
     if memory.only_slope:
-        measure = [row - jax.lax.stop_gradient(row) for row in measure]
-    modes = [
-        [memory.rest[4 * k + i] + gain * row for i, row in enumerate(measure)] for k, gain in enumerate(memory.gain)
-    ]
-    return free_across(modes, now), modes
+        followed = [row - jax.lax.stop_gradient(row) for row in measure]
+    modes = keep(
+        [[memory.rest[4 * k + i] + gain * row for i, row in enumerate(followed)] for k, gain in enumerate(memory.gain)]
+    )
+    return Overstress(free_across(modes, now), modes, measure, now)
 
 
 def modes_of(memory: jax.Array) -> list[Rows]:
@@ -154,16 +182,6 @@ def free_across(modes: list[Rows], now: Strained) -> Metric:
     pressure = across / now.determinant
     a, b, c = now.present_inverse
     return one - pressure * a, mixed - pressure * b, two - pressure * c
-
-
-def kept(modes: list[Rows], g: Metric, inverse: Any, memory: Memory, recursion: Recursion) -> Rows:
-    """What goes on to the next step, as `Memory.rest` (4 n_mode rows), after a step with that recursion."""
-    measure = MODES[memory.kind].measure(strained(g, inverse))
-    return [
-        left * x - back * row
-        for rows, left, back in zip(modes, recursion.left, recursion.back, strict=True)
-        for x, row in zip(rows, measure, strict=True)
-    ]
 
 
 def _scaled(factor: jax.Array, s: Metric) -> Metric:

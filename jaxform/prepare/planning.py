@@ -71,7 +71,7 @@ def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
     g = square, none, square
     unit = jnp.stack([one, none, one])
     memory = Memory(modes.at_first(unit), modes.recursion(none[0]).gain, modes.kind)
-    stresses = overstress(g, unit, memory)[1]
+    stresses = overstress(g, unit, memory).modes
     return stiffness.viscous_stiffness(membrane.invariants(g, unit), strained(g, unit), stresses, modes)
 
 

@@ -65,12 +65,15 @@ def advance(
         return (carry.count < most) & ~finished(carry.state, scene)
 
     def take(carry: _Going) -> _Going:
-        state, now, stale = carry.state, carry.now, carry.count == 0
+        state, now, stale, active = carry.state, carry.now, carry.count == 0, carry.active
         if state.mesh is not None:
             before = state.mesh.element_count
-            state, now = refined_in_place(state, scene, now, carry.active)
+            state, now, active = refined_in_place(state, scene, now, active)
             stale |= state.refined_mesh.element_count != before
-        state, active = repacked(state, scene, now, carry.active, stale)
+            if active.idle is not None and carry.active.idle is not None:
+                # What is idle was brought up to date: it holds another energy now.
+                stale |= active.idle.since > carry.active.idle.since
+        state, active = repacked(state, scene, now, active, stale)
         whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
         after, active = unless_full(state.status, scene, whole_window, (state, active), differentiable=False)
         at = state.windows
@@ -78,7 +81,7 @@ def advance(
         return _Going(after, now, active, taken, carry.count + 1)
 
     now = present_discretization(scene, state.mesh, first, stepped=True)
-    active = with_room(whole_set(state, now), scene)
+    active = with_room(whole_set(state, scene, now), scene)
     begun = _Going(active.taken(state), now, active, taken, jnp.int32(0))
     gone = jax.lax.while_loop(going, take, begun)
     return gone.active.put_back(gone.state), gone.taken, finished(gone.state, scene)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 from jaxform.kernels.blocks import once, over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics import membrane
-from jaxform.mechanics.elements import Elements
+from jaxform.mechanics.elements import Elements, metrics_of
 from jaxform.mechanics.response import modes_of, strained
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Sheet
@@ -30,42 +29,21 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
     volume = sheet.area * discrete.thickness
     material = scene.material.with_zones(discrete.zones)
     energy = membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, material)
-    held = _in_modes(state, scene, discrete, lambda modes, *now: modes.energy(*now))
-    return energy if held is None else energy + held
-
-
-def viscous_loss(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
-    """What was lost in viscous modes [J] up to now: the next step adds that since half a step ago."""
-    power = _in_modes(state, scene, discrete, lambda modes, *now: modes.loss(*now))
-    if power is None or state.account.viscous_loss is None:
-        return jnp.zeros_like(state.time)
-    return state.account.viscous_loss + 0.5 * state.control.step_length * power
-
-
-def _in_modes(
-    state: State, scene: Scene, discrete: Discretization, density: Callable[..., jax.Array]
-) -> jax.Array | None:
-    """The integral over the sheet of something in its viscous modes; None where there are none."""
     modes, whole = scene.material.viscous, discrete.whole
     if modes is None or state.memory is None:
-        return None
+        return energy
     elements = whole.elements
-    _, edge1, edge2 = membrane.edges(whole.taken(state.nodes.positions), elements.triangles)
-    now = strained(membrane.metric(edge1, edge2), elements.inverse_metric)
-    found = density(modes, modes_of(state.memory[:, whole.element]), now)
+    now = strained(*metrics_of(whole.taken(state.nodes.positions), elements))
+    found = modes.energy(modes_of(state.memory[:, whole.element]), now)
     volume = elements.area * discrete.thickness[whole.element]
-    return jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
+    return energy + jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
 
 
 class Held(NamedTuple):
-    """What elements hold: strain energy [J], with that of viscous modes, and the volume [m^3] that they enclose.
-
-    And the power that is lost in the modes [W]; None where there are none.
-    """
+    """What elements hold: strain energy [J], with that of viscous modes, and the volume [m^3] that they enclose."""
 
     energy: jax.Array
     volume: jax.Array
-    loss: jax.Array | None
 
 
 def account(
@@ -94,21 +72,19 @@ def account(
         edge1, edge2 = once((edge1, edge2))
         g = membrane.metric(edge1, edge2)
         strain = membrane.invariants(g, inverse)
-        density, lost = membrane.energy_density(strain, material.with_zones(zones)), []
+        density = membrane.energy_density(strain, material.with_zones(zones))
         if modes is not None and memory is not None:
-            now, stresses = strained(g, inverse), modes_of(memory)
-            density += modes.energy(stresses, now)
-            lost = [area * thickness * modes.loss(stresses, now)]
+            density += modes.energy(modes_of(memory), strained(g, inverse))
         energy = area * thickness * density
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
         share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
-        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)] + [jnp.where(used, x, 0.0) for x in lost]
+        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
     inputs = own, thickness, material.zones, memory, counted, elements.orientation
-    _, found = over_blocks(work, elements.block_count, inputs, [], sums=2 + (memory is not None))
-    return Held(found[0], found[1] / 6.0, *found[2:] or [None])
+    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
+    return Held(energy, volume / 6.0)
 
 
 def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:

@@ -23,6 +23,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, Sheet
 from jaxform.sheet.account import Held, account, enclosed_volume
 from jaxform.sheet.discretization import Discretization, Mesh
+from jaxform.sheet.idle import Idle, left_behind
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
 
@@ -57,6 +58,7 @@ class ActiveSet:
         idle_volume: Enclosed by what is not active [m^3].
         idle_energy: Its strain energy [J].
         memory: As in `State`, when it was packed; None without viscous modes.
+        idle: Elements that are not active and have such modes; None where none are.
         room: Kept from the last window; None where each window has its own.
     """
 
@@ -70,6 +72,7 @@ class ActiveSet:
     idle_volume: jax.Array
     idle_energy: jax.Array
     memory: jax.Array | None = None
+    idle: Idle | None = None
     room: Room | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
@@ -93,12 +96,18 @@ class ActiveSet:
     def put_back(self, state: PackedState) -> State:
         """A state in the mesh's order."""
         nodes = state.nodes.mapped(lambda values, _: self.packed.put_back(values))
-        memory = self.memory
-        if memory is not None and state.memory is not None:
-            # What is not active remembers what it did.
-            own = jnp.where(self.packed.elements.area > 0.0, self.packed.element, memory.shape[1])
-            memory = memory.at[:, own].set(state.memory, mode="drop")
-        return dataclasses.replace(state, nodes=nodes, memory=memory)
+        state = dataclasses.replace(state, nodes=nodes)
+        return state if state.memory is None or self.memory is None else self._with_memory(state, self.memory)
+
+    def _with_memory(self, state: State, memory: jax.Array) -> State:
+        """With the memory of all elements, from the packed ones' and what all had when they were packed."""
+        own = jnp.where(self.packed.elements.area > 0.0, self.packed.element, memory.shape[1])
+        account, before = state.account, state.account.viscous_loss
+        if self.idle is not None and before is not None:
+            memory, lost = self.idle.put(memory, state.time)
+            account = dataclasses.replace(account, viscous_loss=before + lost)
+        memory = memory.at[:, own].set(state.memory, mode="drop")
+        return dataclasses.replace(state, memory=memory, account=account)
 
     def response(self, material: Law, memory: Memory | None = None) -> Response:
         """How its elements answer to strain, of a scene with this law."""
@@ -120,10 +129,10 @@ def active_set_of(state: State, scene: Scene, discrete: Discretization, *, diffe
     return _working(packed, state, scene, discrete, differentiable=differentiable)
 
 
-def whole_set(state: State, discrete: Discretization) -> ActiveSet:
+def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
     """All there is, in the mesh's own order."""
-    none = jnp.zeros((), discrete.mass.dtype)
-    return _with_masses(discrete.whole, discrete, none, none, state.memory)
+    none, whole = jnp.zeros((), discrete.mass.dtype), discrete.whole
+    return _remembering(_with_masses(whole, discrete, none, none), state, scene, discrete)
 
 
 def repacked(
@@ -201,16 +210,20 @@ def _working(
     elif scene.packs_moving:
         # Second derivatives take this way as well.
         volume = _with_slope(volume, positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
-    return _with_masses(packed, discrete, volume, energy, state.memory)
+    return _remembering(_with_masses(packed, discrete, volume, energy), state, scene, discrete)
 
 
-def _with_masses(
-    packed: Packed,
-    discrete: Discretization,
-    idle_volume: jax.Array,
-    idle_energy: jax.Array,
-    memory: jax.Array | None,
-) -> ActiveSet:
+def _remembering(active: ActiveSet, state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
+    """With what elements remember, and those that are idle by themselves."""
+    modes, memory, idle = scene.material.viscous, state.memory, None
+    if modes is None or memory is None:
+        return active
+    if scene.packs_moving:
+        idle = left_behind(state.nodes.positions, memory, state.time, modes, discrete, active.packed)
+    return dataclasses.replace(active, memory=memory, idle=idle)
+
+
+def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
     own = discrete.of_elements(packed.element)
     return ActiveSet(
         packed=packed,
@@ -222,5 +235,4 @@ def _with_masses(
         substance=jax.lax.stop_gradient(total(packed.elements.area * own.thickness)),
         idle_volume=idle_volume,
         idle_energy=idle_energy,
-        memory=memory,
     )

@@ -19,7 +19,7 @@ from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.response import present
 from jaxform.model.scene import Scene
-from jaxform.sheet.account import enclosed_volume, last_work, viscous_loss
+from jaxform.sheet.account import enclosed_volume, last_work
 from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import State
@@ -107,6 +107,5 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
             pressure=None if account.pressure is None else load.pressure,
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
-            viscous_loss=None if account.viscous_loss is None else viscous_loss(state, scene, discrete),
         ),
     )

@@ -76,7 +76,7 @@ class Account:
         kinetic_peak: Largest kinetic energy at the end of a window.
         kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end.
         imbalance: Energy held and lost beyond the external work, at the last window's end.
-        viscous_loss: Taken by viscous modes up to half a step ago; None where there are none.
+        viscous_loss: Taken by viscous modes; None where there are none.
     """
 
     volume: jax.Array

@@ -342,11 +342,11 @@ def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     # What is not active makes up for what the account leaves out.
     whole = discrete.whole
     thickness = discrete.thickness[whole.element]
-    energy, volume, _ = account(state.nodes.positions * 1.1, whole.elements, thickness, scene.material, None)
+    energy, volume = account(state.nodes.positions * 1.1, whole.elements, thickness, scene.material, None)
     moved = state.with_nodes(positions=state.nodes.positions * 1.1)
     active = active_set_of(moved, scene, discrete)
     elements = active.packed.elements
-    own, inside, _ = account(active.taken(moved).nodes.positions, elements, active.thickness, scene.material, None)
+    own, inside = account(active.taken(moved).nodes.positions, elements, active.thickness, scene.material, None)
     assert 0.0 < float(own) < float(energy)
     np.testing.assert_allclose(own + active.idle_energy, energy, rtol=1e-13)
     np.testing.assert_allclose(inside + active.idle_volume, volume, rtol=1e-13, atol=1e-16)
