@@ -17,19 +17,17 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.adjoint.backward import BackwardNodes, End, Turn, Window, force_cotangent, over_nodes, with_loss
-from jaxform.contact import sticking
+from jaxform.adjoint.backward import BackwardNodes, End, Turn, Window, over_nodes, with_loss
+from jaxform.adjoint.landings import back_over_landings
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import pytree
 from jaxform.dynamics.timestep import LEAST_LEFT
 from jaxform.dynamics.window import window, window_and_impacts
-from jaxform.kernels import blocks
-from jaxform.kernels.blocks import Part, listed, once, only_if, over_blocks
+from jaxform.kernels.blocks import Part, only_if, over_blocks
 from jaxform.kernels.derivatives import Cotangents, Rule
 from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
-from jaxform.mechanics.membrane import dot, rows_of
-from jaxform.mechanics.nodes import Nodes
+from jaxform.mechanics.membrane import dot
 from jaxform.mechanics.pullback import corner_cotangents, no_sums, zone_cotangents
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
@@ -37,7 +35,6 @@ from jaxform.sheet.active_set import idle_volume, packed_moving
 from jaxform.sheet.discretization import NEVER, Discretization, Mesh, present_discretization
 from jaxform.sheet.scheme import Timing, kicked, kicks, pressures
 from jaxform.sheet.state import LOSSES, Schedule, State, carries
-from jaxform.tools.mold import Mold
 
 
 @pytree
@@ -155,57 +152,6 @@ def _end_of(kept: _Kept, now: Window) -> End:
     return End(carry[3], carry[2], carry[4], keeps)
 
 
-def _landings(
-    nodes: BackwardNodes, before: jax.Array, kept: _Kept, turn: Turn, mold: Mold, now: Window, loss: jax.Array
-) -> BackwardNodes:
-    """Goes back over the landings of a step, for the nodes that landed: one by one, each to where it was `before`."""
-    wall = now.packed.taken(kept.wall)
-    number, time = turn.number, kept.time + (turn.number + 1) * turn.length
-    places, count = listed(now.landed == number, now.landed.size)
-
-    def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
-        place = blocks.entry(places, k)
-
-        def own(values: jax.Array) -> jax.Array:
-            return blocks.cut(values, place, 1)
-
-        def put(values: jax.Array, new: jax.Array) -> jax.Array:
-            return blocks.put(values, new, place)
-
-        def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
-            free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
-            flying = sticking.Landing(
-                Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
-            )
-            triangle = Mold(corners, jnp.arange(3, dtype=jnp.int32)[None])
-            there = sticking.landed(flying, sticking.Step(turn.length, time, number), mass, triangle, none)
-            return there.nodes.positions, there.nodes.contact_time, there.loss
-
-        # All is read before anything is written (docs/explanation/kernels.md).
-        old = once(jax.tree.map(own, nodes._replace(damping=None, vertices=None)))
-        begin = own(before)
-        triangle = mold.triangles[jnp.abs(own(wall)[0]) - 1]
-        after = begin + turn.length * old.speeds
-        _, pull = jax.vjp(land, after, old.speeds, own(now.mass), mold.vertices[triangle])
-        position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
-        velocity = velocity + turn.length * position
-        force = force_cotangent(rows_of(velocity), rows_of(own(now.compliance)), turn.kick, now)
-        return BackwardNodes(
-            at=put(nodes.at, begin),
-            speeds=nodes.speeds,
-            positions=put(nodes.positions, position),
-            velocities=put(nodes.velocities, velocity),
-            force=put(nodes.force, jnp.stack(force)),
-            mass=put(nodes.mass, old.mass + mass),
-            compliance=nodes.compliance,
-            contact_time=put(nodes.contact_time, jnp.zeros_like(old.contact_time)),
-            damping=nodes.damping,
-            vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
-        )
-
-    return jax.lax.fori_loop(0, count, one, nodes)
-
-
 def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     """Of a window's begin and of all that it depends on, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
@@ -258,12 +204,16 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     square = dot(now.compliance, now.compliance)
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
     put(of[2].compliance, packed.put_back(share[None] * now.compliance))
+    element = packed.element
     if cotangents.want(of[2].thickness):
-        none = jnp.zeros_like(discrete.thickness)
-        put(of[2].thickness, none.at[packed.element].add(back.summed[0][0] / now.thickness))
+        put(of[2].thickness, _spread(back.summed[0][0] / now.thickness, element, discrete.thickness))
     for name, values in back.zones.items():
-        none = jnp.zeros_like(discrete.zones[name])
-        put(of[2].zones[name], none.at[..., packed.element].add(values))
+        put(of[2].zones[name], _spread(values, element, discrete.zones[name]))
+
+
+def _spread(values: jax.Array, element: jax.Array, like: jax.Array) -> jax.Array:
+    """Sums (..., n_element) of values (..., room) of elements with these numbers."""
+    return jnp.zeros_like(like).at[..., element].add(values)
 
 
 class _Back(NamedTuple):
@@ -348,8 +298,12 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
         nodes = over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
         if mold is not None:
-            back_over = functools.partial(_landings, mold=mold, now=now, loss=loss.contact_loss)
-            nodes = only_if(lands[n - 1], lambda nodes: back_over(nodes, start.before, kept, turn), nodes)
+            back_over = functools.partial(back_over_landings, mold=mold, now=now, loss=loss.contact_loss)
+            nodes = only_if(
+                lands[n - 1],
+                lambda nodes: back_over(nodes, start.before, turn, (packed.taken(kept.wall), kept.time)),
+                nodes,
+            )
         volumes = carry.volumes.at[n].set(enclosed)
         return _Back(n - 1, nodes, corners, summed, pressing, volumes, law, {})
 

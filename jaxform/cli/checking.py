@@ -80,6 +80,7 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     skipped = {
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
+        "memory (no viscous modes)": scene.material.viscous is None,
         "the second invariant (the law has none)": document.model.material.model == "neo-hookean",
         "refinement (none given)": scene.refinement is None,
         "frames (none wanted)": document.model.output.frames == 0,
@@ -89,7 +90,9 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
 
 def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterator[str]:
     parison = scene.parison
-    law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones)])
+    modes = scene.material.viscous
+    viscous = [] if modes is None else [f"{modes.modulus.size} {modes.kind} modes"]
+    law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones), *viscous])
     yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
     images = " with its images" if document.model.parison.shape != "file" and _cut(scene) else ""
     yield f"sheet{images}: {seen.sheet}; its thickness is {seen.thinness:.3g} times its size"

@@ -297,7 +297,12 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
         terms = [_quantity(document, one, f"{key}[{k}]", sheet) for k, one in enumerate(value)]
         return as_real(np.stack(np.broadcast_arrays(*terms)))
 
-    return law(**{name: number(name) for name in ranges_of(law)})
+    modes = table.viscous
+    made = law(**{name: number(name) for name in ranges_of(law)})
+    if modes is None:
+        return made
+    numbers = {name: as_real(getattr(modes, name)) for name in ("modulus", "time")}
+    return replace(made, viscous=materials.MODES[modes.kind](**numbers))
 
 
 def _mold(document: SceneDocument) -> Mold | None:

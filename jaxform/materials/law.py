@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import ClassVar, Self, dataclass_transform
+from typing import Self, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,14 @@ Slope = jax.Array | None
 _UNSTRAINED = 3.0  # both invariants of a sheet that is not strained
 
 
+class _Dense:
+    """What each law declares by itself, in the place that it likes."""
+
+    density: jax.Array
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Law:
+class Law(_Dense):
     """Strain energy of an incompressible isotropic material, as a function of the invariants (I1, I2).
 
     A law is a pytree whose parameters are leaves; its class is the static choice. It gives its energy, and the rest
@@ -45,7 +51,6 @@ class Law:
     """
 
     viscous: Modes | None = dataclasses.field(default=None, metadata={"part": True})
-    density: ClassVar[jax.Array]  # each law declares it
 
     @property
     def elastic(self) -> Self:

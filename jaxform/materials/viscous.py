@@ -218,7 +218,8 @@ class Maxwell(Modes):
         total = jnp.zeros_like(strained.determinant)
         for modulus, time, x in zip(self.modulus, self.time, stress, strict=True):
             trace, determinant, across = _conformation(modulus, x, strained)
-            total += 0.5 * modulus / time * (trace + trace / determinant + across + 1.0 / across - 6.0)
+            inverse = (trace * across + determinant) / (determinant * across)  # one division
+            total += 0.5 * modulus / time * (trace + across + inverse - 6.0)
         return total
 
     def stiffening(self, larger: jax.Array, smaller: jax.Array) -> jax.Array:

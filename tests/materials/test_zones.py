@@ -101,10 +101,8 @@ def _cup(law: str, refined: bool = False) -> jaxform.Scene:
 @pytest.mark.parametrize(
     ("law", "adjoint", "refined"),
     [
-        ("mooney", jaxform.Reversed(), False),
-        ("mooney", jaxform.Checkpointed(), False),
         ("mooney", jaxform.Reversed(), True),
-        ("ogden", jaxform.Reversed(), False),
+        ("ogden", jaxform.Checkpointed(), False),
     ],
 )
 def test_gradients_through_contact_by_every_zone(law: str, adjoint: jaxform.Adjoint, refined: bool) -> None:
@@ -114,17 +112,18 @@ def test_gradients_through_contact_by_every_zone(law: str, adjoint: jaxform.Adjo
     assert np.any(np.asarray(first.wall) != 0)
 
     @jax.jit
+    @jax.value_and_grad
     def objective(zones: dict[str, jax.Array]) -> jax.Array:
         design = jaxform.replace(scene, {f"material.{name}": values for name, values in zones.items()})
         result = jaxform.simulate(design, schedule=first.schedule, adjoint=adjoint)
         return jnp.sum(jnp.square(result.thickness)) * 1e4 + jnp.sum(result.energy.strain) + result.mass
 
     zones = scene.material.zones
-    slopes = jax.jit(jax.grad(objective))(zones)
+    _, slopes = objective(zones)
     random = np.random.default_rng(0)
     for name, values in zones.items():
         change = 1e-5 * random.standard_normal(values.shape) * values
-        ends = [float(objective(zones | {name: values + sign * change})) for sign in (1, -1)]
+        ends = [float(objective(zones | {name: values + sign * change})[0]) for sign in (1, -1)]
         np.testing.assert_allclose(jnp.vdot(slopes[name], change), (ends[0] - ends[1]) / 2, rtol=1e-6)
 
 

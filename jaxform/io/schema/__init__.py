@@ -5,7 +5,16 @@ the mesh or several numbers at once is checked where the scene is built. The doc
 keys means: the pages of the reference are made of it.
 """
 
-from jaxform.io.schema.material import Gent, Material, ModifiedMooneyRivlin, MooneyRivlin, NeoHookean, Ogden, Yeoh
+from jaxform.io.schema.material import (
+    Gent,
+    Material,
+    ModifiedMooneyRivlin,
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    Viscous,
+    Yeoh,
+)
 from jaxform.io.schema.methods import Adam, FixedPoint, Lbfgs, LeastSquares, Method
 from jaxform.io.schema.mold import BottleHalfMold, BoxInsertMold, FileMold, Mold, RevolvedMold
 from jaxform.io.schema.objectives import (
@@ -82,6 +91,7 @@ __all__ = [
     "ThicknessProfile",
     "Uniform",
     "Variable",
+    "Viscous",
     "Wanted",
     "Yeoh",
 ]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag
+from pydantic import Field, Tag, model_validator
 
 from jaxform.core.ranges import OF_LAWS
 from jaxform.io.schema.quantities import Zoned
-from jaxform.io.validation import Table, allowing, choice, within
+from jaxform.io.validation import Table, allowing, choice, within, wrong
 
 
 def _in(law: str, key: str) -> Any:
@@ -17,56 +17,89 @@ def _in(law: str, key: str) -> Any:
 
 
 _MOST_TERMS = 6
+_MOST_MODES = 12
 Density = Zoned[Annotated[float, within("material.density")]]
 
 
-class NeoHookean(Table):
+class Viscous(Table):
+    """Viscous modes, whose stress is added to that of the law; the law is then what is left in the end.
+
+    Attributes:
+        kind: "christensen", which follows the strain, for sheets of thermoplastic; or "maxwell", upper-convected
+            Maxwell modes, for melts.
+        modulus: One number for each mode [Pa].
+        time: Relaxation time of each mode [s].
+    """
+
+    kind: Literal["christensen", "maxwell"]
+    modulus: Annotated[
+        list[Annotated[float, within("material.viscous.modulus")]], Field(min_length=1, max_length=_MOST_MODES)
+    ]
+    time: Annotated[
+        list[Annotated[float, within("material.viscous.time")]], Field(min_length=1, max_length=_MOST_MODES)
+    ]
+
+    @model_validator(mode="after")
+    def _check(self) -> Viscous:
+        if len(self.time) != len(self.modulus):
+            problem = f"has {len(self.time)} numbers, modulus has {len(self.modulus)}"
+            raise wrong(problem, "give one for each mode", "time", self.time)
+        return self
+
+
+class _Law(Table):
+    """What every law has.
+
+    Attributes:
+        density: Mass per volume [kg/m^3].
+        viscous: Viscous modes; without them the sheet remembers nothing.
+    """
+
+    density: Density
+    viscous: Viscous | None = None
+
+
+class NeoHookean(_Law):
     """W = c (I1 - 3).
 
     Attributes:
         model: The law.
         c: Half the shear modulus [Pa].
-        density: Mass per volume [kg/m^3].
     """
 
     model: Literal["neo-hookean"]
     c: Zoned[Annotated[float, within("material.c")]]
-    density: Density
 
 
-class MooneyRivlin(Table):
+class MooneyRivlin(_Law):
     """W = c [(I1 - 3) + alpha (I2 - 3)].
 
     Attributes:
         model: The law.
         c: First coefficient [Pa].
         alpha: Ratio of the second coefficient to the first.
-        density: Mass per volume [kg/m^3].
     """
 
     model: Literal["mooney-rivlin"]
     c: Zoned[Annotated[float, within("material.c")]]
     alpha: Zoned[Annotated[float, within("material.alpha")]]
-    density: Density
 
 
-class ModifiedMooneyRivlin(Table):
+class ModifiedMooneyRivlin(_Law):
     """W = a01 (I1 - 3) + a02 (I2 - 3)^2.
 
     Attributes:
         model: The law.
         a01: Coefficient of I1 - 3 [Pa].
         a02: Coefficient of (I2 - 3)^2 [Pa].
-        density: Mass per volume [kg/m^3].
     """
 
     model: Literal["modified-mooney-rivlin"]
     a01: Zoned[Annotated[float, within("material.a01")]]
     a02: Zoned[Annotated[float, within("material.a02")]]
-    density: Density
 
 
-class Yeoh(Table):
+class Yeoh(_Law):
     """W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3.
 
     Attributes:
@@ -74,46 +107,40 @@ class Yeoh(Table):
         c1: Half the shear modulus in small strain [Pa].
         c2: Coefficient of the square [Pa].
         c3: Coefficient of the cube [Pa].
-        density: Mass per volume [kg/m^3].
     """
 
     model: Literal["yeoh"]
     c1: Zoned[Annotated[float, _in("yeoh", "c1")]]
     c2: Zoned[Annotated[float, _in("yeoh", "c2")]] = 0.0
     c3: Zoned[Annotated[float, _in("yeoh", "c3")]] = 0.0
-    density: Density
 
 
-class Gent(Table):
+class Gent(_Law):
     """W = -mu j_max / 2 ln(1 - (I1 - 3) / j_max), which does not stretch beyond a limit.
 
     Attributes:
         model: The law.
         mu: Shear modulus in small strain [Pa].
         j_max: Limit of I1 - 3; from 99 % of it on the energy goes on as a parabola.
-        density: Mass per volume [kg/m^3].
     """
 
     model: Literal["gent"]
     mu: Zoned[Annotated[float, _in("gent", "mu")]]
     j_max: Zoned[Annotated[float, _in("gent", "j_max")]]
-    density: Density
 
 
-class Ogden(Table):
+class Ogden(_Law):
     """W = sum of mu / alpha (l1^alpha + l2^alpha + l3^alpha - 3), l1 to l3 the principal stretches.
 
     Attributes:
         model: The law.
         mu: One number for each term [Pa]; the sum of mu alpha is twice the shear modulus in small strain.
         alpha: The powers, of which none is 0.
-        density: Mass per volume [kg/m^3].
     """
 
     model: Literal["ogden"]
     mu: Annotated[list[Zoned[Annotated[float, _in("ogden", "mu")]]], Field(min_length=1, max_length=_MOST_TERMS)]
     alpha: Annotated[list[Zoned[Annotated[float, _in("ogden", "alpha")]]], Field(min_length=1, max_length=_MOST_TERMS)]
-    density: Density
 
 
 Material = Annotated[

@@ -1,0 +1,310 @@
+"""Viscous modes: relaxation, spheres and cups against exact ones, gradients, refinement, packing and files."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate
+
+import jaxform
+from benchmarks import accuracy
+from jaxform.adapt import inheritance, remeshing
+from jaxform.io import files
+from jaxform.materials import Modes
+from jaxform.mechanics import membrane, response, stiffness
+from jaxform.sheet.discretization import first_mesh
+from tests import scenes
+from tests.scenes import real
+
+MODULUS, TIME = (1.0, 0.5), (2.0, 20.0)
+KINDS = [jaxform.Christensen, jaxform.Maxwell]
+UNIT = jnp.asarray([[1.0], [0.0], [1.0]])
+
+
+def _law(kind: Any, c: float = 1.0, modulus: Any = MODULUS, time: Any = TIME) -> jaxform.Law:
+    return jaxform.NeoHookean(real(c), real(1.0), viscous=kind(jnp.asarray(modulus), jnp.asarray(time)))
+
+
+def _metric(one: Any, mixed: Any, two: Any) -> membrane.Metric:
+    return jnp.full(1, one), jnp.full(1, mixed), jnp.full(1, two)
+
+
+def _cauchy(kind: Any, stretches: Any, times: np.ndarray) -> np.ndarray:
+    """Stress along the first axis of a sheet with c = 1 that is stretched so (n, 2) at these times."""
+    law = _law(kind)
+    modes, found = law.viscous, []
+    assert modes is not None
+    stress, measure = modes.at_first(UNIT), [jnp.zeros(1)] * 4
+    if kind is jaxform.Maxwell:
+        measure = [jnp.ones(1), jnp.zeros(1), jnp.ones(1), jnp.ones(1)]
+    for k, (one, two) in enumerate(stretches):
+        g = _metric(one**2, 0.0, two**2)
+        now = response.strained(g, UNIT)
+        passed = modes.recursion(real(times[k] - times[k - 1] if k else 0.0))
+        new = modes.measure(now)
+        rows = [
+            left * x + gain * b - back * a
+            for old, left, gain, back in zip(response.modes_of(stress), *passed, strict=True)
+            for x, a, b in zip(old, measure, new, strict=True)
+        ]
+        stress, measure = jnp.stack(rows), new
+        elastic = membrane.stress(g, UNIT, membrane.stress_factors(g, UNIT, law))[0]
+        found.append(float(one**2 * (elastic + response.free_across(response.modes_of(stress), now)[0])[0]))
+    return np.asarray(found)
+
+
+def test_relaxation_against_the_closed_form() -> None:
+    times = np.array([0.0, 1.0, 2.0, 10.0])
+    uniaxial = _cauchy(jaxform.Christensen, [(2.0, 2.0**-0.5)] * 4, times)
+    np.testing.assert_allclose(uniaxial, [16.1875, 13.6281404, 12.0243262, 8.89877007], rtol=1e-8)
+    biaxial = _cauchy(jaxform.Christensen, [(1.5, 1.5)] * 4, times)
+    np.testing.assert_allclose(biaxial, [6.33319759, 5.71247194, 5.32349627, 4.56545006], rtol=1e-8)
+
+
+def test_a_ramp_that_is_held() -> None:
+    times = np.linspace(0.0, 2.0, 401)
+    along = np.interp(times, [0.0, 1.0], [1.0, 2.0])
+    found = _cauchy(jaxform.Christensen, np.stack([along, along**-0.5], axis=1), times)[-1]
+    np.testing.assert_allclose(found, 12.84829, rtol=2e-5)
+    both = np.interp(times, [0.0, 1.0], [1.0, 1.5])
+    found = _cauchy(jaxform.Christensen, np.stack([both, both], axis=1), times)[-1]
+    np.testing.assert_allclose(found, 5.51208, rtol=2e-5)
+
+
+def test_maxwell_modes_are_rubber_at_once_and_forget_in_the_end() -> None:
+    times = np.array([0.0, 1e-9, 2.0, 400.0])
+    found = _cauchy(jaxform.Maxwell, [(1.0, 1.0), *[(2.0, 2.0**-0.5)] * 3], times)
+    plain = 4.0 - 0.5
+    np.testing.assert_allclose(found[1], (2.0 + sum(MODULUS)) * plain, rtol=1e-8)
+    left = sum(g * np.exp(-2.0 / t) for g, t in zip(MODULUS, TIME, strict=True))
+    np.testing.assert_allclose(found[2], (2.0 + left) * plain, rtol=1e-8)
+    np.testing.assert_allclose(found[3], 2.0 * plain, rtol=1e-8)
+
+
+def _maxwell_sphere(pressure: float, times: list[float]) -> np.ndarray:
+    """Radius of a sphere under a step of pressure, by an ordinary differential equation of its own."""
+    modulus, time = np.asarray(MODULUS), np.asarray(TIME)
+
+    def slope(_: float, y: np.ndarray) -> np.ndarray:
+        stretch, speed, plane, across = y[0], y[1], y[2:4], y[4:6]
+        stress = 2.0 + modulus @ plane - (2.0 + modulus @ across) / stretch**6
+        rates = (stretch**-2 - plane) / time, (stretch**4 - across) / time
+        return np.concatenate([[speed, pressure * stretch**2 - 2.0 * stretch * stress], *rates])
+
+    found = integrate.solve_ivp(slope, (0.0, times[-1]), [1.0, 0.0, 1, 1, 1, 1], t_eval=times, rtol=1e-9, atol=1e-10)
+    return found.y[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sphere_under_a_step_of_pressure(kind: Any) -> None:
+    """Its swing and its creep, and the balance of energy."""
+    times = [0.5, 1.0, 2.0]
+    exact = np.array([1.15210065, 1.17868499, 1.13115952])
+    if kind is jaxform.Maxwell:
+        exact = _maxwell_sphere(2.0, times)
+    scene = scenes.sphere(512, 2.0, _law(kind), [0.0], end_time=2.0)
+    for time, radius in zip(times, exact, strict=True):
+        result = jaxform.run(jaxform.replace(scene, {"solver.end_time": time}))
+        found = np.linalg.norm(np.asarray(result.positions), axis=1).mean()
+        np.testing.assert_allclose(found, radius, rtol=3e-3)
+        assert float(result.energy.balance_error) < 1e-3 and float(result.energy.viscous_loss) > 0.0
+
+
+def test_a_sheet_formed_into_a_cup() -> None:
+    """The wall over the material away from the corner, within 0.8 % of the exact cup of 80 degrees."""
+    law = _law(jaxform.Christensen, modulus=(4.0, 2.0), time=(10.0, 100.0))
+    scene = accuracy.cup_scene(600, law, 0.8, 0.45, 150.0)
+    result = jaxform.run(scene)
+    places = np.linalg.norm(np.asarray(scene.parison.positions), axis=1)
+    ratio = np.asarray(result.thickness) / np.asarray(scene.parison.thickness)
+    exact = {0.02: 0.45198, 0.1: 0.44008, 0.2: 0.41148, 0.3: 0.37232, 0.7: 0.48905, 0.8: 0.59305, 0.9: 0.69527}
+    off = []
+    for place, wall in exact.items():
+        near = np.abs(places - place) < 0.08
+        off.append(np.polyfit(places[near] - place, ratio[near], min(2, near.sum() // 3))[-1] / wall - 1)
+    assert int(result.status) == 0
+    assert np.sqrt(np.mean(np.square(off))) < 8e-3
+    assert float(result.energy.balance_error) < 1e-3
+
+
+@functools.cache
+def _cup(kind: Any, refined: bool) -> jaxform.Scene:
+    plain = scenes.cup(24, 12.0)
+    options: dict[str, Any] = {}
+    if refined:
+        options["refinement"] = jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96)
+    return jaxform.build_scene(
+        material=_law(kind),
+        pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
+        parison=plain.parison,
+        solver=plain.solver,
+        mold=plain.mold,
+        **options,
+    )
+
+
+@pytest.mark.parametrize(("kind", "refined"), [(jaxform.Christensen, False), (jaxform.Maxwell, True)])
+def test_gradients_through_contact_by_every_number(kind: Any, refined: bool) -> None:
+    scene = _cup(kind, refined)
+    first = jaxform.run(scene)
+    assert int(first.status) == 0 and np.any(np.asarray(first.wall) != 0)
+    assert int(first.used.sum()) > len(scene.parison.triangles) or not refined
+    assert float(first.energy.balance_error) < 1e-3
+    same = jaxform.simulate(scene)
+    np.testing.assert_allclose(same.positions, first.positions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(same.energy.viscous_loss, first.energy.viscous_loss, rtol=1e-3)
+    modes = scene.material.viscous
+    assert modes is not None
+    numbers = {"material.viscous.modulus": modes.modulus, "material.viscous.time": modes.time}
+    numbers["parison.thickness"] = scene.parison.thickness
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(numbers: dict[str, jax.Array]) -> jax.Array:
+        result = jaxform.simulate(jaxform.replace(scene, numbers), schedule=first.schedule)
+        return jnp.sum(jnp.square(result.thickness)) * 1e4 + result.energy.strain + result.energy.viscous_loss
+
+    _, slopes = objective(numbers)
+    for name, values in numbers.items():
+        change = 1e-5 * np.random.default_rng(1).standard_normal(values.shape) * values
+        ends = [float(objective(numbers | {name: values + sign * change})[0]) for sign in (1, -1)]
+        np.testing.assert_allclose(jnp.vdot(slopes[name], change), (ends[0] - ends[1]) / 2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_skip_changes_nothing(kind: Any) -> None:
+    scene = _cup(kind, False)
+    packed = jaxform.run(scene)
+    whole = jaxform.run(dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, skip_stuck=False)))
+    np.testing.assert_allclose(packed.positions, whole.positions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(packed.energy.strain, whole.energy.strain, rtol=1e-9)
+    np.testing.assert_allclose(packed.energy.viscous_loss, whole.energy.viscous_loss, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
+    """Under one strain of the whole sheet a part has the stress that it would have had from the first."""
+    scene = scenes.refinable(jaxform.shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 64)
+    adaptivity = scene.adaptivity
+    assert adaptivity is not None
+    forest, before = adaptivity.forest, first_mesh(scene, adaptivity)
+    wanted = jnp.asarray([0, 5], jnp.int32)
+    split_at, queue = remeshing.closed(before.split_at, wanted, jnp.int32(2), forest, jnp.int32(0))
+    after = dataclasses.replace(remeshing.bisected(before, queue, forest), split_at=split_at)
+    again = jnp.asarray([2 * 5 + forest.root_count], jnp.int32)
+    split_at, queue = remeshing.closed(after.split_at, again, jnp.int32(1), forest, jnp.int32(0))
+    last = remeshing.bisected(after, queue, forest)
+    used = int(last.element_count)
+    assert used > int(after.element_count) > int(before.element_count)
+    moved = jnp.asarray([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.0], [0.3, 0.4, 1.0]]) @ scene.parison.positions.T
+
+    def measure(mesh: Any) -> jax.Array:
+        triangles, inverse = forest.sheet.triangles[:, mesh.element], forest.sheet.inverse_metric[:, mesh.element]
+        g = membrane.metric(*membrane.edges(moved, triangles)[1:])
+        return jnp.stack(kind.measure(response.strained(g, inverse)))
+
+    found = inheritance.inherited(measure(before), before, last, forest)
+    np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_bound_on_the_step_holds_for_any_history(kind: Any) -> None:
+    """The largest eigenvalue of how the modes' forces answer at once, from their potential by automatic derivatives."""
+    random = np.random.default_rng(0)
+    modes: Modes = kind(jnp.asarray([3.0]), jnp.asarray([1.0]))
+    gain = modes.recursion(real(0.0)).gain[0]
+    for _ in range(40):
+        stretch = random.uniform(0.7, 3.0, 2)
+        turn = np.linalg.qr(random.normal(size=(3, 2)))[0]
+        gradient = jnp.asarray(turn @ np.diag(stretch))
+        root = random.normal(size=(2, 2))
+        rest = random.uniform(-1.0, 2.0) * (root @ root.T)
+        across = random.uniform(-2.0, 2.0)
+
+        def potential(f: jax.Array, rest: Any = rest, across: Any = across) -> jax.Array:
+            c = f.T @ f
+            e, e3 = 0.5 * (c - jnp.eye(2)), 0.5 * (1.0 / jnp.linalg.det(c) - 1.0)
+            return jnp.sum(rest * e) + across * e3 + 0.5 * gain * (jnp.sum(e * e) + e3 * e3)
+
+        exact = np.linalg.eigvalsh(jax.hessian(potential)(gradient).reshape(6, 6)).max()
+        c = gradient.T @ gradient
+        g = _metric(c[0, 0], c[0, 1], c[1, 1])
+        strain = membrane.invariants(g, UNIT)
+        measure = kind.measure(response.strained(g, UNIT)) if kind is jaxform.Christensen else [jnp.zeros(1)] * 4
+        first = [rest[0, 0], rest[0, 1], rest[1, 1], across]
+        stress = [x + gain * row for x, row in zip(first, measure, strict=True)]
+        bound = float(stiffness.viscous_stiffness(strain, response.strained(g, UNIT), [stress], modes)[0])
+        assert bound >= exact - 1e-9
+
+
+FILE = """
+[parison]
+shape = "disc"
+radius = 0.1
+elements = 24
+symmetry = "quarter"
+thickness = 1.0e-3
+[material]
+model = "mooney-rivlin"
+c = 1.0e5
+alpha = 0.1
+density = 1000.0
+viscous = {viscous}
+[pressure]
+time = [0.0, 0.1]
+value = [0.0, 3.0e3]
+[solver]
+end_time = 0.02
+damping = 100.0
+"""
+
+
+def test_modes_in_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    for kind in KINDS:
+        path.write_text(
+            FILE.format(viscous=f'{{ kind = "{kind.kind}", modulus = [1.0e5, 5.0e4], time = [0.02, 0.2] }}')
+        )
+        modes = files.load(path).material.viscous
+        assert type(modes) is kind
+        np.testing.assert_allclose(getattr(modes, "time"), [0.02, 0.2])  # noqa: B009
+
+
+@pytest.mark.parametrize(
+    ("viscous", "words"),
+    [
+        ('{ kind = "kelvin", modulus = [1e5], time = [0.1] }', "kind = 'kelvin'"),
+        ('{ kind = "maxwell", modulus = [1e5], time = [0.1, 1.0] }', r"time = \[0.1, 1.0\].*one for each mode"),
+        ('{ kind = "maxwell", modulus = [], time = [] }', "modulus.*too short"),
+        ('{ kind = "maxwell", modulus = [-1e5], time = [0.1] }', r"modulus\[0\] = -100000"),
+        ('{ kind = "maxwell", modulus = [1e5], time = [0.0] }', r"time\[0\] = 0"),
+    ],
+)
+def test_modes_that_are_wrong_are_refused_in_words(tmp_path: Path, viscous: str, words: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(FILE.format(viscous=viscous))
+    with pytest.raises(jaxform.InputError, match=words) as caught:
+        files.load(path)
+    assert "material.viscous" in str(caught.value)
+
+
+def test_what_python_gives_is_checked_too() -> None:
+    plain = scenes.cup()
+    parts: dict[str, Any] = {"parison": plain.parison, "solver": plain.solver, "pressure": plain.pressure}
+    for viscous, words in (
+        (jaxform.Maxwell(jnp.ones(2), jnp.ones(1)), "one for each mode"),
+        (jaxform.Maxwell(jnp.ones(()), jnp.ones(())), "no list of numbers"),
+        (3.0, "jaxform.Christensen or jaxform.Maxwell"),
+    ):
+        law = jaxform.NeoHookean(real(1.0), real(1.0), viscous=viscous)  # pyright: ignore[reportArgumentType]
+        with pytest.raises(jaxform.InputError, match=words):
+            jaxform.build_scene(material=law, **parts)
+    with pytest.raises(jaxform.InputError, match="cannot step this scene backwards"):
+        jaxform.simulate(_cup(jaxform.Maxwell, False), adjoint=jaxform.Reversed())
