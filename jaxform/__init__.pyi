@@ -7,6 +7,8 @@ from .core.parameters import parameter
 from .io.files import load
 from .loads import Loading, Pressure, loading, make_pressure
 from .materials import (
+    Arrhenius,
+    ArrheniusStiffness,
     Christensen,
     Gent,
     Law,
@@ -16,6 +18,7 @@ from .materials import (
     NeoHookean,
     Ogden,
     PlaneLaw,
+    Wlf,
     Yeoh,
     law,
 )
@@ -43,6 +46,8 @@ from .tools.mold import Mold, make_mold
 
 __all__ = [
     "Adjoint",
+    "Arrhenius",
+    "ArrheniusStiffness",
     "Checkpointed",
     "Christensen",
     "Field",
@@ -69,6 +74,7 @@ __all__ = [
     "Solver",
     "Stored",
     "Surroundings",
+    "Wlf",
     "Yeoh",
     "build_scene",
     "compiler_options",

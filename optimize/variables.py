@@ -163,7 +163,7 @@ class Scale:
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The same; what varies over the sheet at the nodes of its mesh, (..., n_node)."""
         values = np.asarray(self.changes(free)[self.of], float)
-        if self.of == "parison.thickness":
+        if self.of in ("parison.thickness", "parison.temperature"):
             values = values[: self._first_nodes]
             return {self.of: float(values[0]) if np.ptp(values) == 0.0 else values}
         if self._varies:

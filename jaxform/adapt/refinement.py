@@ -290,11 +290,11 @@ def _with_parts(
     active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected."""
-    differentiable, forest, volumes = active is None, adaptivity.forest, discrete.forest_volumes
+    differentiable, forest, wood = active is None, adaptivity.forest, discrete.wood
     before, state = state, caught_up(state, scene, discrete, active)
     mesh = dataclasses.replace(bisected(state.refined_mesh, queue, forest), split_at=split_at)
-    body = refined_discretization(scene, forest, mesh, volumes, discrete.forest_zones)
-    new = insert_nodes(state, mesh, scene, adaptivity, volumes, differentiable=differentiable)
+    body = refined_discretization(scene, forest, mesh, wood)
+    new = insert_nodes(state, mesh, scene, adaptivity, wood.volumes, differentiable=differentiable)
     # What concerns the account alone carries no derivative.
     if state.memory is not None:
         new = dataclasses.replace(new, memory=inherited(state.memory, state.refined_mesh, mesh, forest))

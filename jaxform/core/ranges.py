@@ -77,6 +77,11 @@ RANGES: dict[str, Range] = {
     "material.a01": Range("Pa", above=0.0),
     "material.a02": Range("Pa", least=0.0),
     "material.density": Range("kg/m^3", above=0.0),
+    "parison.temperature": Range("degC", above=-273.15, most=3000.0),
+    "material.shift.reference": Range("degC", above=-273.15, most=3000.0),
+    "material.shift.c1": Range(least=0.0),
+    "material.shift.c2": Range("K", above=0.0),
+    "material.shift.activation_energy": Range("J/mol", least=0.0),
     "material.viscous.modulus": Range("Pa", above=0.0),
     "material.viscous.time": Range("s", above=0.0),
     "solver.end_time": Range("s", above=0.0),
@@ -103,6 +108,7 @@ OF_LAWS: dict[str, dict[str, Range]] = {
 
 DESIGNABLE = [
     "parison.thickness",
+    "parison.temperature",
     "pressure.time",
     "pressure.value",
     "material.c",

@@ -168,8 +168,8 @@ def _health(
 ) -> tuple[jax.Array, jax.Array]:
     """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
-    material = scene.material.with_zones(active.zones)
-    inside = account(state.nodes.positions, active.packed.elements, active.thickness, material, state.memory)
+    law = active.law(scene.material)
+    inside = account(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
     strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
     excess = held - state.account.external_work - last_work(state, scene, volume)

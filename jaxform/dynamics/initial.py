@@ -11,7 +11,7 @@ from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import enclosed_volume
-from jaxform.sheet.discretization import Mesh
+from jaxform.sheet.discretization import Mesh, discretize, present_discretization
 from jaxform.sheet.state import Account, AtStart, Control, Replay, State, any_mode, at_start
 
 
@@ -20,6 +20,8 @@ def _first_memory(scene: Scene, mesh: Mesh | None) -> jax.Array | None:
     modes, adaptivity, pairs = scene.material.viscous, scene.adaptivity, scene.tables.assembly.pairs
     if modes is None:
         return None
+    if scene.material.shift is not None and scene.parison.temperature is not None:
+        modes = present_discretization(scene, mesh, discretize(scene)).modes or modes
     if mesh is not None and adaptivity is not None:
         return modes.at_first(adaptivity.forest.sheet.inverse_metric[:, mesh.element])
     # In the basis that elements are worked through in.

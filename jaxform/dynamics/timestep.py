@@ -24,6 +24,7 @@ from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Room
+from jaxform.sheet.discretization import law_of
 from jaxform.sheet.state import PackedState, any_mode, can_move
 
 RUNGS_PER_OCTAVE = 16
@@ -154,15 +155,15 @@ def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.A
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
     rows, elements = membrane.rows_of(state.nodes.positions), active.packed.elements
 
-    def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any) -> Any:
+    def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any, modes: Any) -> Any:
         triangles, inverse, area = own
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
-        material = scene.material.with_zones(zones)
+        material = law_of(scene.material, zones, modes)
         return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, material, memory)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
-    inputs = own, active.bound, active.zones, state.memory
+    inputs = own, active.bound, active.zones, state.memory, active.modes
     _, (largest,) = over_blocks(work, elements.block_count, inputs, [], most=1)
     step = stiffness.stable_step(largest, scene.material)
     if not scene.pressure.follows_volume:
@@ -225,7 +226,7 @@ def _highest(
     if scene.pressure.follows_volume:
         volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
     pressure = scene.pressure.at(state.time, volume)
-    modes = scene.material.viscous
+    modes = active.modes or scene.material.viscous
     memory = None if modes is None or state.memory is None else at_once(state.memory, modes)
     load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
 

@@ -105,6 +105,7 @@ def _stepped(
     impacts: bool = False,
 ) -> tuple[PackedState, Moving, Room | None]:
     (length, most, limit, room), duration, row = decisions
+    modes = active.modes or scene.material.viscous
     now = Window(
         active=active,
         begin=state.time,
@@ -115,7 +116,7 @@ def _stepped(
         duration=duration,
         candidates=_list_candidates(state, scene, active, duration, length, room),
         wary=state.control.last_count == 0,
-        recursion=None if scene.material.viscous is None else scene.material.viscous.recursion(length),
+        recursion=None if modes is None else modes.recursion(length),
     )
     nodes = state.nodes
     corners = None if differentiable else no_corners(nodes.positions, active.packed.elements)

@@ -198,10 +198,14 @@ def _told_of(file: str, key: str = "") -> Iterator[None]:
 
 
 def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Forest | None) -> Parison:
-    thickness = _quantity(document, document.model.parison.thickness, "parison.thickness", sheet)
+    table = document.model.parison
+    thickness = _quantity(document, table.thickness, "parison.thickness", sheet)
+    temperature = table.temperature
+    if temperature is not None:
+        temperature = _quantity(document, temperature, "parison.temperature", sheet)
     if forest is None:
-        return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed)
-    return grown_parison(forest, thickness)
+        return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed, temperature)
+    return grown_parison(forest, thickness, temperature)
 
 
 def _grown(sheet: shapes.Sheet, forest: bisection.Forest | None) -> shapes.Sheet:
@@ -254,7 +258,7 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
             symmetry=table.symmetry,
         )
     if isinstance(table, schema.BottleHalfParison):
-        return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness"}))
+        return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness", "temperature"}))
     size = table.element_size
     local = _profile(size, "parison.element_size") if isinstance(size, schema.Profile) else size
     return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
@@ -297,12 +301,14 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
         terms = [_quantity(document, one, f"{key}[{k}]", sheet) for k, one in enumerate(value)]
         return as_real(np.stack(np.broadcast_arrays(*terms)))
 
-    modes = table.viscous
+    def part(kinds: dict[str, Any], own: Any) -> Any:
+        if own is None:
+            return None
+        kind = kinds[own.kind]
+        return kind(**{name: as_real(getattr(own, name)) for name in ranges_of(kind)})
+
     made = law(**{name: number(name) for name in ranges_of(law)})
-    if modes is None:
-        return made
-    numbers = {name: as_real(getattr(modes, name)) for name in ("modulus", "time")}
-    return replace(made, viscous=materials.MODES[modes.kind](**numbers))
+    return replace(made, viscous=part(materials.MODES, table.viscous), shift=part(materials.SHIFTS, table.shift))
 
 
 def _mold(document: SceneDocument) -> Mold | None:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxform.core.errors import InputError
 from jaxform.core.writing import whole
 from jaxform.mesh import meshes
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Parison, Scene
 from jaxform.results.result import Result, only_used
 from jaxform.results.summary import summarize
 from jaxform.runs.host import Moment
@@ -72,6 +72,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "thickness": np.asarray(result.thickness, float),
         "initial_thickness": np.asarray(scene.parison.thickness, float),
         "contact_time": np.asarray(result.contact_time, float),
+        **_warmth(scene.parison, len(result.thickness)),
         **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
     cell_data = {
@@ -84,6 +85,12 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         meshes.write_vtu(
             fresh, np.asarray(result.positions), np.asarray(scene.parison.triangles), point_data, cell_data
         )
+
+
+def _warmth(parison: Parison, count: int) -> dict[str, np.ndarray]:
+    """The sheet's temperature [degC] at its first nodes, where it has one."""
+    temperature = parison.temperature
+    return {} if temperature is None else {"temperature": np.asarray(temperature, float)[:count]}
 
 
 def write_sheet(scene: Scene, path: str | Path) -> None:
@@ -101,6 +108,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "thickness": thickness,
             "initial_thickness": thickness,
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
+            **_warmth(parison, first),
             **{name: np.asarray(own.start(parison.positions), float)[:first] for name, own in scene.fields.items()},
         },
         cell_data={

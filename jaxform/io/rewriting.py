@@ -44,7 +44,8 @@ def write_scene(
     for key, value in changes.items():
         part, _, number = key.partition(".")
         varies = part == "material" and isinstance(value, np.ndarray) and value.ndim > 0
-        if varies or (key == "parison.thickness" and np.ndim(value) == 1 and not isinstance(value, str | dict)):
+        whole_sheet = key in ("parison.thickness", "parison.temperature")
+        if varies or (whole_sheet and not isinstance(value, str | dict) and np.ndim(value) == 1):
             value = _write_fields(document, np.asarray(value), number, folder / f"{Path(name).stem}-{number}.vtu")
         _put(data, key, value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
     path = folder / name

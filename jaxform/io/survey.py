@@ -224,7 +224,7 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
-    stiffness = float(scene.material.stiffness_at_once().mean())
+    stiffness = float(scene.law.stiffness_at_once().mean())
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:

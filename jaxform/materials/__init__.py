@@ -5,6 +5,7 @@ from jaxform.materials.law import Law, PlaneLaw, Slope, law
 from jaxform.materials.mooney_rivlin import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.materials.neo_hookean import NeoHookean
 from jaxform.materials.ogden import Ogden
+from jaxform.materials.shift import SHIFTS, Arrhenius, ArrheniusStiffness, Shift, Wlf
 from jaxform.materials.viscous import MODES, Christensen, Maxwell, Modes, Recursion
 from jaxform.materials.yeoh import Yeoh
 
@@ -21,6 +22,9 @@ LAWS: dict[str, type[Law]] = {
 __all__ = [
     "LAWS",
     "MODES",
+    "SHIFTS",
+    "Arrhenius",
+    "ArrheniusStiffness",
     "Christensen",
     "Gent",
     "Law",
@@ -32,7 +36,9 @@ __all__ = [
     "Ogden",
     "PlaneLaw",
     "Recursion",
+    "Shift",
     "Slope",
+    "Wlf",
     "Yeoh",
     "law",
 ]

@@ -9,8 +9,9 @@ from typing import Self, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import declared_part, parameter, varying_numbers, within
+from jaxform.core.parameters import declared_part, parameter, ranges_of, varying_numbers, within
 from jaxform.core.pytree import static
+from jaxform.materials.shift import Shift
 from jaxform.materials.viscous import Modes
 
 Slope = jax.Array | None
@@ -48,14 +49,33 @@ class Law(_Dense):
 
     Attributes:
         viscous: Viscous modes, whose stress is added; what the law says is then what is left in the end. None without.
+        shift: What temperature does to it; None for nothing.
     """
 
     viscous: Modes | None = dataclasses.field(default=None, metadata={"part": True})
+    shift: Shift | None = dataclasses.field(default=None, metadata={"part": True})
 
     @property
     def elastic(self) -> Self:
-        """The law without its viscous modes."""
-        return self if self.viscous is None else dataclasses.replace(self, viscous=None)
+        """The law without its viscous modes, as it is at any temperature."""
+        if self.viscous is None and self.shift is None:
+            return self
+        return dataclasses.replace(self, viscous=None, shift=None)
+
+    def at(self, temperature: jax.Array | None) -> Self:
+        """The law of elements at temperatures (n,) [degC]: what these shift varies; None for the reference."""
+        if self.shift is None or temperature is None:
+            return self
+        factor, numbers = self.shift.factor(temperature), {}
+        moduli = factor if self.shift.stiffens else jnp.ones_like(factor)
+        if self.shift.stiffens:
+            moduli_of = [name for name, allowed in ranges_of(self).items() if allowed.unit == "Pa"]
+            zones = self.zones
+            for name in moduli_of:
+                number = getattr(self, name)
+                numbers[name] = (number if name in zones else number[..., None]) * factor
+        modes = None if self.viscous is None else self.viscous.shifted(factor, moduli)
+        return dataclasses.replace(self.with_zones(numbers), viscous=modes, shift=None)
 
     def stiffness_at_once(self) -> jax.Array:
         """As `stiffness`, with what the viscous modes add at once."""

@@ -15,7 +15,8 @@ so that r = exp(-k) x - back M is all that goes from step to step.
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple, dataclass_transform
+import dataclasses
+from typing import ClassVar, NamedTuple, Self, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -76,6 +77,8 @@ class Recursion(NamedTuple):
 class Modes:
     """Viscous modes of one kind, a modulus and a time each; the kind is the class.
 
+    Where temperature shifts them, both are of each element, (n_mode, n).
+
     Attributes:
         kind: Its name.
         modulus: One number for each mode (n_mode,) [Pa].
@@ -92,12 +95,17 @@ class Modes:
         raise NotImplementedError
 
     def recursion(self, step: jax.Array) -> Recursion:
-        """Of a step [s], or of steps that are different for each mode and element (n_mode, n)."""
+        """Of a step [s]."""
         raise NotImplementedError
 
     def at_first(self, inverse: jax.Array) -> jax.Array:
         """The stress (4 n_mode, n) of elements that were never strained, with this inverse metric (3, n)."""
         raise NotImplementedError
+
+    def shifted(self, times: jax.Array, moduli: jax.Array) -> Self:
+        """With factors (n,) on times and moduli, of each element."""
+        numbers = {"modulus": self.modulus[:, None] * moduli[None], "time": self.time[:, None] * times[None]}
+        return dataclasses.replace(self, **numbers)  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
     def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
         """What the modes store (n,) [J/m^3], from the stress of each."""
@@ -150,7 +158,7 @@ class Christensen(Modes):
 
     def at_first(self, inverse: jax.Array) -> jax.Array:
         """None."""
-        return jnp.zeros((4 * self.modulus.size, inverse.shape[1]), inverse.dtype)
+        return jnp.zeros((4 * len(self.modulus), inverse.shape[1]), inverse.dtype)
 
     def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
         """Half the square of the stress over the modulus."""
@@ -167,11 +175,11 @@ class Christensen(Modes):
         """Grows with the square of the stretch."""
         area = jnp.square(larger * smaller)
         across = (1.0 / jnp.square(larger) + 1.0 / jnp.square(smaller)) / jnp.square(area)
-        return jnp.sum(self.modulus) * (jnp.square(larger) + across)
+        return jnp.sum(self.modulus, axis=0) * (jnp.square(larger) + across)
 
     def stiffness(self) -> jax.Array:
         """A quarter of the moduli."""
-        return 0.25 * jnp.sum(self.modulus)
+        return 0.25 * jnp.sum(self.modulus, axis=0)
 
 
 @modes
@@ -203,7 +211,8 @@ class Maxwell(Modes):
     def at_first(self, inverse: jax.Array) -> jax.Array:
         """As in rubber that is not strained."""
         rows = jnp.concatenate([inverse, jnp.ones_like(inverse[:1])])
-        return (self.modulus[:, None, None] * rows[None]).reshape(-1, inverse.shape[1])
+        modulus = self.modulus[:, None, :] if self.modulus.ndim == 2 else self.modulus[:, None, None]
+        return (modulus * rows[None]).reshape(-1, inverse.shape[1])
 
     def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
         """That of dumbbells: g / 2 (tr c - ln det c - 3) of the conformation c."""
@@ -228,7 +237,7 @@ class Maxwell(Modes):
 
     def stiffness(self) -> jax.Array:
         """Half the moduli."""
-        return 0.5 * jnp.sum(self.modulus)
+        return 0.5 * jnp.sum(self.modulus, axis=0)
 
 
 MODES: dict[str, type[Modes]] = {"christensen": Christensen, "maxwell": Maxwell}
@@ -246,7 +255,7 @@ def _relaxed(step: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def _beside(numbers: jax.Array, like: jax.Array) -> jax.Array:
     """Numbers (n_mode,), as (n_mode, 1) where the others are (n_mode, n)."""
-    return numbers[:, None] if like.ndim == 2 else numbers
+    return numbers[:, None] if like.ndim > numbers.ndim > 0 else numbers
 
 
 def _square(x: Rows, strained: Strained) -> jax.Array:

@@ -104,16 +104,16 @@ def corner_forces_remembered(
     zones = {name: values for name, values in response.zones.items() if name != "memory.rest"}
     varying, single = _split(recursion)
 
-    def work(old: Any, own: Own, thickness: jax.Array, zones: Any, varying: Any) -> Any:
+    def work(old: Any, own: Own, thickness: jax.Array, zones: Any, varying: Any, own_modes: Any) -> Any:
         # As they are: put together, the rows would be copied.
         present = response.having(zones | {"memory.rest": old[0]})
         corners, volume, found = _forces(rows, own, thickness, load.pressure, elements.origin, present)
         assert found is not None
-        rate = modes.loss(found.modes, found.strained)
+        rate = (own_modes or modes).loss(found.modes, found.strained)
         lost = jnp.where(own.area > 0.0, own.area * thickness * rate, 0.0)
         return [found.kept(Recursion(**(varying | single))), *together(corners, own)], [volume, lost]
 
-    inputs = own_of(elements), load.thickness, zones, varying
+    inputs = own_of(elements), load.thickness, zones, varying, _varying(modes)
     (rest, *corners), (volume, loss) = over_blocks(
         work, elements.block_count, inputs, [memory.rest, *into], sums=2, update=1, kept=False
     )
@@ -134,27 +134,32 @@ def stresses_now(load: Load, elements: Elements, modes: Modes, *, differentiable
     assert load.memory is not None
     rows, memory = rows_of(load.positions), load.memory
 
-    def work(g: Metric, inverse: Any, volume: jax.Array, memory: Memory) -> tuple[Rows, jax.Array]:
+    def work(g: Metric, inverse: Any, volume: jax.Array, memory: Memory, modes: Modes) -> tuple[Rows, jax.Array]:
         found = overstress(g, inverse, memory, once)
         lost = jnp.where(volume > 0.0, volume * modes.loss(found.modes, found.strained), 0.0)
         return [row for mode in found.modes for row in mode], lost
 
     if differentiable:
-        stress, lost = work(*metrics_of(load.positions, elements), elements.area * load.thickness, memory)
+        stress, lost = work(*metrics_of(load.positions, elements), elements.area * load.thickness, memory, modes)
         return Remembered(jnp.stack(stress), jnp.sum(lost))
     zones = {"gain": memory.gain} if memory.gain.ndim == 2 else {}
 
-    def of_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any) -> Any:
+    def of_block(old: Any, triangles: jax.Array, inverse: Any, volume: Any, zones: Any, own_modes: Any) -> Any:
         _, edge1, edge2 = edges(rows, triangles)
         present = dataclasses.replace(memory, rest=old[0], **zones)
-        stress, lost = work(metric(edge1, edge2), inverse, volume[0] * volume[1], present)
+        stress, lost = work(metric(edge1, edge2), inverse, volume[0] * volume[1], present, own_modes or modes)
         return [stress], [lost]
 
-    inputs = elements.triangles, elements.inverse_metric, (elements.area, load.thickness), zones
+    inputs = elements.triangles, elements.inverse_metric, (elements.area, load.thickness), zones, _varying(modes)
     (stress,), (loss,) = over_blocks(
         of_block, elements.block_count, inputs, [memory.rest], sums=1, update=1, kept=False
     )
     return Remembered(stress, loss)
+
+
+def _varying(modes: Modes) -> Modes | None:
+    """Modes that are different for each element."""
+    return modes if modes.modulus.ndim == 2 else None
 
 
 def _split(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:

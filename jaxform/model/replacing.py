@@ -17,7 +17,7 @@ from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import DESIGNABLE, RANGES, Range, as_numbers, check, declared
 from jaxform.loads import Loading
-from jaxform.materials import Law, Modes
+from jaxform.materials import Law, Modes, Shift
 from jaxform.model.field import Field
 from jaxform.model.scene import Scene
 
@@ -105,6 +105,9 @@ def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> ja
         count, usual = jnp.sum(good), 0.01 * scene.tables.size
         mean = jnp.sum(jnp.where(good, jax.lax.stop_gradient(values), 0.0)) / jnp.maximum(count, 1)
         return jnp.where(count > 0, mean, usual)
+    if path == "parison.temperature":
+        shift = scene.material.shift
+        return 20.0 if shift is None else jax.lax.stop_gradient(shift.reference)
     if path == "pressure.time":
         return jnp.arange(values.size, dtype=values.dtype)
     allowed = _range(path, scene)
@@ -116,7 +119,7 @@ def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> ja
 def _range(path: str, scene: Scene) -> Range:
     part, _, name = path.rpartition(".")
     owner = _owner(scene, part)
-    return ranges_of(owner)[name] if isinstance(owner, Law | Modes | Loading | Field) else RANGES[path]
+    return ranges_of(owner)[name] if isinstance(owner, Law | Modes | Shift | Loading | Field) else RANGES[path]
 
 
 def _key(path: str) -> str:

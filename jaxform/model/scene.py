@@ -37,6 +37,7 @@ class Parison:
         thickness: Initial thickness at the nodes (n_node,) [m].
         clamped: Nodes that never move (n_node,).
         fixed: Components that never move (n_node, 3), on symmetry planes.
+        temperature: At the nodes (n_node,) [degC]; None where the law does not ask for it.
     """
 
     positions: jax.Array
@@ -44,6 +45,7 @@ class Parison:
     thickness: jax.Array
     clamped: jax.Array
     fixed: jax.Array
+    temperature: jax.Array | None = None
 
 
 @pytree
@@ -151,6 +153,11 @@ class Scene:
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
 
     @property
+    def law(self) -> Law:
+        """The material at the sheet's temperature, what that shifts at each node."""
+        return self.material.at(self.parison.temperature)
+
+    @property
     def tool(self) -> Tool | None:
         """What the sheet can touch; None for free inflation."""
         mold, grid = self.mold, self.tables.grid
@@ -202,6 +209,7 @@ def make_parison(
     thickness: ArrayLike,
     clamped: np.ndarray,
     fixed: np.ndarray | None = None,
+    temperature: ArrayLike | None = None,
 ) -> Parison:
     """A parison from positions (n_node, 3) [m], triangles (n_element, 3) and clamped nodes (n_node,).
 
@@ -211,22 +219,30 @@ def make_parison(
         thickness: Initial thickness [m], a number or (n_node,).
         clamped: Mask of the nodes that never move.
         fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
+        temperature: Of the sheet [degC], a number or (n_node,); None where the law does not ask for it.
 
     Raises:
-        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh.
+        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh; or so a
+            temperature.
     """
     count = len(positions)
-    given = as_numbers("parison.thickness", thickness)
-    if given.ndim and given.shape != (count,):
-        raise InputError(f"needs one value per node: {count}, not {given.shape}", "match the mesh", "parison.thickness")
-    check("parison.thickness", given)
     return Parison(
         positions=as_real(positions),
         triangles=as_index(triangles),
-        thickness=as_real(np.broadcast_to(given, (count,))),
+        thickness=_nodal("parison.thickness", thickness, count),
         clamped=jnp.asarray(clamped, bool),
         fixed=jnp.zeros((count, 3), bool) if fixed is None else jnp.asarray(fixed, bool),
+        temperature=None if temperature is None else _nodal("parison.temperature", temperature, count),
     )
+
+
+def _nodal(key: str, given: ArrayLike, count: int) -> jax.Array:
+    """A number, or one for each node, as (n_node,)."""
+    values = as_numbers(key, given)
+    if values.ndim and values.shape != (count,):
+        raise InputError(f"needs one value per node: {count}, not {values.shape}", "match the mesh", key)
+    check(key, values)
+    return as_real(np.broadcast_to(values, (count,)))
 
 
 def make_solver(

@@ -69,6 +69,7 @@ def build_scene(
     if refinement is not None and forest is None:
         forest, parison = planted(parison, refinement)
     material = parts.law(material, count, forest)
+    parts.check_temperature(material, parison)
     carried = {str(key): parts.field(str(key), own, count, forest) for key, own in (fields or {}).items()}
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
@@ -91,7 +92,7 @@ def build_scene(
         refinement = with_room_for(refinement, forest, fine)
         grown = grown_forest(forest, refinement, sheet, mobility, bend, fine)
         bound = grown.bound
-    planned = planned_windows(bound, material, solver)
+    planned = planned_windows(bound, material.at(parison.temperature), solver)
     tables = Tables(
         sheet=sheet,
         assembly=_assembly(positions, triangles, refinement),

@@ -46,14 +46,20 @@ def planted(parison: Parison, refinement: Refinement) -> tuple[bisection.Forest,
         clamped=np.asarray(parison.clamped),
         fixed=np.asarray(parison.fixed),
     )
-    thickness = bisection.extended(np.asarray(parison.thickness, float), forest.ends, forest.depth)
-    return forest, grown_parison(forest, thickness)
+    thickness, temperature = (
+        None if values is None else bisection.extended(np.asarray(values, float), forest.ends, forest.depth)
+        for values in (parison.thickness, parison.temperature)
+    )
+    assert thickness is not None
+    return forest, grown_parison(forest, thickness, temperature)
 
 
-def grown_parison(forest: bisection.Forest, thickness: np.ndarray | float) -> Parison:
-    """The parison of a forest, with all its nodes, from their thickness [m]."""
+def grown_parison(
+    forest: bisection.Forest, thickness: np.ndarray | float, temperature: np.ndarray | float | None
+) -> Parison:
+    """The parison of a forest, with all its nodes, from their thickness [m] and temperature [degC]."""
     triangles = forest.triangles[: forest.root_count]
-    return make_parison(forest.positions, triangles, thickness, forest.clamped, forest.fixed)
+    return make_parison(forest.positions, triangles, thickness, forest.clamped, forest.fixed, temperature)
 
 
 def grown_forest(

@@ -8,14 +8,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
 from jaxform.core.parameters import is_declared, listed_numbers, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import as_numbers, check
 from jaxform.loads import Loading
-from jaxform.materials import Law, Modes
+from jaxform.materials import Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
+from jaxform.model.scene import Parison
 
 _RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
 
@@ -28,7 +29,7 @@ def law(material: Law, count: int, forest: bisection.Forest | None) -> Law:
     """
     if not is_declared(material, Law):
         raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
-    made = _replaced(material, {"viscous": _modes(material.viscous)})
+    made = _replaced(material, {"viscous": _modes(material.viscous), "shift": _shift(material.shift)})
     made = _with_arrays(made, "material", nodes={count} if forest is None else {count, len(forest.positions)})
     made.verify()
     if forest is None:
@@ -54,6 +55,30 @@ def _modes(modes: Modes | None) -> Modes | None:
         problem = f"has {made.time.size} numbers, modulus has {made.modulus.size}"
         raise InputError(problem, "give one for each mode", f"{key}.time")
     return made
+
+
+def _shift(shift: Shift | None) -> Shift | None:
+    if shift is not None and not is_declared(shift, Shift):
+        raise InputError("is no shift", "use jaxform.Wlf, Arrhenius or ArrheniusStiffness", "material.shift")
+    return None if shift is None else _with_arrays(shift, "material.shift", nodes=set())
+
+
+def check_temperature(material: Law, parison: Parison) -> None:
+    """Raises InputError where a shift and the temperature do not go together; warns where that changes nothing."""
+    shift, temperature = material.shift, parison.temperature
+    if shift is None:
+        if temperature is not None:
+            remedy = "give [material.shift], or leave the temperature out"
+            warn_of("the temperature changes nothing: the law says not how", remedy, key="parison.temperature")
+        return
+    if temperature is None:
+        raise InputError(
+            "is missing", "give the sheet's temperature, which [material.shift] needs", "parison.temperature"
+        )
+    lowest, coldest = float(np.min(np.asarray(temperature))), float(shift.coldest())
+    if lowest <= coldest:
+        problem = f"is not above {coldest:g} degC, where the shift has no value"
+        raise InputError(problem, "check material.shift and the units", "parison.temperature", lowest)
 
 
 def loading(pressure: Loading) -> Loading:

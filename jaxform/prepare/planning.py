@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,7 +64,7 @@ def first_step(scene: Scene) -> float:
         children = 2 * bisected + forest.root_count
         active = np.setdiff1d(np.concatenate([active, children, children + 1]), bisected)
     bound = as_real(np.max(np.asarray(scene.tables.bound)[active]))
-    return float(scene.solver.safety) * float(_stiffest_step(bound, scene.material, as_real(1.0)))
+    return float(scene.solver.safety) * float(_stiffest_step(bound, scene.law, as_real(1.0)))
 
 
 def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
@@ -82,13 +84,16 @@ def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.A
     unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
     strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
 
-    def steps(zones: dict[str, jax.Array]) -> jax.Array:
-        own = material.with_zones(zones)
+    def steps(zones: dict[str, jax.Array], modes: Modes | None) -> jax.Array:
+        own = dataclasses.replace(material.with_zones(zones), viscous=modes)
         values = stiffness.tangent_stiffness(strain, own)
         if own.viscous is not None:
             values += _stiffness_at_once(square, own.viscous)
         stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
         return stiffness.stable_step(stiffest * bound, own)
 
-    zones = material.zones
-    return jnp.min(jax.vmap(steps, in_axes=-1)(zones)) if zones else steps(zones)
+    zones, modes = material.zones, material.viscous
+    shifted = modes is not None and modes.modulus.ndim == 2
+    if not zones and not shifted:
+        return steps(zones, modes)
+    return jnp.min(jax.vmap(steps, in_axes=(-1, -1 if shifted else None))(zones, modes))

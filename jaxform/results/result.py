@@ -195,6 +195,8 @@ def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
     kept = result.of(NODAL, active) | result.of(OF_ELEMENTS, used)
     sheet = {name: np.asarray(getattr(scene.parison, name))[active] for name in ("positions", "thickness")}
     sheet |= {name: np.asarray(getattr(scene.parison, name))[active] for name in ("clamped", "fixed")}
+    if scene.parison.temperature is not None:
+        sheet["temperature"] = np.asarray(scene.parison.temperature)[active]
     parison: Any = dataclasses.replace(scene.parison, triangles=triangles, **sheet)  # pyright: ignore
     made: Any = dataclasses.replace(result, triangles=triangles, **kept)
     return dataclasses.replace(scene, parison=parison, refinement=None), made

@@ -75,13 +75,17 @@ def parison_with_room(parison: Parison, elements: int, order: Order) -> Parison:
     positions = np.asarray(parison.positions)
     there = nodal_with_room(np.ones(len(order.node), bool), order, False)
     places: Any = np.where(there, nodal_with_room(positions.T, order, 0.0), positions[:1].T).T
-    thickness = np.asarray(parison.thickness)
+
+    def like_first_node(values: Any) -> Any:
+        return np.where(there, nodal_with_room(values, order, 0.0), np.asarray(values)[0])
+
     return Parison(
         positions=places,
         triangles=like_first(order.node[np.asarray(parison.triangles)].T, elements).T.astype(np.int32),
-        thickness=np.where(there, nodal_with_room(thickness, order, 0.0), thickness[0]),
+        thickness=like_first_node(parison.thickness),
         clamped=nodal_with_room(parison.clamped, order, True),
         fixed=nodal_with_room(np.asarray(parison.fixed).T, order, True).T,
+        temperature=None if parison.temperature is None else like_first_node(parison.temperature),
     )
 
 

@@ -34,8 +34,9 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
         return energy
     elements = whole.elements
     now = strained(*metrics_of(whole.taken(state.nodes.positions), elements))
-    found = modes.energy(modes_of(state.memory[:, whole.element]), now)
-    volume = elements.area * discrete.thickness[whole.element]
+    own = discrete.of_elements(whole.element)
+    found = (own.modes or modes).energy(modes_of(state.memory[:, whole.element]), now)
+    volume = elements.area * own.thickness
     return energy + jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
 
 
@@ -64,9 +65,12 @@ def account(
         memory: The stress of its viscous modes (4 n_mode, room); None where it has none.
         counted: Those that count (room,); all by default.
     """
-    rows, modes = membrane.rows_of(positions), material.viscous
+    rows, viscous = membrane.rows_of(positions), material.viscous
+    varying = None if viscous is None or viscous.modulus.ndim == 1 else viscous
 
-    def work(own: Any, thickness: jax.Array, zones: Any, memory: Any, counted: Any, orientation: Any) -> Any:
+    def work(own: Any, thickness: jax.Array, behaviour: Any, counted: Any, orientation: Any) -> Any:
+        zones, memory, modes = behaviour
+        modes = modes or viscous
         triangles, inverse, area = own
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = once((edge1, edge2))
@@ -82,7 +86,7 @@ def account(
         return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
-    inputs = own, thickness, material.zones, memory, counted, elements.orientation
+    inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return Held(energy, volume / 6.0)
 
@@ -113,5 +117,5 @@ def enclosed_volume(positions: jax.Array, sheet: Sheet | Elements, counted: jax.
 
 def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
     """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
-    scale = jax.lax.stop_gradient(jnp.max(scene.material.stiffness_at_once()) * volume)
+    scale = jax.lax.stop_gradient(jnp.max(scene.law.stiffness_at_once()) * volume)
     return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

@@ -15,14 +15,14 @@ import jax.numpy as jnp
 from jaxform.contact.lists import Lists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
-from jaxform.materials import Law
+from jaxform.materials import Law, Modes
 from jaxform.mechanics.elements import Corners
 from jaxform.mechanics.nodes import Rule
 from jaxform.mechanics.response import Memory, Response
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, Sheet
 from jaxform.sheet.account import Held, account, enclosed_volume
-from jaxform.sheet.discretization import Discretization, Mesh
+from jaxform.sheet.discretization import Discretization, Mesh, law_of
 from jaxform.sheet.idle import Idle, left_behind
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
@@ -51,6 +51,7 @@ class ActiveSet:
         packed: Their order.
         thickness: Initial thickness of the elements (room,) [m].
         zones: Numbers of the law that vary over the sheet, of the elements (..., room), by name.
+        modes: Viscous modes of the elements (n_mode, room); None where they do not vary.
         bound: Largest eigenvalue of their shape gradients (room,) [1/m^2].
         mass: Lumped mass of the nodes (place,) [kg].
         compliance: Mobility over mass (3, place) [1/kg].
@@ -65,6 +66,7 @@ class ActiveSet:
     packed: Packed
     thickness: jax.Array
     zones: dict[str, jax.Array]
+    modes: Modes | None
     bound: jax.Array
     mass: jax.Array
     compliance: jax.Array
@@ -112,6 +114,10 @@ class ActiveSet:
     def response(self, material: Law, memory: Memory | None = None) -> Response:
         """How its elements answer to strain, of a scene with this law."""
         return Response(material.elastic.with_zones(self.zones), memory)
+
+    def law(self, material: Law) -> Law:
+        """The law of its elements, of a scene with this one."""
+        return law_of(material, self.zones, self.modes)
 
 
 def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: Discretization) -> Packed:
@@ -182,8 +188,8 @@ def held_by(state: State, scene: Scene, discrete: Discretization, counted: jax.A
     """What the elements that count (room,) hold, in the order of the whole; not differentiable."""
     whole, memory = discrete.whole, state.memory
     own = discrete.of_elements(whole.element)
-    material, rows = scene.material.with_zones(own.zones), None if memory is None else memory[:, whole.element]
-    fixed = state.nodes.positions, whole.elements, own.thickness, material, rows
+    rows = None if memory is None else memory[:, whole.element]
+    fixed = state.nodes.positions, whole.elements, own.thickness, own.law(scene.material), rows
     return account(*jax.lax.stop_gradient(fixed), counted)
 
 
@@ -229,6 +235,7 @@ def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Arra
         packed=packed,
         thickness=own.thickness,
         zones=own.zones,
+        modes=own.modes,
         bound=discrete.bound[packed.element],
         mass=packed.taken(discrete.mass),
         compliance=packed.taken(discrete.compliance),

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import pytree
+from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane
 from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import Assembly, Counts, Forest, Sheet
@@ -47,10 +48,21 @@ class Mesh:
 
 
 class Substance(NamedTuple):
-    """What elements are made of: their initial thickness (n,) [m], and numbers of the law that vary (..., n)."""
+    """What elements are made of: initial thickness (n,) [m], numbers of the law that vary (..., n), modes that do."""
 
     thickness: jax.Array
     zones: dict[str, jax.Array]
+    modes: Modes | None
+
+    def law(self, material: Law) -> Law:
+        """Their law, of a scene with this one."""
+        return law_of(material, self.zones, self.modes)
+
+
+def law_of(material: Law, zones: dict[str, jax.Array], modes: Modes | None) -> Law:
+    """The law of elements, with numbers that vary and, where they do, viscous modes."""
+    made = material.with_zones(zones)
+    return made if modes is None else dataclasses.replace(made, viscous=modes)
 
 
 @pytree
@@ -69,7 +81,9 @@ class Discretization:
         compliance: Mobility over mass (3, n_node) [1/kg].
         whole: All elements and nodes, packed.
         volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
-        forest_zones: As `zones`, of all triangles of the forest.
+        forest_zones: Numbers of the material that vary, of all triangles of the forest.
+        forest_temperature: Of these triangles (n_triangle,) [degC]; None where the law does not ask for it.
+        modes: Viscous modes, of each element (n_mode, n_element); None where they do not vary.
     """
 
     sheet: Sheet
@@ -82,16 +96,19 @@ class Discretization:
     whole: Packed
     volumes: jax.Array | None = None
     forest_zones: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
+    forest_temperature: jax.Array | None = None
+    modes: Modes | None = None
 
     @property
-    def forest_volumes(self) -> jax.Array:
-        """`volumes`, of a sheet that is refined."""
+    def wood(self) -> Wood:
+        """What the forest's triangles are made of, of a sheet that is refined."""
         assert self.volumes is not None
-        return self.volumes
+        return Wood(self.volumes, self.forest_zones, self.forest_temperature)
 
     def of_elements(self, element: jax.Array) -> Substance:
         """What the elements of these numbers (n,) are made of."""
-        return Substance(self.thickness[element], {name: own[..., element] for name, own in self.zones.items()})
+        zones, modes = jax.tree.map(lambda own: own[..., element], (self.zones, self.modes))
+        return Substance(self.thickness[element], zones, modes)
 
 
 def discretize(scene: Scene) -> Discretization:
@@ -100,17 +117,24 @@ def discretize(scene: Scene) -> Discretization:
     if scene.adaptivity is not None:
         forest = scene.adaptivity.forest
         volumes, mesh = _volumes(scene, forest), first_mesh(scene, scene.adaptivity)
-        return refined_discretization(scene, forest, mesh, volumes, _forest_zones(scene, forest, volumes))
+        means = _forest_means(scene.material.zones, forest, volumes)
+        warmth = _warmth(scene)
+        found = None if warmth is None else _forest_means({"": warmth}, forest, volumes)[""]
+        return refined_discretization(scene, forest, mesh, Wood(volumes, means, found))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
+    warmth = _warmth(scene)
+    warmth = None if warmth is None else membrane.element_mean(warmth, sheet.triangles)
+    zones, modes = _at_temperature(scene, zones, warmth)
     share = zones.get("density", scene.material.density) * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
     if tables.counts is not None:
         mass = jnp.where(jnp.arange(mass.size) < tables.counts.nodes, mass, 1.0)
     whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
     compliance = tables.mobility / mass[None]
-    return Discretization(sheet, tables.assembly, tables.bound, thickness, zones, mass, compliance, whole)
+    own = sheet, tables.assembly, tables.bound, thickness, zones, mass, compliance, whole
+    return Discretization(*own, modes=modes)
 
 
 def present_discretization(
@@ -120,7 +144,30 @@ def present_discretization(
     if mesh is None or first.volumes is None or scene.adaptivity is None:
         return first
     forest = scene.adaptivity.forest
-    return refined_discretization(scene, forest, mesh, first.volumes, first.forest_zones, stepped=stepped)
+    return refined_discretization(scene, forest, mesh, first.wood, stepped=stepped)
+
+
+class Wood(NamedTuple):
+    """What the forest's triangles are made of: volume [m^3], material numbers that vary, temperature; of each."""
+
+    volumes: jax.Array
+    zones: dict[str, jax.Array]
+    temperature: jax.Array | None
+
+
+def _warmth(scene: Scene) -> jax.Array | None:
+    """The temperature of the nodes (n_node,) [degC], where it matters."""
+    return None if scene.material.shift is None else scene.parison.temperature
+
+
+def _at_temperature(
+    scene: Scene, zones: dict[str, jax.Array], temperature: jax.Array | None
+) -> tuple[dict[str, jax.Array], Modes | None]:
+    """Of elements with such numbers at temperatures (n,) [degC], all numbers of the law that vary, and the modes."""
+    if temperature is None:
+        return zones, None
+    law = scene.material.with_zones(zones).at(temperature)
+    return law.zones, law.viscous
 
 
 def _volumes(scene: Scene, forest: Forest) -> jax.Array:
@@ -137,15 +184,15 @@ def _volumes(scene: Scene, forest: Forest) -> jax.Array:
     return jnp.concatenate(levels[::-1])
 
 
-def _forest_zones(scene: Scene, forest: Forest, volumes: jax.Array) -> dict[str, jax.Array]:
-    """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the law's numbers that vary, by name.
+def _forest_means(nodal: dict[str, jax.Array], forest: Forest, volumes: jax.Array) -> dict[str, jax.Array]:
+    """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the means of nodal values (..., n_node).
 
     At the deepest level from the nodes' values; above, the mean of the parts, weighted by their volume, so that no
     bisection makes or loses mass.
     """
     deepest, places = forest.root_count << forest.depth, forest.sheet.triangles
     found = {}
-    for name, own in scene.material.zones.items():
+    for name, own in nodal.items():
         weighted = [membrane.element_mean(own, places[:, -deepest:]) * volumes[-deepest:]]
         for _ in range(forest.depth):
             weighted.append(weighted[-1][..., 0::2] + weighted[-1][..., 1::2])
@@ -196,8 +243,7 @@ def refined_discretization(
     scene: Scene,
     forest: Forest,
     mesh: Mesh,
-    volumes: jax.Array,
-    forest_zones: dict[str, jax.Array],
+    wood: Wood,
     *,
     stepped: bool = False,
 ) -> Discretization:
@@ -211,8 +257,10 @@ def refined_discretization(
         area=jnp.where(used, forest.sheet.area[element], 0.0),
         origin=forest.sheet.origin,
     )
-    volume = volumes[element]
-    zones = {name: own[..., element] for name, own in forest_zones.items()}
+    volume = wood.volumes[element]
+    zones = {name: own[..., element] for name, own in wood.zones.items()}
+    warmth = None if wood.temperature is None else wood.temperature[element]
+    zones, modes = _at_temperature(scene, zones, warmth)
     density = zones.get("density", scene.material.density)
     share = jnp.where(used, forest.heavier[element] * density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
@@ -228,6 +276,8 @@ def refined_discretization(
         mass=heavy,
         compliance=jnp.where(exists[None], forest.mobility[:, mesh.node] / heavy[None], 0.0),
         whole=pack(None, sheet, assembly, counts, stepped=stepped or not scene.packs_moving),
-        volumes=volumes,
-        forest_zones=forest_zones,
+        volumes=wood.volumes,
+        forest_zones=wood.zones,
+        forest_temperature=wood.temperature,
+        modes=modes,
     )

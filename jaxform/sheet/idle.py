@@ -63,12 +63,13 @@ def left_behind(
     """The elements that are not packed, of a sheet with nodes at positions (3, n_node) [m]."""
     whole = discrete.whole
     elements, element = whole.elements, whole.element
+    own = discrete.of_elements(element)
     return Idle(
         element=element,
         counted=(elements.area > 0.0) & ~packed.kept[element],
         stress=memory[:, element],
         strained=strained(*metrics_of(positions, elements)),
-        volume=elements.area * discrete.thickness[element],
+        volume=elements.area * own.thickness,
         since=time,
-        modes=modes,
+        modes=own.modes or modes,
     )

@@ -47,16 +47,57 @@ class Viscous(Table):
         return self
 
 
+class WlfShift(Table):
+    """Relaxation times by temperature: log10 a = -c1 (T - reference) / (c2 + T - reference).
+
+    Attributes:
+        kind: The kind of shift.
+        reference: Temperature [degC] at which the law's numbers hold.
+        c1: A number; 17.44 where the reference is the glass transition.
+        c2: [K]; 51.6 where the reference is the glass transition.
+    """
+
+    kind: Literal["wlf"]
+    reference: Annotated[float, within("material.shift.reference")]
+    c1: Annotated[float, within("material.shift.c1")]
+    c2: Annotated[float, within("material.shift.c2")]
+
+
+class ArrheniusShift(Table):
+    """Relaxation times by temperature: ln a = E / R (1 / T - 1 / reference), in kelvin.
+
+    Attributes:
+        kind: "arrhenius" shifts times alone, "arrhenius-stiffness" all moduli as well.
+        reference: Temperature [degC] at which the law's numbers hold.
+        activation_energy: E [J/mol].
+    """
+
+    kind: Literal["arrhenius", "arrhenius-stiffness"]
+    reference: Annotated[float, within("material.shift.reference")]
+    activation_energy: Annotated[float, within("material.shift.activation_energy")]
+
+
+_SHIFTS = ["wlf", "arrhenius", "arrhenius-stiffness"]
+Shift = Annotated[
+    Annotated[WlfShift, Tag("<wlf>")]
+    | Annotated[ArrheniusShift, Tag("<arrhenius>")]
+    | Annotated[ArrheniusShift, Tag("<arrhenius-stiffness>")],
+    *choice("kind", _SHIFTS),
+]
+
+
 class _Law(Table):
     """What every law has.
 
     Attributes:
         density: Mass per volume [kg/m^3].
         viscous: Viscous modes; without them the sheet remembers nothing.
+        shift: What the sheet's temperature does; without it nothing.
     """
 
     density: Density
     viscous: Viscous | None = None
+    shift: Shift | None = None
 
 
 class NeoHookean(_Law):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, field_validator
 
-from jaxform.io.schema.quantities import Count, ElementSize, Profile, Thickness
+from jaxform.io.schema.quantities import Count, ElementSize, Profile, Temperature, Thickness
 from jaxform.io.validation import Length, Positive, Table, choice, wrong
 
 
@@ -17,19 +17,21 @@ class _BuiltIn(Table):
         elements: About how many triangles; this or `element_size`.
         symmetry: Which part of the sheet is simulated.
         thickness: Initial thickness [m].
+        temperature: Of the sheet [degC], where the law has a shift.
     """
 
     elements: Count | None = None
     symmetry: Literal["none", "half", "quarter"] = "none"
     thickness: Thickness
+    temperature: Temperature | None = None
 
-    @field_validator("thickness")
+    @field_validator("thickness", "temperature")
     @classmethod
-    def _no_own_field(cls, thickness: Any) -> Any:
-        if isinstance(thickness, str):
+    def _no_own_field(cls, given: Any) -> Any:
+        if isinstance(given, str):
             problem = "only a parison from a file has fields of its own"
-            raise wrong(problem, "give {file, field}, a number or a profile", value=thickness)
-        return thickness
+            raise wrong(problem, "give {file, field}, a number or a profile", value=given)
+        return given
 
 
 class Disc(_BuiltIn):
@@ -108,6 +110,7 @@ class BottleHalfParison(Table):
     neck_swell: Annotated[float, Field(gt=0, lt=1)] | None = None
     inset: Length = 1.0e-3
     thickness: Thickness
+    temperature: Temperature | None = None
 
 
 class FileParison(Table):
@@ -122,6 +125,7 @@ class FileParison(Table):
             nodal field is not zero.
         planes: Symmetry planes: `x` where the mesh is cut at x = 0.
         thickness: Initial thickness [m]; `field:NAME` is a field of the mesh itself.
+        temperature: Of the sheet [degC], where the law has a shift.
     """
 
     shape: Literal["file"]
@@ -131,6 +135,7 @@ class FileParison(Table):
     clamp: str = "boundary"
     planes: list[Literal["x", "y", "z"]] = Field(default_factory=list)
     thickness: Thickness
+    temperature: Temperature | None = None
 
 
 Parison = Annotated[

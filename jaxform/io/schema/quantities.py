@@ -135,6 +135,7 @@ Zoned = Annotated[
     form(_quantity_form),
 ]
 """A number, or what may vary over the sheet."""
+Temperature = Zoned[Annotated[float, within("parison.temperature")]]
 ElementSize = Annotated[
     _Number | Annotated[Profile, Tag("<profile>")],
     form(lambda value: "profile" if isinstance(value, dict) else "number"),

@@ -1,0 +1,116 @@
+"""How temperature shifts the relaxation times of viscous modes, and stiffness."""
+
+from __future__ import annotations
+
+from typing import ClassVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.pytree import static
+from jaxform.core.ranges import RANGES
+
+GAS_CONSTANT = 8.31446261815324  # J/(mol K)
+_KELVIN = 273.15  # at 0 degC
+
+
+class Shift:
+    """A factor on relaxation times, by temperature; its class says whether stiffness goes with it.
+
+    Attributes:
+        kind: Its name.
+        stiffens: Whether the factor is one on all moduli too.
+        reference: The temperature [degC] at which the law's numbers hold.
+    """
+
+    kind: ClassVar[str] = ""
+    stiffens: ClassVar[bool] = False
+    reference: jax.Array
+
+    def factor(self, temperature: jax.Array) -> jax.Array:
+        """The factor at temperatures [degC], of their shape."""
+        raise NotImplementedError
+
+    def coldest(self) -> jax.Array:
+        """The temperature [degC] that the sheet must be above."""
+        return jnp.full_like(self.reference, -_KELVIN)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+def shift[T: Shift](cls: type[T]) -> type[T]:
+    """Makes a class a shift: a frozen dataclass and a pytree, its numbers known to `replace` and to designs."""
+    remedy = "derive it from Shift and give it a factor"
+    return declared_part(cls, Shift, "factor", remedy, "material.shift", needed=("reference",))
+
+
+@shift
+class Wlf(Shift):
+    """log10 a = -c1 (T - T_r) / (c2 + T - T_r) (M. L. Williams, R. F. Landel, J. D. Ferry, J. Am. Chem. Soc. 77, 1955).
+
+    Of times alone: stiffness stays, a factor of 16 for 10 K near the reference.
+
+    Attributes:
+        reference: T_r [degC].
+        c1: A number.
+        c2: [K].
+    """
+
+    kind: ClassVar[str] = "wlf"
+    reference: jax.Array = within(RANGES["material.shift.reference"])
+    c1: jax.Array = within(RANGES["material.shift.c1"])
+    c2: jax.Array = within(RANGES["material.shift.c2"])
+
+    def factor(self, temperature: jax.Array) -> jax.Array:
+        """The factor at temperatures [degC], of their shape."""
+        above = temperature - self.reference
+        return jnp.exp(-jnp.log(10.0) * self.c1 * above / (self.c2 + above))
+
+    def coldest(self) -> jax.Array:
+        """Where the factor has a pole [degC]."""
+        return self.reference - self.c2
+
+
+@shift
+class Arrhenius(Shift):
+    """ln a = E / R (1 / T - 1 / T_r), T in kelvin; of times alone.
+
+    Attributes:
+        reference: T_r [degC].
+        activation_energy: E [J/mol].
+    """
+
+    kind: ClassVar[str] = "arrhenius"
+    reference: jax.Array = within(RANGES["material.shift.reference"])
+    activation_energy: jax.Array = within(RANGES["material.shift.activation_energy"])
+
+    def factor(self, temperature: jax.Array) -> jax.Array:
+        """The factor at temperatures [degC], of their shape."""
+        return jnp.exp(_arrhenius(self.activation_energy, self.reference, temperature))
+
+
+@shift
+class ArrheniusStiffness(Shift):
+    """The same, of times and of all moduli: those of the law, and those of its viscous modes.
+
+    Attributes:
+        reference: T_r [degC].
+        activation_energy: E [J/mol].
+    """
+
+    kind: ClassVar[str] = "arrhenius-stiffness"
+    stiffens: ClassVar[bool] = True
+    reference: jax.Array = within(RANGES["material.shift.reference"])
+    activation_energy: jax.Array = within(RANGES["material.shift.activation_energy"])
+
+    def factor(self, temperature: jax.Array) -> jax.Array:
+        """The factor at temperatures [degC], of their shape."""
+        return jnp.exp(_arrhenius(self.activation_energy, self.reference, temperature))
+
+
+SHIFTS: dict[str, type[Shift]] = {"wlf": Wlf, "arrhenius": Arrhenius, "arrhenius-stiffness": ArrheniusStiffness}
+"""Those that a scene file names."""
+
+
+def _arrhenius(energy: jax.Array, reference: jax.Array, temperature: jax.Array) -> jax.Array:
+    return energy / GAS_CONSTANT * (1.0 / (temperature + _KELVIN) - 1.0 / (reference + _KELVIN))
