@@ -98,6 +98,7 @@ class BottleHalfParison(Table):
         neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
         inset: How far inside the bottle's outline it is pinched [m].
         thickness: Initial thickness [m].
+        temperature: Of the sheet [degC], where the law has a shift.
     """
 
     shape: Literal["bottle-half"]
