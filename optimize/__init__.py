@@ -1,6 +1,7 @@
 """Inverse design on top of jaxform: which sheet and which pressure make the wall that the part needs?"""
 
 from optimize.designs import COLUMNS, Study
+from optimize.heaters import HeaterZones
 from optimize.journal import Journal
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
@@ -14,6 +15,7 @@ __all__ = [
     "COLUMNS",
     "Design",
     "FormingTime",
+    "HeaterZones",
     "Journal",
     "KineticEnergy",
     "LeastMass",

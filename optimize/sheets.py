@@ -116,13 +116,13 @@ class ThicknessProfile(_Sheet):
         if slope is not None and interpolation == "zones":
             raise InputError("does not go with zones, which jump", "leave one of them out", "variable.slope", slope)
         self.along, self.interpolation = along, interpolation
-        first = _first_positions(scene)
+        first = first_positions(scene)
         place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(first)
         if interpolation == "linear":
             place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(np.asarray(scene.parison.positions, float))
         self.at, weights = _along(place, knots, at, interpolation)
         if interpolation != "linear":
-            weights = _spread(scene, weights)
+            weights = spread(scene, weights)
         super().__init__(scene, weights, bounds, None if slope is None else slope * np.diff(self.at))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
@@ -178,18 +178,18 @@ class ThicknessField(_Sheet):
         check_bounds(bounds)
         if not (0.0 <= smoothness < np.inf):
             raise InputError("is not a length", "give metres, 0 for none", "variable.smoothness", smoothness)
-        positions = _first_positions(scene)
+        positions = first_positions(scene)
         self.smoothness = smoothness
         self.controls = np.arange(len(positions)) if smoothness == 0.0 else _apart(positions, smoothness)
         if len(self.controls) > _MOST_CONTROLS:
             problem = f"leaves {len(self.controls)} numbers to design"
             raise InputError(problem, "give a longer one", "variable.smoothness", smoothness)
         weights = np.eye(len(positions)) if smoothness == 0.0 else self._kernel(scene, positions)
-        super().__init__(scene, _spread(scene, weights), bounds)
+        super().__init__(scene, spread(scene, weights), bounds)
 
     def _kernel(self, scene: Scene, positions: Array) -> Array:
         weights = np.zeros((len(positions), len(self.controls)))
-        for image in _images(scene, positions[self.controls]):
+        for image in images(scene, positions[self.controls]):
             square = np.square(positions[:, None] - image[None]).sum(2)
             weights += np.exp(-square / (0.5 * self.smoothness**2))
         return weights / weights.sum(1, keepdims=True)
@@ -207,7 +207,7 @@ def _apart(positions: Array, smoothness: float) -> Array:
     return np.sort(np.asarray(chosen))
 
 
-def _images(scene: Scene, points: Array) -> list[Array]:
+def images(scene: Scene, points: Array) -> list[Array]:
     """Points (n, 3) [m] and their images in the scene's symmetry planes."""
     images = [points]
     for axis, level in sections.symmetry_planes(scene).items():
@@ -216,12 +216,12 @@ def _images(scene: Scene, points: Array) -> list[Array]:
     return images
 
 
-def _first_positions(scene: Scene) -> Array:
+def first_positions(scene: Scene) -> Array:
     """Initial positions of the mesh's nodes before it is refined (n, 3) [m]."""
     return np.asarray(scene.parison.positions, float)[: scene.first_nodes]
 
 
-def _spread(scene: Scene, weights: Array) -> Array:
+def spread(scene: Scene, weights: Array) -> Array:
     """From the mesh's nodes (n, k) to all that refinement may make (n_node, k)."""
     forest = scene.tables.forest
     return weights if forest is None else bisection.extended(weights, np.asarray(forest.ends).T, forest.depth)

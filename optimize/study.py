@@ -22,6 +22,7 @@ from jaxform.mesh import meshes
 from jaxform.mesh.profiles import Profile
 from jaxform.results.result import only_used
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
+from optimize.heaters import HeaterZones
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
 from optimize.sheets import ThicknessField, ThicknessProfile
@@ -76,6 +77,8 @@ def _variable(table: schema.Variable, scene: Scene) -> Variable:
         return PressureKnots(scene, **options)
     if isinstance(table, schema.ThicknessField):
         return ThicknessField(scene, **options)
+    if isinstance(table, schema.HeaterZones):
+        return HeaterZones(scene, **options)
     return (Scale if isinstance(table, schema.Scale) else ThicknessProfile)(scene, **options)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.writing import whole
 from jaxform.io.views import draw_part
@@ -108,7 +109,12 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     count = 2 if same else 3
     width = 0.93 / count
     places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
-    _draw_initial(figure.add_axes(places[0]), before[0], after[0])
+    fresh = figure.add_axes(places[0])
+    found = _designed_field(before[0], after[0])
+    if found is None:
+        _draw_initial(fresh, before[0], after[0])
+    else:
+        _draw_field(figure, fresh, after[0], *found)
     _draw_walls(figure.add_axes(places[1]), before, after, target)
     if not same:
         _draw_pressures(figure.add_axes(places[2]), before[0], after[0])
@@ -281,6 +287,31 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
     axes.set(xlabel=f"{where} [mm]", ylabel="initial thickness [mm]")
     axes.legend(frameon=False)
+
+
+def _designed_field(before: Scene, after: Scene) -> tuple[str, np.ndarray] | None:
+    """What varies over the sheet and was changed, in words and at the nodes (n_node,); None where its thickness was."""
+    if not np.array_equal(before.parison.thickness, after.parison.thickness):
+        return None
+    warm, old = after.parison.temperature, before.parison.temperature
+    if warm is not None and not np.array_equal(warm, old if old is not None else np.nan):
+        return "temperature of the sheet [°C]", np.asarray(warm, float)
+    units = {name: allowed.unit for name, allowed in ranges_of(after.material).items()}
+    for name, values in after.material.zones.items():
+        if values.ndim == 1 and not np.array_equal(values, getattr(before.material, name)):
+            return f"{name} over the sheet" + f" [{units[name]}]" * bool(units[name]), np.asarray(values, float)
+    return None
+
+
+def _draw_field(figure: Any, axes: Any, scene: Scene, words: str, values: np.ndarray) -> None:
+    """A map of values at the nodes (n_node,) over the sheet before it is formed."""
+    places = 1e3 * np.asarray(scene.parison.positions, float)
+    first, second = np.sort(np.argsort(np.ptp(places, axis=0))[1:])
+    triangles = np.asarray(scene.parison.triangles)
+    x, y = places[:, first], places[:, second]
+    drawn = axes.tripcolor(x, y, triangles, values, shading="gouraud", cmap="inferno")
+    axes.set(xlabel=f"{'xyz'[first]} [mm]", ylabel=f"{'xyz'[second]} [mm]", title=words, aspect="equal")
+    figure.colorbar(drawn, ax=axes, fraction=0.05, pad=0.03)
 
 
 def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> None:

@@ -40,7 +40,7 @@ from jaxform.io.schema.quantities import (
 )
 from jaxform.io.schema.scene import Output, Pressure, Refinement, SceneFile, Solver
 from jaxform.io.schema.study import StudyFile
-from jaxform.io.schema.variables import PressureKnots, Scale, ThicknessField, ThicknessProfile, Variable
+from jaxform.io.schema.variables import HeaterZones, PressureKnots, Scale, ThicknessField, ThicknessProfile, Variable
 
 __all__ = [
     "Adam",
@@ -55,6 +55,7 @@ __all__ = [
     "FixedPoint",
     "FormingTime",
     "Gent",
+    "HeaterZones",
     "KineticEnergy",
     "Lbfgs",
     "LeastMass",

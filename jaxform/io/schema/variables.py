@@ -94,11 +94,30 @@ class Scale(Table):
     bounds: Limits
 
 
-_VARIABLES = ["thickness-profile", "thickness-field", "pressure", "scale"]
+class HeaterZones(Table):
+    """Design what a grid of heaters over the sheet is set to; each place has their mean, by view factors.
+
+    Attributes:
+        kind: The kind of variable.
+        grid: How many heaters along x and along y, over the sheet's extent.
+        distance: From the heaters to the sheet [m]: the farther, the more they blur; 0 for sharp zones.
+        bounds: Least and largest setting, in the unit of `of`.
+        of: What is designed: parison.temperature [degC], or a number of the law.
+    """
+
+    kind: Literal["heater-zones"]
+    grid: Annotated[list[Annotated[int, Field(ge=1, le=400)]], Field(min_length=2, max_length=2)]
+    distance: NotNegative
+    bounds: Annotated[Pair, AfterValidator(check_bounds)]
+    of: str = "parison.temperature"
+
+
+_VARIABLES = ["thickness-profile", "thickness-field", "pressure", "scale", "heater-zones"]
 Variable = Annotated[
     Annotated[ThicknessProfile, Tag("<thickness-profile>")]
     | Annotated[ThicknessField, Tag("<thickness-field>")]
     | Annotated[PressureKnots, Tag("<pressure>")]
-    | Annotated[Scale, Tag("<scale>")],
+    | Annotated[Scale, Tag("<scale>")]
+    | Annotated[HeaterZones, Tag("<heater-zones>")],
     *choice("kind", _VARIABLES),
 ]
