@@ -22,7 +22,7 @@ from benchmarks import strangers
 from jaxform import molds, shapes
 from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
-from jaxform.materials import Law
+from jaxform.materials import MODES, Law, Modes
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.prepare import growing, planning
@@ -65,6 +65,8 @@ class Family:
         safety: Of the solver.
         refinement: Its static limits; None without.
         sharp: Whether the step is measured.
+        viscous: Kind of its viscous modes; None without.
+        warm: Whether its law varies over the sheet, and it has a temperature.
     """
 
     sheet: Callable[[], Sheet]
@@ -75,6 +77,8 @@ class Family:
     safety: float = 0.9
     refinement: dict[str, Any] | None = None
     sharp: bool = True
+    viscous: str | None = None
+    warm: bool = False
 
 
 def draw(seed: int) -> Drawn:
@@ -95,9 +99,10 @@ def draw(seed: int) -> Drawn:
 def family_of(seed: int) -> str:
     """The name of a seed's family: from `STRANGERS_FROM` on, those that a stranger's files look like.
 
-    From `FURTHER_FROM` on, those of further laws.
+    From `FURTHER_FROM` on, those of further laws; from `VISCOUS_FROM` on, those that are viscous, or warm.
     """
     names = NAMES if seed < STRANGERS_FROM else STRANGERS if seed < FURTHER_FROM else FURTHER
+    names = names if seed < VISCOUS_FROM else VISCOUS
     return names[seed % len(names)]
 
 
@@ -112,6 +117,13 @@ def _drawn(name: str, family: Family, random: Generator) -> Drawn:
     unit, scale = size * np.sqrt(density / c), c * thin
     end, knots = _pressure(unit, scale, random, tags)
     material, damping = _material(family.law, c, density, random, tags), None
+    temperature = None
+    if family.viscous is not None:
+        material = dataclasses.replace(material, viscous=_modes(family.viscous, c, unit, random, tags))
+    if family.warm:
+        zones = as_real(c * np.exp(random.uniform(0.1, 1.0) * np.sin(positions @ random.normal(0.0, 3.0 / size, 3))))
+        material = dataclasses.replace(material.with_zones({"c": zones}), shift=_shift(random, tags))
+        temperature = random.uniform(120.0, 160.0, len(positions))
     if family.damped:
         damping = 0.0 if random.random() < 0.1 else 10 ** random.uniform(-2.0, 1.3) / unit
     mold = None
@@ -125,7 +137,9 @@ def _drawn(name: str, family: Family, random: Generator) -> Drawn:
         area = float(10 ** random.uniform(-7.0, -3.0) * size**2)
         refinement = jaxform.make_refinement(angle=random.uniform(1.0, 40.0), min_area=area, **limits)
     scene = jaxform.build_scene(
-        parison=jaxform.make_parison(positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed),
+        parison=jaxform.make_parison(
+            positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed, temperature=temperature
+        ),
         material=material,
         pressure=jaxform.make_pressure(*knots, family.interpolation),
         solver=jaxform.make_solver(end_time=end, damping=damping, safety=family.safety),
@@ -145,7 +159,7 @@ def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
         share = 0.9 * WINDOWS / planned
         changes = {"solver.end_time": share * np.asarray(scene.solver.end_time)}
         scene = jaxform.replace(scene, changes | {"pressure.time": share * np.asarray(scene.pressure.time)})
-        planned = planning.planned_windows(scene.tables.bound, scene.material, scene.solver)
+        planned = planning.planned_windows(scene.tables.bound, scene.law, scene.solver)
         planned = min(planned + planning.spare_windows(scene.tables.grid), WINDOWS)
         tags.append("shortened")
     grid = None if scene.mold is None else _common_grid(scene)
@@ -282,6 +296,20 @@ def _material(law: str, c: float, density: float, random: Generator, tags: list[
     return jaxform.ModifiedMooneyRivlin(as_real(c), as_real(c * 10 ** random.uniform(-4.0, -1.0)), rho)
 
 
+def _modes(kind: str, c: float, unit: float, random: Generator, tags: list[str]) -> Modes:
+    """Two modes: from soft to far stiffer than the law, and from far shorter than a step to longer than the run."""
+    modulus, time = c * 10 ** random.uniform(-1.5, 1.5, 2), unit * 10 ** random.uniform(-4.0, 3.0, 2)
+    tags.append("stiff modes" if modulus.max() > 5.0 * c else "modes")
+    tags += ["short modes"] * bool(time.min() < 1e-2 * unit)
+    return MODES[kind](**{"modulus": as_real(modulus), "time": as_real(time)})
+
+
+def _shift(random: Generator, tags: list[str]) -> jaxform.ArrheniusStiffness:
+    energy = 10 ** random.uniform(3.5, 5.2)
+    tags.append("steep shift" if energy > 5e4 else "shift")
+    return jaxform.ArrheniusStiffness(as_real(140.0), as_real(energy))
+
+
 def _made(mold: molds.MoldShape, size: float, random: Generator, tags: list[str]) -> jaxform.Mold:
     """The mold for a sheet of that size; some with triangles that turn any way, shaken, or where the sheet is."""
     vertices, triangles = size * np.array(mold.vertices), np.array(mold.triangles)
@@ -390,8 +418,15 @@ FAMILIES: dict[str, Family] = {
     "free disc, Yeoh": Family(_disc(60, "quarter"), "yeoh", damped=False),
     "whole cup, Gent": Family(_disc(96, "none"), "gent", _cup),
     "free sphere, Gent": Family(_sphere(64), "gent"),
+    "cup, Christensen": Family(_disc(60, "quarter"), _MOONEY, _cup, viscous="christensen"),
+    "free sphere, Maxwell": Family(_sphere(64), _NEO, damped=False, viscous="maxwell"),
+    "refined box, Maxwell": Family(_rectangle(48, "quarter"), _MOONEY, _box, refinement=_NEAR, viscous="maxwell"),
+    "box in zones": Family(_rectangle(120, "none"), _MOONEY, _box, warm=True),
+    "refined cup, warm": Family(_disc(24, "quarter"), _NEO, _cup, refinement=_FINER, viscous="christensen", warm=True),
 }
 STRANGERS = (*(name for name in FAMILIES if "flanged" in name), *strangers.OWN_MESHES)
 FURTHER = tuple(name for name, family in FAMILIES.items() if family.law in ("ogden", "yeoh", "gent"))
-NAMES = (*(name for name in FAMILIES if name not in (*STRANGERS, *FURTHER)), "file")
-STRANGERS_FROM, FURTHER_FROM = 1200, 2000  # the seeds before each keep the families that they had
+VISCOUS = tuple(name for name, family in FAMILIES.items() if family.viscous is not None or family.warm)
+NAMES = (*(name for name in FAMILIES if name not in (*STRANGERS, *FURTHER, *VISCOUS)), "file")
+# The seeds before each keep the families that they had.
+STRANGERS_FROM, FURTHER_FROM, VISCOUS_FROM = 1200, 2000, 2400

@@ -23,7 +23,7 @@ import jaxform
 from benchmarks import slopes, stability_page, stress
 from benchmarks.accuracy import modified, mooney, real, scene_of
 from benchmarks.pages import DOCS, Found, keep, kept
-from benchmarks.random_scenes import FURTHER, NAMES, STRANGERS, family_of
+from benchmarks.random_scenes import FURTHER, NAMES, STRANGERS, VISCOUS, family_of
 from jaxform import shapes
 from jaxform.materials import Law
 from jaxform.mechanics import force
@@ -40,7 +40,7 @@ from jaxform.sheet.state import State, finished
 
 _FILE = DOCS / "stability.json"
 OUT = Path(__file__).parent.parent / "out" / "stability"
-SEEDS = 2400
+SEEDS = 2800
 STEPS = 1_000_000
 
 
@@ -240,7 +240,7 @@ def summary_of(rows: list[Found]) -> Found:
     seconds = np.array([row["seconds"] for row in ran])
     good = [row for row in ran if row["class"] == "ok"]
     families: Found = {}
-    for name in (*NAMES, *STRANGERS, *FURTHER):
+    for name in (*NAMES, *STRANGERS, *FURTHER, *VISCOUS):
         families[name] = dict(Counter(row["class"] for row in rows if family_of(row["seed"]) == name))
     slow = max(ran, key=lambda row: row["seconds"])
     tagged = dict(Counter(tag for row in ran for tag in row["tags"]).most_common())

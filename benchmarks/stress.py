@@ -61,7 +61,7 @@ def examine(drawn: Drawn, state: State, result: Result) -> Row:
     side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     energy = result.energy
     held = sum(float(getattr(energy, name)) for name in
-               ("strain", "kinetic", "damping_loss", "contact_loss", "refinement_loss"))  # fmt: skip
+               ("strain", "kinetic", "damping_loss", "contact_loss", "refinement_loss", "viscous_loss"))  # fmt: skip
     peak = max(float(state.account.peak_work), 1e-300)
     values = [np.asarray(leaf) for leaf in jax.tree.leaves(dataclasses.replace(result, schedule=None))]
     finite = all(np.isfinite(v).all() for v in values if v.dtype.kind == "f")
