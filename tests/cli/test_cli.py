@@ -103,6 +103,7 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "damping_loss",
         "contact_loss",
         "refinement_loss",
+        "viscous_loss",
         "kinetic_peak",
         "balance_error",
         "quasi_static_error",
