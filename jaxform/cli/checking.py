@@ -85,7 +85,7 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
         "refinement (none given)": scene.refinement is None,
         "frames (none wanted)": document.model.output.frames == 0,
     }
-    yield "skipped: " + ", ".join(what for what, skip in skipped.items() if skip)
+    yield "skipped: " + (", ".join(what for what, skip in skipped.items() if skip) or "nothing")
 
 
 def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterator[str]:

@@ -120,7 +120,7 @@ DESIGNABLE = [
     "solver.damping",
 ]
 """What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
-_MOST_DESIGNABLE = 31  # bits of a whole number
+WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each
 _declared: dict[str, list[Range]] = {}
 
 
@@ -131,7 +131,7 @@ def declare(key: str, allowed: Range) -> None:
         InputError: There are as many as can be told apart.
     """
     if key not in DESIGNABLE:
-        if len(DESIGNABLE) == _MOST_DESIGNABLE:
+        if len(DESIGNABLE) == WORDS * BITS:
             raise InputError("is one number too many", "give the laws' numbers names that others have too", key)
         DESIGNABLE.append(key)
     _declared.setdefault(key, []).append(allowed)

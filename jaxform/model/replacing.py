@@ -9,13 +9,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
-from jaxform.core.ranges import DESIGNABLE, RANGES, Range, as_numbers, check, declared
+from jaxform.core.ranges import BITS, DESIGNABLE, RANGES, WORDS, Range, as_numbers, check, declared
 from jaxform.loads import Loading
 from jaxform.materials import Law, Modes, Shift
 from jaxform.model.field import Field
@@ -73,24 +74,31 @@ def with_stand_ins(scene: Scene) -> tuple[Scene, jax.Array]:
     Where any is, there is no pressure, and a sheet at rest stays so: under `vmap`, where its windows are worked out
     beside others', nothing in them overflows, nor in their derivatives.
     """
-    found, bits = {}, jnp.int32(0)
+    found, bits = {}, jnp.zeros(WORDS, jnp.int32)
     for path, values in _numbers(scene).items():
         allowed = _range(path, scene)
         good = allowed.holds(jax.lax.stop_gradient(values))
         if allowed.increasing:
             good = jnp.broadcast_to(jnp.all(good) & jnp.all(jnp.diff(values) > 0), values.shape)
-        bits |= jnp.where(jnp.all(good), 0, 1 << DESIGNABLE.index(_key(path))).astype(jnp.int32)
+        bits |= jnp.where(jnp.all(good), 0, _bit(DESIGNABLE.index(_key(path))))
         found[path] = jnp.where(good, values, _stand_in(path, values, good, scene))
     if "pressure.value" in found:
-        found["pressure.value"] = jnp.where(bits == 0, found["pressure.value"], 0.0)
+        found["pressure.value"] = jnp.where(jnp.all(bits == 0), found["pressure.value"], 0.0)
     for path, values in found.items():
         scene = _put(scene, path, values)
     return scene, bits
 
 
-def in_words(bits: int) -> str:
+def _bit(place: int) -> np.ndarray:
+    """One of `DESIGNABLE`, as bits (WORDS,)."""
+    bits = np.zeros(WORDS, np.int32)
+    bits[place // BITS] = 1 << place % BITS
+    return bits
+
+
+def in_words(bits: np.ndarray) -> str:
     """Which numbers are out of range, and what is asked of them."""
-    paths = [path for k, path in enumerate(DESIGNABLE) if bits >> k & 1]
+    paths = [path for k, path in enumerate(DESIGNABLE) if np.any(bits & _bit(k))]
     return ", ".join(f"{path} {' or '.join(map(_rule, declared(path)))}" for path in paths)
 
 

@@ -68,7 +68,7 @@ def _explained(result: Result) -> str:
     what = [words for bit, words in _WORDS.items() if status & bit]
     remedy = [words for bit, words in _REMEDIES.items() if status & bit]
     if status & Status.INPUT:
-        return "; ".join([f"{what[0]}: {in_words(int(result.out_of_range or 0))}", *what[1:], *remedy])
+        return "; ".join([f"{what[0]}: {in_words(np.asarray(result.out_of_range))}", *what[1:], *remedy])
     speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
     node = int(np.argmax(speed))
     place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])

@@ -67,8 +67,8 @@ class Result:
         status: Bits of `Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
-        out_of_range: Which numbers of the scene were out of range, as bits, in the order of `core.ranges.DESIGNABLE`; 0
-            where none was. None from the host's loop, which refuses them.
+        out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
+            `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.
     """
 
     positions: jax.Array = dataclasses.field(metadata=NODAL)

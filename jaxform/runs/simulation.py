@@ -60,7 +60,7 @@ def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Resu
 def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
     given, (scene, out_of_range) = scene, with_stand_ins(scene)
     first, state = discretize(scene), initial_state(scene)
-    state = dataclasses.replace(state, status=jnp.where(out_of_range == 0, state.status, Status.INPUT))
+    state = dataclasses.replace(state, status=jnp.where(jnp.all(out_of_range == 0), state.status, Status.INPUT))
     count = scene.tables.window_count
     if adjoint.windows > 1:
         several = _recomputed_windows(adjoint)

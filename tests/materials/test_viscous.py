@@ -69,13 +69,13 @@ def test_relaxation_against_the_closed_form() -> None:
 
 
 def test_a_ramp_that_is_held() -> None:
-    times = np.linspace(0.0, 2.0, 401)
+    times = np.linspace(0.0, 2.0, 201)
     along = np.interp(times, [0.0, 1.0], [1.0, 2.0])
     found = _cauchy(jaxform.Christensen, np.stack([along, along**-0.5], axis=1), times)[-1]
-    np.testing.assert_allclose(found, 12.84829, rtol=2e-5)
+    np.testing.assert_allclose(found, 12.84829, rtol=1e-4)
     both = np.interp(times, [0.0, 1.0], [1.0, 1.5])
     found = _cauchy(jaxform.Christensen, np.stack([both, both], axis=1), times)[-1]
-    np.testing.assert_allclose(found, 5.51208, rtol=2e-5)
+    np.testing.assert_allclose(found, 5.51208, rtol=1e-4)
 
 
 def test_maxwell_modes_are_rubber_at_once_and_forget_in_the_end() -> None:
@@ -142,31 +142,27 @@ def test_a_sheet_formed_into_a_cup(time: float, wall: list[float]) -> None:
 
 
 @functools.cache
-def _cup(kind: Any, refined: bool) -> jaxform.Scene:
+def _cup(kind: Any) -> jaxform.Scene:
     plain = scenes.cup(24, 12.0)
-    options: dict[str, Any] = {}
-    if refined:
-        options["refinement"] = jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96)
     return jaxform.build_scene(
         material=_law(kind),
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
         parison=plain.parison,
         solver=plain.solver,
         mold=plain.mold,
-        **options,
     )
 
 
-@pytest.mark.parametrize(("kind", "refined"), [(jaxform.Christensen, False), (jaxform.Maxwell, True)])
-def test_gradients_through_contact_by_every_number(kind: Any, refined: bool) -> None:
-    scene = _cup(kind, refined)
+def _figure(result: jaxform.Result) -> jax.Array:
+    return jnp.sum(jnp.square(result.thickness)) * 1e4 + result.energy.strain + result.energy.viscous_loss
+
+
+def test_gradients_through_contact_by_every_number() -> None:
+    """Of Christensen's modes; those of Maxwell's, with refinement, are tested with temperature."""
+    scene = _cup(jaxform.Christensen)
     first = jaxform.run(scene)
     assert int(first.status) == 0 and np.any(np.asarray(first.wall) != 0)
-    assert int(first.used.sum()) > len(scene.parison.triangles) or not refined
     assert float(first.energy.balance_error) < 1e-3
-    same = jaxform.simulate(scene)
-    np.testing.assert_allclose(same.positions, first.positions, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(same.energy.viscous_loss, first.energy.viscous_loss, rtol=1e-3)
     modes = scene.material.viscous
     assert modes is not None
     numbers = {"material.viscous.modulus": modes.modulus, "material.viscous.time": modes.time}
@@ -175,19 +171,18 @@ def test_gradients_through_contact_by_every_number(kind: Any, refined: bool) -> 
     @jax.jit
     @jax.value_and_grad
     def objective(numbers: dict[str, jax.Array]) -> jax.Array:
-        result = jaxform.simulate(jaxform.replace(scene, numbers), schedule=first.schedule)
-        return jnp.sum(jnp.square(result.thickness)) * 1e4 + result.energy.strain + result.energy.viscous_loss
+        return _figure(jaxform.simulate(jaxform.replace(scene, numbers), schedule=first.schedule))
 
-    _, slopes = objective(numbers)
+    value, slopes = objective(numbers)
+    np.testing.assert_allclose(value, _figure(first), rtol=1e-6)
     for name, values in numbers.items():
         change = 1e-5 * np.random.default_rng(1).standard_normal(values.shape) * values
         ends = [float(objective(numbers | {name: values + sign * change})[0]) for sign in (1, -1)]
         np.testing.assert_allclose(jnp.vdot(slopes[name], change), (ends[0] - ends[1]) / 2, rtol=1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_skip_changes_nothing(kind: Any) -> None:
-    scene = _cup(kind, False)
+def test_a_skip_changes_nothing() -> None:
+    scene = _cup(jaxform.Maxwell)
     packed = jaxform.run(scene)
     whole = jaxform.run(dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, skip_stuck=False)))
     np.testing.assert_allclose(packed.positions, whole.positions, rtol=0, atol=1e-12)
@@ -314,4 +309,4 @@ def test_what_python_gives_is_checked_too() -> None:
         with pytest.raises(jaxform.InputError, match=words):
             jaxform.build_scene(material=law, **parts)
     with pytest.raises(jaxform.InputError, match="cannot step this scene backwards"):
-        jaxform.simulate(_cup(jaxform.Maxwell, False), adjoint=jaxform.Reversed())
+        jaxform.simulate(_cup(jaxform.Maxwell), adjoint=jaxform.Reversed())

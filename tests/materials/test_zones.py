@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -75,47 +73,33 @@ def test_zones_of_one_value_are_no_zones() -> None:
     np.testing.assert_allclose(other.mass, one.mass, rtol=1e-12)
 
 
-def _laws(places: np.ndarray) -> dict[str, jaxform.Law]:
+def _cup() -> jaxform.Scene:
+    """Every number of its law varies, and it is refined."""
+    plain = scenes.cup(24, 12.0)
+    places = np.asarray(plain.parison.positions)
     radius = np.linalg.norm(places, axis=1)
-    mooney = jaxform.MooneyRivlin(1 + 0.5 * radius**2, 0.1 + 0.05 * places[:, 0], 1 + 0.1 * radius)  # pyright: ignore
-    terms = jnp.asarray(np.stack([1.8 + 0.3 * radius, 0.05 + 0.0 * radius]))
-    return {"mooney": mooney, "ogden": jaxform.Ogden(terms, jnp.asarray([2.2, 5.0]), real(1.0))}
-
-
-@functools.cache
-def _cup(law: str, refined: bool = False) -> jaxform.Scene:
-    plain = scenes.cup(24, 12.0) if refined else scenes.cup()
-    options: dict[str, Any] = {}
-    if refined:
-        options["refinement"] = jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96)
+    law = jaxform.MooneyRivlin(1 + 0.5 * radius**2, 0.1 + 0.05 * places[:, 0], 1 + 0.1 * radius)  # pyright: ignore
     return jaxform.build_scene(
-        material=_laws(np.asarray(plain.parison.positions))[law],
+        material=law,
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
         parison=plain.parison,
         solver=plain.solver,
         mold=plain.mold,
-        **options,
+        refinement=jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96),
     )
 
 
-@pytest.mark.parametrize(
-    ("law", "adjoint", "refined"),
-    [
-        ("mooney", jaxform.Reversed(), True),
-        ("ogden", jaxform.Checkpointed(), False),
-    ],
-)
-def test_gradients_through_contact_by_every_zone(law: str, adjoint: jaxform.Adjoint, refined: bool) -> None:
-    scene = _cup(law, refined)
+def test_gradients_through_contact_by_every_zone() -> None:
+    scene = _cup()
     first = jaxform.run(scene)
-    assert int(first.used.sum()) > len(scene.parison.triangles) or not refined
+    assert int(first.used.sum()) > len(scene.parison.triangles)
     assert np.any(np.asarray(first.wall) != 0)
 
     @jax.jit
     @jax.value_and_grad
     def objective(zones: dict[str, jax.Array]) -> jax.Array:
         design = jaxform.replace(scene, {f"material.{name}": values for name, values in zones.items()})
-        result = jaxform.simulate(design, schedule=first.schedule, adjoint=adjoint)
+        result = jaxform.simulate(design, schedule=first.schedule)
         return jnp.sum(jnp.square(result.thickness)) * 1e4 + jnp.sum(result.energy.strain) + result.mass
 
     zones = scene.material.zones

@@ -104,7 +104,7 @@ def test_tables_are_merged_with_those_of_the_file() -> None:
         (lambda: scenes.box_insert(size=[1]), ("parison.size = [1]", "at least 2")),
         (lambda: scenes.soap_bottle(hole=(0.1, 0.1)), ("hole[0] = 0.1", "0.004 to 0.01")),
         (lambda: shapes.bottle_half(neck_swell=1.2), ("parison.neck_swell = 1.2", "between 0 and 1")),
-        (lambda: scenes.soap_bottle(material={"c": "x"}), ("material.c = 'x'", "give one number")),
+        (lambda: scenes.soap_bottle(material={"c": "x"}), ("material.c = 'x'", "is not a number", "give a number")),
         (lambda: scenes.soap_bottle(pressure=ANY["x"]), ("pressure = 'x'", "give Pa")),
         (lambda: scenes.dish(material={"model": "neo-hookean"}), ("material.c", "is missing")),
         (lambda: scenes.dish(refinement={"angel": 3.0}), ("refinement.angel", "did you mean angle?")),
