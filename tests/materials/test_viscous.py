@@ -18,8 +18,9 @@ from benchmarks import accuracy
 from jaxform.adapt import inheritance, remeshing
 from jaxform.io import files
 from jaxform.materials import Modes
-from jaxform.mechanics import membrane, response, stiffness
-from jaxform.sheet.discretization import first_mesh
+from jaxform.mechanics import corners, membrane, response, stiffness
+from jaxform.mechanics.elements import no_corners
+from jaxform.sheet.discretization import discretize, first_mesh
 from tests import scenes
 from tests.scenes import real
 
@@ -214,6 +215,35 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
 
     found = inheritance.inherited(measure(before), before, last, forest)
     np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_blocks_and_at_once_a_step_remembers_the_same(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on the CPU, as on other devices, and as the differentiable way has it."""
+    scene = _cup(kind)
+    modes, sheet = scene.material.viscous, discretize(scene)
+    assert modes is not None
+    whole, random = sheet.whole, np.random.default_rng(0)
+    elements, places = whole.elements, whole.taken(scene.parison.positions.T)
+    moved = 1.2 * places + 0.02 * random.standard_normal(places.shape)
+    rest = jnp.tile(modes.at_first(elements.inverse_metric)[:4], (2, 1)) + 0.1
+    memory = dataclasses.replace(response.present(rest, modes), gain=modes.recursion(real(0.01)).gain)
+    load = corners.Load(moved, sheet.thickness[whole.element], real(0.1), scene.material.elastic, memory)
+    used, found = np.asarray(elements.area) > 0.0, []
+    for backend in ("cpu", "another"):
+        monkeypatch.setattr(membrane.jax, "default_backend", lambda backend=backend: backend)
+        room, step = no_corners(moved, elements), modes.recursion(real(0.02))
+        forces, volume, kept = corners.corner_forces_remembered(load, elements, room, modes, step)
+        found.append(
+            [volume, kept.loss, kept.rest[:, used], *corners.stresses_now(load, elements, modes, differentiable=False)]
+        )
+        found[-1][3] = found[-1][3][:, used]
+        plain = corners.remembered(load, elements, modes, step)
+        np.testing.assert_allclose(plain.rest[:, used], kept.rest[:, used], rtol=1e-12)
+        np.testing.assert_allclose(plain.loss, kept.loss, rtol=1e-12)
+        assert np.all(np.isfinite(np.stack(forces)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
