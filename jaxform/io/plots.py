@@ -13,6 +13,7 @@ from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.writing import whole
 from jaxform.io.views import draw_part
+from jaxform.model.replacing import number_at
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.explanation import explain
@@ -96,6 +97,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         after: Scene and part of the design.
         target: Wall thickness that is wanted everywhere [m], or None.
     """
+    designed = _designed_field(before[0], after[0])
     before, after = only_used(*before), only_used(*after)
     figure = new_figure(16, 12, "")
     scale = _scale([before, after])
@@ -110,11 +112,10 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     width = 0.93 / count
     places = [(0.065 + k * width, 0.07, width - 0.075, 0.34) for k in range(count)]
     fresh = figure.add_axes(places[0])
-    found = _designed_field(before[0], after[0])
-    if found is None:
+    if designed is None:
         _draw_initial(fresh, before[0], after[0])
     else:
-        _draw_field(figure, fresh, after[0], *found)
+        _draw_field(figure, fresh, after[0], *designed)
     _draw_walls(figure.add_axes(places[1]), before, after, target)
     if not same:
         _draw_pressures(figure.add_axes(places[2]), before[0], after[0])
@@ -289,23 +290,23 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
     axes.legend(frameon=False)
 
 
-def _designed_field(before: Scene, after: Scene) -> tuple[str, np.ndarray] | None:
-    """What varies over the sheet and was changed, in words and at the nodes (n_node,); None where its thickness was."""
+def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
+    """What varies over the sheet and was changed, as its key and in words; None where the thickness was."""
     if not np.array_equal(before.parison.thickness, after.parison.thickness):
         return None
-    warm, old = after.parison.temperature, before.parison.temperature
-    if warm is not None and not np.array_equal(warm, old if old is not None else np.nan):
-        return "temperature of the sheet [°C]", np.asarray(warm, float)
+    varying = {f"material.{name}": name for name, values in after.material.zones.items() if values.ndim == 1}
     units = {name: allowed.unit for name, allowed in ranges_of(after.material).items()}
-    for name, values in after.material.zones.items():
-        if values.ndim == 1 and not np.array_equal(values, getattr(before.material, name)):
-            return f"{name} over the sheet" + f" [{units[name]}]" * bool(units[name]), np.asarray(values, float)
+    words = {key: f"{name} over the sheet" + f" [{units[name]}]" * bool(units[name]) for key, name in varying.items()}
+    for key, text in ({"parison.temperature": "temperature of the sheet [°C]"} | words).items():
+        new, old = number_at(after, key), number_at(before, key)
+        if new is not None and (old is None or not np.array_equal(new, old)):
+            return key, text
     return None
 
 
-def _draw_field(figure: Any, axes: Any, scene: Scene, words: str, values: np.ndarray) -> None:
-    """A map of values at the nodes (n_node,) over the sheet before it is formed."""
-    places = 1e3 * np.asarray(scene.parison.positions, float)
+def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> None:
+    """A map of what is at a key of a scene (n_node,) over the sheet before it is formed."""
+    places, values = 1e3 * np.asarray(scene.parison.positions, float), np.asarray(number_at(scene, key), float)
     first, second = np.sort(np.argsort(np.ptp(places, axis=0))[1:])
     triangles = np.asarray(scene.parison.triangles)
     x, y = places[:, first], places[:, second]

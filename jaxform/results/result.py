@@ -199,4 +199,6 @@ def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
         sheet["temperature"] = np.asarray(scene.parison.temperature)[active]
     parison: Any = dataclasses.replace(scene.parison, triangles=triangles, **sheet)  # pyright: ignore
     made: Any = dataclasses.replace(result, triangles=triangles, **kept)
-    return dataclasses.replace(scene, parison=parison, refinement=None), made
+    zones: Any = {name: np.asarray(values)[..., active] for name, values in scene.material.zones.items()}
+    material = scene.material.with_zones(zones)
+    return dataclasses.replace(scene, parison=parison, material=material, refinement=None), made
