@@ -59,7 +59,6 @@ def _cup(viscous: Any, shift: Any, temperature: float | None, refined: bool = Fa
 @pytest.mark.parametrize(
     ("viscous", "shift"),
     [
-        (None, jaxform.ArrheniusStiffness),
         (jaxform.Christensen, jaxform.Arrhenius),
         (jaxform.Maxwell, jaxform.ArrheniusStiffness),
     ],
@@ -82,16 +81,13 @@ def _figure(result: jaxform.Result) -> jax.Array:
     return jnp.sum(jnp.square(result.thickness)) * 1e4 + result.energy.strain + result.energy.viscous_loss
 
 
-@pytest.mark.parametrize(
-    ("viscous", "shift", "refined"),
-    [(None, jaxform.ArrheniusStiffness, False), (jaxform.Maxwell, jaxform.ArrheniusStiffness, True)],
-)
-def test_gradients_by_temperature_through_contact(viscous: Any, shift: Any, refined: bool) -> None:
-    scene = _cup(viscous, shift, 135.0, refined)
+def test_gradients_by_temperature_through_contact() -> None:
+    """And by the numbers of the shift and of viscous modes; the mesh is refined."""
+    scene = _cup(jaxform.Maxwell, jaxform.ArrheniusStiffness, 135.0, True)
     first = jaxform.run(scene)
     assert int(first.status) == 0 and np.any(np.asarray(first.wall) != 0)
     assert float(first.energy.balance_error) < 1e-3
-    assert int(first.used.sum()) > len(scene.parison.triangles) or not refined
+    assert int(first.used.sum()) > len(scene.parison.triangles)
     given = scene.material.shift
     assert isinstance(given, jaxform.ArrheniusStiffness) and scene.parison.temperature is not None
     numbers = {"parison.temperature": scene.parison.temperature}
