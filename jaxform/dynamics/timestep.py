@@ -226,7 +226,7 @@ def _highest(
     if scene.pressure.follows_volume:
         volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
     pressure = scene.pressure.at(state.time, volume)
-    modes = active.modes or scene.material.viscous
+    modes = active.viscous(scene.material)
     memory = None if modes is None or state.memory is None else at_once(state.memory, modes)
     load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
 

@@ -105,7 +105,7 @@ def _stepped(
     impacts: bool = False,
 ) -> tuple[PackedState, Moving, Room | None]:
     (length, most, limit, room), duration, row = decisions
-    modes = active.modes or scene.material.viscous
+    modes = active.viscous(scene.material)
     now = Window(
         active=active,
         begin=state.time,

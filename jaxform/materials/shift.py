@@ -86,11 +86,12 @@ class Arrhenius(Shift):
 
     def factor(self, temperature: jax.Array) -> jax.Array:
         """The factor at temperatures [degC], of their shape."""
-        return jnp.exp(_arrhenius(self.activation_energy, self.reference, temperature))
+        inverse = 1.0 / (temperature + _KELVIN) - 1.0 / (self.reference + _KELVIN)
+        return jnp.exp(self.activation_energy / GAS_CONSTANT * inverse)
 
 
 @shift
-class ArrheniusStiffness(Shift):
+class ArrheniusStiffness(Arrhenius):
     """The same, of times and of all moduli: those of the law, and those of its viscous modes.
 
     Attributes:
@@ -100,17 +101,7 @@ class ArrheniusStiffness(Shift):
 
     kind: ClassVar[str] = "arrhenius-stiffness"
     stiffens: ClassVar[bool] = True
-    reference: jax.Array = within(RANGES["material.shift.reference"])
-    activation_energy: jax.Array = within(RANGES["material.shift.activation_energy"])
-
-    def factor(self, temperature: jax.Array) -> jax.Array:
-        """The factor at temperatures [degC], of their shape."""
-        return jnp.exp(_arrhenius(self.activation_energy, self.reference, temperature))
 
 
 SHIFTS: dict[str, type[Shift]] = {"wlf": Wlf, "arrhenius": Arrhenius, "arrhenius-stiffness": ArrheniusStiffness}
 """Those that a scene file names."""
-
-
-def _arrhenius(energy: jax.Array, reference: jax.Array, temperature: jax.Array) -> jax.Array:
-    return energy / GAS_CONSTANT * (1.0 / (temperature + _KELVIN) - 1.0 / (reference + _KELVIN))

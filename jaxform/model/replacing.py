@@ -176,10 +176,8 @@ def _fitted(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Ar
 
 def _shapes(path: str, old: jax.Array, scene: Scene) -> list[tuple[int, ...]]:
     """What shapes a number may have: of the law's also that of zones."""
-    if not path.startswith("material."):
-        return [old.shape]
-    name = path.removeprefix("material.")
-    if "." in name:
+    part, _, name = path.rpartition(".")
+    if part != "material":
         return [old.shape]
     own = old.shape[:-1] if name in scene.material.zones else old.shape
     return [own, (*own, len(scene.parison.thickness))]

@@ -115,6 +115,10 @@ class ActiveSet:
         """How its elements answer to strain, of a scene with this law."""
         return Response(material.elastic.with_zones(self.zones), memory)
 
+    def viscous(self, material: Law) -> Modes | None:
+        """The viscous modes of its elements, of a scene with this law."""
+        return self.modes or material.viscous
+
     def law(self, material: Law) -> Law:
         """The law of its elements, of a scene with this one."""
         return law_of(material, self.zones, self.modes)

@@ -117,10 +117,9 @@ def discretize(scene: Scene) -> Discretization:
     if scene.adaptivity is not None:
         forest = scene.adaptivity.forest
         volumes, mesh = _volumes(scene, forest), first_mesh(scene, scene.adaptivity)
-        means = _forest_means(scene.material.zones, forest, volumes)
-        warmth = _warmth(scene)
-        found = None if warmth is None else _forest_means({"": warmth}, forest, volumes)[""]
-        return refined_discretization(scene, forest, mesh, Wood(volumes, means, found))
+        nodal = scene.material.zones, _warmth(scene)
+        means = jax.tree.map(lambda own: _forest_mean(own, forest, volumes), nodal)
+        return refined_discretization(scene, forest, mesh, Wood(volumes, *means))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
@@ -184,22 +183,19 @@ def _volumes(scene: Scene, forest: Forest) -> jax.Array:
     return jnp.concatenate(levels[::-1])
 
 
-def _forest_means(nodal: dict[str, jax.Array], forest: Forest, volumes: jax.Array) -> dict[str, jax.Array]:
-    """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the means of nodal values (..., n_node).
+def _forest_mean(nodal: jax.Array, forest: Forest, volumes: jax.Array) -> jax.Array:
+    """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the mean of nodal values (..., n_node).
 
     At the deepest level from the nodes' values; above, the mean of the parts, weighted by their volume, so that no
     bisection makes or loses mass.
     """
-    deepest, places = forest.root_count << forest.depth, forest.sheet.triangles
-    found = {}
-    for name, own in nodal.items():
-        weighted = [membrane.element_mean(own, places[:, -deepest:]) * volumes[-deepest:]]
-        for _ in range(forest.depth):
-            weighted.append(weighted[-1][..., 0::2] + weighted[-1][..., 1::2])
-        there = volumes > 0.0  # beyond the first triangles there may be room
-        mean = jnp.concatenate(weighted[::-1], axis=-1) / jnp.where(there, volumes, 1.0)
-        found[name] = jnp.where(there, mean, jax.lax.stop_gradient(own[..., :1]))
-    return found
+    deepest = forest.root_count << forest.depth
+    weighted = [membrane.element_mean(nodal, forest.sheet.triangles[:, -deepest:]) * volumes[-deepest:]]
+    for _ in range(forest.depth):
+        weighted.append(weighted[-1][..., 0::2] + weighted[-1][..., 1::2])
+    there = volumes > 0.0  # beyond the first triangles there may be room
+    mean = jnp.concatenate(weighted[::-1], axis=-1) / jnp.where(there, volumes, 1.0)
+    return jnp.where(there, mean, jax.lax.stop_gradient(nodal[..., :1]))
 
 
 def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
