@@ -32,6 +32,7 @@ def laws(places: np.ndarray) -> dict[str, tuple[Law, Any]]:
         "Yeoh": (jaxform.Yeoh(one, jnp.asarray(0.01), jnp.asarray(1e-3), one), None),
         "Gent": (jaxform.Gent(jnp.asarray(2.0), jnp.asarray(60.0), one), None),
         "Ogden, 3 terms": (jaxform.Ogden(jnp.asarray([1.5, 0.003, -0.02]), jnp.asarray([1.3, 5.0, -2.0]), one), None),
+        "tension field": (jaxform.NeoHookean(one, one, tension_field=True), None),
         "zones": (jaxform.NeoHookean(jnp.asarray(1.0 + 0.5 * radius**2), one), None),
         "temperature": (jaxform.NeoHookean(one, one, shift=shift), warm),
         "Christensen, 2 modes": (jaxform.NeoHookean(one, one, viscous=jaxform.Christensen(*modes)), None),

@@ -34,6 +34,14 @@ hypothesis.settings.load_profile("jaxform")
 # Files go to the workers whole, in this order: those that take longest first, so that all workers end together.
 _FIRST = (
     "notebooks",
+    "padding",
+    "fields",
+    "temperature",
+    "zones",
+    "further_laws",
+    "viscous",
+    "rank",
+    "laws",
     "contact",
     "skips",
     "refinement",

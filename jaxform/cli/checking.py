@@ -93,6 +93,7 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     modes = scene.material.viscous
     viscous = [] if modes is None else [f"{modes.modulus.size} {modes.kind} modes"]
     law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones), *viscous])
+    law += ", wrinkles where it would be compressed" if scene.material.tension_field else ""
     yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
     images = " with its images" if document.model.parison.shape != "file" and _cut(scene) else ""
     yield f"sheet{images}: {seen.sheet}; its thickness is {seen.thinness:.3g} times its size"

@@ -228,7 +228,7 @@ def _highest(
     pressure = scene.pressure.at(state.time, volume)
     modes = active.viscous(scene.material)
     memory = None if modes is None or state.memory is None else at_once(state.memory, modes)
-    load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
+    load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material.stiffest, memory))
 
     def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
         return over_blocks(work, elements.node_block_count, inputs, into, **kinds)

@@ -308,7 +308,8 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
         return kind(**{name: as_real(getattr(own, name)) for name in ranges_of(kind)})
 
     made = law(**{name: number(name) for name in ranges_of(law)})
-    return replace(made, viscous=part(materials.MODES, table.viscous), shift=part(materials.SHIFTS, table.shift))
+    viscous, shift = part(materials.MODES, table.viscous), part(materials.SHIFTS, table.shift)
+    return replace(made, viscous=viscous, shift=shift, tension_field=table.tension_field)
 
 
 def _mold(document: SceneDocument) -> Mold | None:

@@ -16,7 +16,7 @@ from jaxform.core.writing import whole
 from jaxform.mesh import meshes
 from jaxform.model.scene import Parison, Scene
 from jaxform.results.result import Result, only_used
-from jaxform.results.summary import summarize
+from jaxform.results.summary import summarize, wrinkled
 from jaxform.runs.host import Moment
 
 
@@ -80,6 +80,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "stretch_1": stretches[:, 0],
         "stretch_2": stretches[:, 1],
         "level": np.asarray(result.level, np.int32),
+        **({"wrinkled": wrinkled(result)} if scene.material.tension_field else {}),
     }
     with whole(path) as fresh:
         meshes.write_vtu(
@@ -116,6 +117,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "stretch_1": one,
             "stretch_2": one,
             "level": np.zeros(len(triangles), np.int32),
+            **({"wrinkled": np.zeros(len(triangles))} if scene.material.tension_field else {}),
         },
     )
 

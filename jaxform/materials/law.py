@@ -50,10 +50,14 @@ class Law(_Dense):
     Attributes:
         viscous: Viscous modes, whose stress is added; what the law says is then what is left in the end. None without.
         shift: What temperature does to it; None for nothing.
+        tension_field: Whether the sheet goes slack where it would be compressed, as `tension_field` has it.
+        held_taut: Whether what is slack has the tangent of what just is not: for the stable step, not for forces.
     """
 
     viscous: Modes | None = dataclasses.field(default=None, metadata={"part": True})
     shift: Shift | None = dataclasses.field(default=None, metadata={"part": True})
+    tension_field: bool = static(default=False)
+    held_taut: bool = static(default=False)
 
     @property
     def elastic(self) -> Self:
@@ -80,6 +84,11 @@ class Law(_Dense):
     def stiffness_at_once(self) -> jax.Array:
         """As `stiffness`, with what the viscous modes add at once."""
         return self.stiffness() if self.viscous is None else self.stiffness() + self.viscous.stiffness()
+
+    @property
+    def stiffest(self) -> Self:
+        """What bounds the stable step: a slack sheet may be taut before the window's end."""
+        return dataclasses.replace(self, held_taut=True) if self.tension_field else self
 
     @property
     def zones(self) -> dict[str, jax.Array]:

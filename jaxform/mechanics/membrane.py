@@ -17,6 +17,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxform.kernels.blocks import on_cpu, once
 from jaxform.materials import Law, PlaneLaw
+from jaxform.materials.tension_field import Taut, taut
 
 Metric = tuple[jax.Array, jax.Array, jax.Array]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
@@ -168,9 +169,23 @@ def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
     """Invariants of incompressible strain from the current metric and the inverse of the initial one."""
     r = inverse_reference
     trace = r[0] * g[0] + 2.0 * r[1] * g[1] + r[2] * g[2]
-    determinant = _determinant(g) * (r[0] * r[2] - r[1] * r[1])
+    return _invariants(trace, _determinant(g) * (r[0] * r[2] - r[1] * r[1]))
+
+
+def _invariants(trace: jax.Array, determinant: jax.Array) -> Invariants:
     flexibility = _reciprocal(determinant)  # the only division
     return Invariants(trace, determinant, trace + flexibility, determinant + trace * flexibility)
+
+
+def relaxed(strain: Invariants) -> tuple[Invariants, Taut]:
+    """The strain of a sheet that goes slack, and what of it is."""
+    square = jnp.square(0.5 * strain.trace) - strain.determinant
+    return _relaxed(strain, square)
+
+
+def _relaxed(strain: Invariants, square: jax.Array) -> tuple[Invariants, Taut]:
+    found = taut(strain.trace, strain.determinant, square)
+    return _invariants(found.trace, found.determinant), found
 
 
 @jax.custom_jvp
@@ -185,6 +200,26 @@ def _reciprocal_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> t
     return reciprocal, -jnp.square(reciprocal) * changes[0]
 
 
+def _difference_squared(g: Metric, inverse_reference: jax.Array | Metric) -> jax.Array:
+    """((l1^2 - l2^2) / 2)^2 (n,).
+
+    From the components, since (T / 2)^2 - D loses half of the digits where the strain is little.
+    """
+    r = inverse_reference
+    apart = 0.5 * (r[0] * g[0] - r[2] * g[2])
+    return jnp.square(apart) + (r[0] * g[1] + r[1] * g[2]) * (r[1] * g[0] + r[2] * g[1])
+
+
+def as_taut(g: Metric, inverse_reference: jax.Array | Metric) -> Metric:
+    """The metric of a sheet that is as wide as the tension in it would leave it, where it is slack."""
+    strain = invariants(g, inverse_reference)
+    _, found = _relaxed(strain, _difference_squared(g, inverse_reference))
+    present, initial = found.shares()
+    first = inverse_of((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
+    a, b, c = (present * now + initial * then for now, then in zip(g, first, strict=True))
+    return a, b, c
+
+
 def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: Law) -> tuple[jax.Array, jax.Array]:
     """A [Pa] and B [Pa/m^4], (n_element,), of the second Piola-Kirchhoff stress S^ab = A G^ab + B adj(g)^ab.
 
@@ -192,8 +227,15 @@ def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: L
     the three components follow by one product each.
     """
     r = inverse_reference
-    trace, determinant, i1, i2 = invariants(g, r)
-    scale = 2.0 * (r[0] * r[2] - r[1] * r[1])
+    strain, scale = invariants(g, r), 2.0 * (r[0] * r[2] - r[1] * r[1])
+    if not material.tension_field:
+        return _factors(strain, scale, material)
+    strain, found = _relaxed(strain, _difference_squared(g, r))
+    return found.factors(*_factors(strain, scale, material), scale)
+
+
+def _factors(strain: Invariants, scale: jax.Array, material: Law) -> tuple[jax.Array, jax.Array]:
+    trace, determinant, i1, i2 = strain
     if isinstance(material, PlaneLaw):
         by_trace, by_determinant = material.slopes(trace, determinant)
         return 2.0 * by_trace, scale * by_determinant
@@ -230,6 +272,8 @@ def strain_energy(
 
 def energy_density(strain: Invariants, material: Law) -> jax.Array:
     """Strain energy per reference volume (n_element,) [J/m^3]."""
+    if material.tension_field:
+        strain, _ = relaxed(strain)
     if isinstance(material, PlaneLaw):
         return material.energy(strain.trace, strain.determinant)
     return material.energy(strain.i1, strain.i2)

@@ -13,7 +13,7 @@ from jaxform.core.pytree import pytree, static
 from jaxform.kernels.blocks import once
 from jaxform.materials import MODES, Law, Modes, Recursion
 from jaxform.materials.viscous import Rows, Strained
-from jaxform.mechanics.membrane import Metric, invariants, plus, stress, stress_factors
+from jaxform.mechanics.membrane import Metric, as_taut, invariants, plus, stress, stress_factors
 
 
 @pytree
@@ -115,6 +115,8 @@ def stress_and_change(
         a, b = stress_factors(g, inverse, response.material)
         return weight * a, weight * b
 
+    if response.material.held_taut:
+        g = as_taut(g, inverse)
     # Both divide; kept, they are worked out once instead of for each of the six components.
     own, rate = once(jax.jvp(factors, (g,), (change,)))
     b = own[1]

@@ -16,6 +16,7 @@ from jaxform.mechanics.membrane import (
     inverse_of,
     metric,
     principal_stretches,
+    relaxed,
 )
 from jaxform.mechanics.response import free_across, modes_of, strained
 
@@ -38,6 +39,9 @@ def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
     The candidates are the two of the block of stretches, the two shears and the two motions out of the plane:
     second derivatives of W by the stretches (a, b), and its slopes over sums and differences of them.
     """
+    if material.tension_field:
+        # What is slack may be taut before the window's end.
+        strain, _ = relaxed(strain)
     a, b = principal_stretches(strain)
     if isinstance(material, PlaneLaw):
         return _largest(_by_plane_law(strain, a, b, material))

@@ -32,6 +32,9 @@ def law(material: Law, count: int, forest: bisection.Forest | None) -> Law:
     made = _replaced(material, {"viscous": _modes(material.viscous), "shift": _shift(material.shift)})
     made = _with_arrays(made, "material", nodes={count} if forest is None else {count, len(forest.positions)})
     made.verify()
+    if made.tension_field and made.viscous is not None:
+        problem, remedy = "is not possible with viscous modes, whose stress may push", "leave one of the two out"
+        raise InputError(problem, remedy, "material.tension_field", True)
     if forest is None:
         return made
     ends, depth = forest.ends, forest.depth

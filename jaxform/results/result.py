@@ -116,7 +116,9 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
     sheet = now.sheet
     _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
-    ratio = 1.0 / jnp.sqrt(strain.determinant)
+    # What has wrinkled is as thick as the material that lies in folds.
+    own = membrane.relaxed(strain)[0] if scene.material.tension_field else strain
+    ratio = 1.0 / jnp.sqrt(own.determinant)
     count = now.mass.size
     counts = scene.tables.counts
     active, node, mobility = jnp.ones(count, bool), jnp.arange(count), scene.tables.mobility

@@ -26,6 +26,17 @@ def formed_areas(result: Result) -> np.ndarray:
     return volume / np.where(wall > 0.0, wall, 1.0)
 
 
+def wrinkled(result: Result) -> np.ndarray:
+    """How much of the sheet lies in folds (n_element,), where it is narrower than the tension in it would leave it.
+
+    One less the area that the elements have over that of their material; of a law with `tension_field`.
+    """
+    larger, smaller = np.asarray(result.stretches, float).T
+    pulled = np.maximum(larger, 1.0)
+    width = np.maximum(smaller, 1.0 / np.sqrt(pulled))
+    return 1.0 - larger * smaller / (pulled * width)
+
+
 def wall_statistics(result: Result) -> dict[str, float]:
     """Least, mean and largest thickness [m] of the elements and its coefficient of variation, by formed area."""
     used = np.asarray(result.used)
@@ -57,6 +68,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "thickness": wall_statistics(result),
         "thinnest": thinnest(result, scene),
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
+        **_wrinkles(result, scene, area),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
@@ -70,6 +82,11 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
             *warnings_of_mold(result, scene, beyond),
         ],
     }
+
+
+def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float]:
+    """The share of the sheet that lies in folds, where its law lets it wrinkle."""
+    return {"wrinkled_fraction": float(area @ wrinkled(result) / area.sum())} if scene.material.tension_field else {}
 
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:

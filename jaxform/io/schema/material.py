@@ -93,11 +93,13 @@ class _Law(Table):
         density: Mass per volume [kg/m^3].
         viscous: Viscous modes; without them the sheet remembers nothing.
         shift: What the sheet's temperature does; without it nothing.
+        tension_field: Whether the sheet goes slack and wrinkles where it would be compressed, instead of bearing that.
     """
 
     density: Density
     viscous: Viscous | None = None
     shift: Shift | None = None
+    tension_field: bool = False
 
 
 class NeoHookean(_Law):

@@ -1,0 +1,69 @@
+"""A sheet that goes slack instead of being compressed: the relaxed energy of tension-field theory.
+
+A membrane bears no compression: it wrinkles, on a scale far below that of an element. Its energy is then the least
+that any width across the wrinkles gives (A. C. Pipkin, IMA J. Appl. Math. 36, 1986): with principal stretches
+l1 >= l2 that of uniaxial tension l1 where l2 < l1^(-1/2), and none where l1 < 1 as well.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+
+class Taut(NamedTuple):
+    """The strain in the plane with the width that a strip in uniaxial tension has, where the sheet is slack.
+
+    Attributes:
+        trace: l1^2 + l2^2 (n,).
+        determinant: (l1 l2)^2 (n,).
+        slack: Where the sheet is narrower than that (n,).
+        larger: The larger principal value l1^2 as it is (n,).
+        half: Half of l1^2 - l2^2 as it is (n,), where they are not equal.
+        turn: Change of the energy with l1^2, over that with the trace at constant determinant, and over
+            l1^2 - l2^2 (n,).
+    """
+
+    trace: jax.Array
+    determinant: jax.Array
+    slack: jax.Array
+    larger: jax.Array
+    half: jax.Array
+    turn: jax.Array
+
+    def factors(self, a: jax.Array, b: jax.Array, scale: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Those of the relaxed sheet's stress, from those of this strain; as in `membrane.stress_factors`.
+
+        The slopes of l1^2 by trace and determinant are l1^2 / (l1^2 - l2^2) and -1 / (l1^2 - l2^2).
+        """
+        pull = a * self.turn
+        return jnp.where(self.slack, pull * self.larger, a), jnp.where(self.slack, -0.5 * scale * pull, b)
+
+    def shares(self) -> tuple[jax.Array, jax.Array]:
+        """How much of the present metric and of the initial one make up that of this strain (n,)."""
+        pulled = jnp.maximum(self.larger, 1.0)
+        present = jnp.where(self.slack, 0.5 * (pulled - self.determinant / pulled) / self.half, 1.0)
+        return present, jnp.where(self.slack, pulled - present * self.larger, 0.0)
+
+
+def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
+    """What a strain (n,) is relaxed to, from l1^2 + l2^2, (l1 l2)^2 and ((l1^2 - l2^2) / 2)^2."""
+    mean = 0.5 * trace
+    # Equal stretches have no derivative of their difference; where they are slack nothing is pulled.
+    unequal = square > 0.0
+    half = jnp.sqrt(jnp.where(unequal, square, 1.0))
+    larger = mean + jnp.where(unequal, half, 0.0)
+    pulled = jnp.maximum(larger, 1.0)
+    narrow = jnp.sqrt(pulled)  # the determinant of uniaxial tension
+    slack = determinant < narrow
+    inverse = 1.0 / (pulled * narrow)
+    return Taut(
+        trace=jnp.where(slack, pulled + pulled * inverse, trace),
+        determinant=jnp.where(slack, narrow, determinant),
+        slack=slack,
+        larger=larger,
+        half=half,
+        turn=(1.0 - inverse) / (2.0 * half),
+    )
