@@ -142,13 +142,13 @@ def test_two_discs_become_a_mylar_balloon() -> None:
 def test_gradients_through_wrinkles_and_contact() -> None:
     """By stiffness, thickness and pressure, where a plate stops the balloon whose rim has wrinkled."""
     free = balloon(MOONEY, 60, 10.0)
-    plate = [[-2.0, -2.0, 0.3], [2.0, -2.0, 0.3], [2.0, 2.0, 0.3], [-2.0, 2.0, 0.3]]
+    plate = np.asarray([[-2.0, -2.0, 0.3], [2.0, -2.0, 0.3], [2.0, 2.0, 0.3], [-2.0, 2.0, 0.3]])
     scene = jaxform.build_scene(
         parison=free.parison,
         material=free.material,
         pressure=free.pressure,
         solver=free.solver,
-        mold=jaxform.make_mold(plate, [[0, 1, 2], [0, 2, 3]]),
+        mold=jaxform.make_mold(plate, np.asarray([[0, 1, 2], [0, 2, 3]])),
     )
     first = jaxform.run(scene)
     assert int(first.status) == 0 and np.sum(np.asarray(first.contact_time) > 0) > 2
