@@ -1,0 +1,194 @@
+"""The wall of a formed part as other programs take it: a surface with a thickness at its nodes, read from results."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core import disk, release
+from jaxform.core.errors import InputError, warn_of
+from jaxform.mesh import meshes, topology
+from jaxform.mesh.meshes import Mesh
+
+Array = NDArray[np.float64]
+Index = NDArray[np.integer]
+
+_ON_PLANE = 1e-6  # of the part's size, as parisons from a file have it
+_NO_RESULTS = "name a folder that `jaxform simulate` or `jaxform optimize` wrote"
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall as a surface of triangles.
+
+    Attributes:
+        positions: Of the nodes [m], shape (n, 3).
+        triangles: Node numbers from 0, shape (m, 3).
+        thickness: At the nodes [m], shape (n,), linear between them: area times thickness is the volume of the wall.
+        element_thickness: Of the triangles [m], shape (m,), with the same volume.
+        reference: Where each node was in the initial sheet [m], shape (n, 3).
+        held: Which nodes (n,) were clamped, or lay on the mold from the start.
+        planes: Axis and place [m] of the symmetry planes at which the part is cut.
+        words: What the wall is, line by line, for the head of a file.
+    """
+
+    positions: Array
+    triangles: Index
+    thickness: Array
+    element_thickness: Array
+    reference: Array
+    held: NDArray[np.bool_]
+    planes: Mapping[int, float] = field(default_factory=dict)
+    words: tuple[str, ...] = ()
+
+    @property
+    def volume(self) -> float:
+        """Area times nodal thickness [m^3]."""
+        return float(areas(self.positions, self.triangles) @ self.thickness[self.triangles].mean(1))
+
+    def node_sets(self) -> dict[str, Index]:
+        """The nodes of the rim that was clamped, RIM, and on symmetry planes, SYM_X, SYM_Y, SYM_Z; none empty."""
+        edge = topology.boundary_edges(self.triangles)
+        tolerance = _ON_PLANE * meshes.size(self.positions)
+        found, cut = {}, np.zeros(len(edge), bool)
+        for axis, level in self.planes.items():
+            here = (np.abs(self.positions[edge, axis] - level) <= tolerance).all(axis=1)
+            found[f"SYM_{'XYZ'[axis]}"] = np.unique(edge[here])
+            cut |= here
+        rim = np.unique(edge[~cut])
+        return {name: nodes for name, nodes in {"RIM": rim[self.held[rim]], **found}.items() if len(nodes)}
+
+
+def read_wall(folder: Path) -> Wall:
+    """The wall that a run or a search left in a folder.
+
+    Raises:
+        InputError: The folder has no results, or they are damaged.
+
+    Warns:
+        InputWarning: The run was stopped before its end.
+    """
+    path = folder / "final.vtu"
+    if not disk.is_file(path):
+        raise InputError("has no final.vtu", _NO_RESULTS, value=str(folder))
+    summary = _summary(folder / "summary.json")
+    mesh = meshes.read_mesh(path)
+    try:
+        nodal = _positive(mesh.fields, "thickness")
+        # Older files, or those of others, may lack what the elements know.
+        known = "thickness" in mesh.cell_fields
+        elements = _positive(mesh.cell_fields, "thickness") if known else nodal[mesh.triangles].mean(1)
+    except InputError as error:
+        raise error.within(file=str(path)) from None
+    status = summary.get("status", "ok")
+    if status != "ok":
+        warn_of(f"the run did not end well: {status}", "the wall is that of the moment", file=str(folder))
+    return Wall(
+        mesh.positions,
+        mesh.triangles,
+        conserving(mesh.positions, mesh.triangles, nodal, elements),
+        elements,
+        _reference(mesh),
+        mesh.fields.get("contact_time", np.zeros(len(mesh.positions))) == 0.0,
+        {"xyz".index(axis): level for axis, level in _planes(summary).items()},
+        (f"wall of {summary.get('scene', 'a formed part')}, formed by jaxform {release.version()}",),
+    )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    if not disk.is_file(path):
+        return {}
+    try:
+        found = json.loads(disk.read_text(path))
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError("is not the summary of a run", _NO_RESULTS, file=str(path))
+    return found
+
+
+def _planes(summary: Mapping[str, Any]) -> dict[str, float]:
+    found = summary.get("symmetry_planes")
+    known = found.items() if isinstance(found, dict) else ()
+    return {axis: float(level) for axis, level in known if axis in ("x", "y", "z") and isinstance(level, float | int)}
+
+
+def _positive(fields: Mapping[str, Array], name: str) -> Array:
+    if name not in fields:
+        known = ", ".join(sorted(fields)) or "none"
+        raise InputError(f"has no field {name} (its fields: {known})", _NO_RESULTS)
+    values = fields[name]
+    if not (np.isfinite(values) & (values > 0)).all():
+        raise InputError(f"has a {name} that is no positive number", "run the scene again")
+    return values
+
+
+def _reference(mesh: Mesh) -> Array:
+    if all(name in mesh.fields for name in meshes.REFERENCE):
+        return np.stack([mesh.fields[name] for name in meshes.REFERENCE], axis=1)
+    return mesh.positions
+
+
+def areas(positions: Array, triangles: Index) -> Array:
+    """Of triangles [m^2], shape (m,)."""
+    corners = positions[triangles]
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return 0.5 * np.linalg.norm(doubled, axis=1)
+
+
+def conserving(positions: Array, triangles: Index, nodal: Array, elements: Array) -> Array:
+    """A nodal thickness (n,) [m] near a given one whose volume is that of the elements' thickness (m,) [m].
+
+    Each node's is multiplied by the mean, by area, of what its elements are thicker than their corners say. The volume
+    of a linear field is a sum over nodes of a third of the area around, so the products add up exactly.
+    """
+    area, ratio = areas(positions, triangles), elements / nodal[triangles].mean(1)
+    corner, count = triangles.reshape(-1), len(positions)
+    around = np.bincount(corner, np.repeat(area, 3), count)
+    # A node that no triangle with an area uses has no volume.
+    share = np.bincount(corner, np.repeat(area * ratio, 3), count) / np.where(around > 0, around, 1.0)
+    return nodal * np.where(around > 0, share, 1.0)
+
+
+def mirrored(wall: Wall, axis: int, level: float) -> Wall:
+    """The wall and its image in a plane, joined there.
+
+    Raises:
+        InputError: No node lies on the plane, or there are some on both sides.
+    """
+    away, tolerance = wall.positions[:, axis] - level, _ON_PLANE * meshes.size(wall.positions)
+    on = np.abs(away) <= tolerance
+    name, value = "--mirror", f"{'xyz'[axis]}={level:g}"
+    if not on.any():
+        raise InputError("no node of the part lies on this plane", "name the plane that it is cut at", name, value)
+    if away.min() < -tolerance and away.max() > tolerance:
+        raise InputError("the part lies on both sides of this plane", "mirror a part that is cut there", name, value)
+    count = len(away)
+    image = np.where(on, np.arange(count), count - 1 + np.cumsum(~on))
+
+    def reflected(points: Array, place: float | Array) -> Array:
+        points = points.copy()
+        points[:, axis] = 2.0 * place - points[:, axis]
+        return points[~on]
+
+    positions = wall.positions.copy()
+    positions[on, axis] = level
+    planes = {key: place for key, place in wall.planes.items() if key != axis}
+    return replace(
+        wall,
+        positions=np.concatenate([positions, reflected(positions, level)]),
+        # Turned, so that all normals agree.
+        triangles=np.concatenate([wall.triangles, image[wall.triangles][:, [0, 2, 1]]]),
+        thickness=np.concatenate([wall.thickness, wall.thickness[~on]]),
+        element_thickness=np.tile(wall.element_thickness, 2),
+        reference=np.concatenate([wall.reference, reflected(wall.reference, level)]),
+        held=np.concatenate([wall.held, wall.held[~on]]),
+        planes=planes,
+        words=(*wall.words, f"with its image in the plane {value} m"),
+    )
