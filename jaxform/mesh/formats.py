@@ -150,6 +150,13 @@ def _whole_msh(content: bytes, name: str) -> str:
     return name
 
 
+def _one_inp(content: bytes, name: str) -> str:
+    # meshio would read whatever it names, a pipe or itself.
+    if re.search(rb"(?im)^\*\s*include", content):
+        raise InputError("takes in other files (*INCLUDE)", "give one file that has the mesh")
+    return name
+
+
 _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".stl": facets.read_stl,
     ".obj": facets.read_obj,
@@ -160,5 +167,6 @@ _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".msh": _by_meshio("gmsh", _whole_msh),
 }
 _FURTHER: dict[str, Callable[[bytes, str], Faces]] = {
-    ending: _by_meshio(file_format, lambda content, name: name) for ending, file_format in FURTHER.items()
+    ending: _by_meshio(file_format, _one_inp if ending == ".inp" else lambda content, name: name)
+    for ending, file_format in FURTHER.items()
 }

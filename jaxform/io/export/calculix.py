@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxform.io.export import abaqus
-from jaxform.io.export.wall import Wall
+from jaxform.io.export.wall import Wall, end_sets
 from jaxform.mesh import topology
 
 
@@ -23,16 +23,17 @@ def write(path: Path, wall: Wall) -> None:
     base = np.array([count, 1], np.int64)
     middle = count + np.searchsorted(edge @ base, side.astype(np.int64) @ base)
     rim = np.isin(edge @ base, topology.boundary_edges(wall.triangles) @ base)
+    positions = np.concatenate([wall.positions, wall.positions[edge].mean(1)])
     sets = {
         name: np.concatenate([nodes, count + np.flatnonzero(rim & np.isin(edge, nodes).all(axis=1))])
-        for name, nodes in wall.node_sets().items()
+        for name, nodes in wall.edge_sets().items()
     }
     lines = abaqus.keywords(
         wall,
         "S6",
         np.concatenate([wall.triangles, middle], axis=1),
-        np.concatenate([wall.positions, wall.positions[edge].mean(1)]),
+        positions,
         np.concatenate([wall.thickness, wall.thickness[edge].mean(1)]),
-        sets,
+        sets | end_sets(positions),
     )
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.integer]
 
 _ON_PLANE = 1e-6  # of the part's size, as parisons from a file have it
+_AT_END = 1e-3  # the same of its ends
 _NO_RESULTS = "name a folder that `jaxform simulate` or `jaxform optimize` wrote"
 
 
@@ -53,6 +54,10 @@ class Wall:
         return float(areas(self.positions, self.triangles) @ self.thickness[self.triangles].mean(1))
 
     def node_sets(self) -> dict[str, Index]:
+        """The nodes of all sets that are not empty: those of `edge_sets`, then those of `end_sets`."""
+        return self.edge_sets() | end_sets(self.positions)
+
+    def edge_sets(self) -> dict[str, Index]:
         """The nodes of the rim that was clamped, RIM, and on symmetry planes, SYM_X, SYM_Y, SYM_Z; none empty."""
         edge = topology.boundary_edges(self.triangles)
         tolerance = _ON_PLANE * meshes.size(self.positions)
@@ -133,6 +138,16 @@ def _reference(mesh: Mesh) -> Array:
     if all(name in mesh.fields for name in meshes.REFERENCE):
         return np.stack([mesh.fields[name] for name in meshes.REFERENCE], axis=1)
     return mesh.positions
+
+
+def end_sets(positions: Array) -> dict[str, Index]:
+    """The nodes at the ends of a part along each axis, MIN_X to MAX_Z, to within a thousandth of its size."""
+    near, found = _AT_END * meshes.size(positions), {}
+    for axis, name in enumerate("XYZ"):
+        along = positions[:, axis]
+        found[f"MIN_{name}"] = np.flatnonzero(along <= along.min() + near)
+        found[f"MAX_{name}"] = np.flatnonzero(along >= along.max() - near)
+    return found
 
 
 def areas(positions: Array, triangles: Index) -> Array:
