@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,16 +70,13 @@ def _path(arguments: argparse.Namespace, ending: str) -> Path:
 
 def _plane(text: str, wall: Wall) -> tuple[int, float]:
     """Axis and place [m] of a plane such as `x` or `x=0.15`; without a place that of the run, or 0."""
-    name, equals, place = text.partition("=")
-    level = None
-    if name in ("x", "y", "z"):
-        axis = "xyz".index(name)
-        known = wall.planes.get(axis, 0.0)
-        with contextlib.suppress(ValueError):
-            level = float(place) if equals else known
-    if level is None or not abs(level) < 1e6:
-        raise InputError("is no plane", "give x, y or z, or a place as x=0.15 (m)", "--mirror", text)
-    return axis, level
+    from jaxform.mesh.surfaces import plane_of
+
+    try:
+        axis, level = plane_of(text)
+    except InputError:
+        raise InputError("is no plane", "give x, y or z, or a place as x=0.15 (m)", "--mirror", text) from None
+    return axis, level if "=" in text else wall.planes.get(axis, 0.0)
 
 
 def _tell(arguments: argparse.Namespace, wall: Wall, said: list[str], path: Path) -> None:

@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -19,9 +20,9 @@ from jaxform.cli import command, exporting
 from jaxform.core.errors import InputError, InputWarning
 from jaxform.io import export
 from jaxform.io.export import Wall, mapping
-from jaxform.io.export.wall import areas, conserving
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.volumes import areas, conserving
 
 Array = NDArray[np.float64]
 
@@ -37,11 +38,11 @@ def _grid(many: tuple[int, int], place: Callable[[Array, Array], list[Array]]) -
     return np.stack(place(u.ravel(), v.ravel()), axis=1), triangles.astype(np.int32)
 
 
-def _bowl(elements: int, radius: float = RADIUS, symmetry: str = "none") -> Mesh:
+def _bowl(elements: int, radius: float = RADIUS, symmetry: shapes.Symmetry = "none") -> Mesh:
     sheet = shapes.disc(radius=radius, elements=elements, symmetry=symmetry)
     positions = np.array(sheet.positions)
     positions[:, 2] = HEIGHT * (1 - (positions[:, 0] ** 2 + positions[:, 1] ** 2) / RADIUS**2)
-    return Mesh(positions, np.asarray(sheet.triangles))
+    return Mesh(positions, sheet.triangles)
 
 
 def _thickness(positions: Array) -> Array:
@@ -56,7 +57,7 @@ def _wall(mesh: Mesh, thickness: Array, **options: object) -> Wall:
     return Wall(positions, triangles, thickness, elements, reference, held, **options)  # pyright: ignore[reportArgumentType]
 
 
-def _formed(elements: int, symmetry: str = "none") -> Wall:
+def _formed(elements: int, symmetry: shapes.Symmetry = "none") -> Wall:
     mesh = _bowl(elements, symmetry=symmetry)
     planes = {0: 0.0, 1: 0.0} if symmetry == "quarter" else {}
     return _wall(mesh, _thickness(mesh.positions), planes=planes)
@@ -272,7 +273,7 @@ def test_calculix_pulls_a_strip_of_varying_thickness_as_hard_as_the_formula(tmp_
 
 def test_calculix_bends_a_strip_as_far_as_the_formula(tmp_path: Path) -> None:
     strip = _strip((10, 2))
-    even = _wall(Mesh(strip.positions, strip.triangles), np.full(33, 1e-3))
+    even = replace(strip, thickness=np.full(33, 1e-3))
     load = "*CLOAD\n31, 3, 0.0025\n32, 3, 0.005\n33, 3, 0.0025"
     force, moved = _calculix(tmp_path, even, "MIN_X, 1, 6", load)
     assert -force[2] == pytest.approx(0.01, rel=1e-4)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError, warn_of
-from jaxform.io.export.wall import Wall, areas, conserving
+from jaxform.io.export.wall import Wall
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.volumes import areas, conserving
 from jaxform.tools.distances import Distances, Nearest
 from jaxform.tools.search import cut
 

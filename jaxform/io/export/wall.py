@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core import disk, release
 from jaxform.core.errors import InputError, warn_of
+from jaxform.io import earlier
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.volumes import areas, conserving
 
 Array = NDArray[np.float64]
 Index = NDArray[np.integer]
@@ -82,7 +82,7 @@ def read_wall(folder: Path) -> Wall:
     path = folder / "final.vtu"
     if not disk.is_file(path):
         raise InputError("has no final.vtu", _NO_RESULTS, value=str(folder))
-    summary = _summary(folder / "summary.json")
+    summary = earlier.read_summary(folder)
     mesh = meshes.read_mesh(path)
     try:
         nodal = _positive(mesh.fields, "thickness")
@@ -101,27 +101,9 @@ def read_wall(folder: Path) -> Wall:
         elements,
         _reference(mesh),
         mesh.fields.get("contact_time", np.zeros(len(mesh.positions))) == 0.0,
-        {"xyz".index(axis): level for axis, level in _planes(summary).items()},
+        earlier.symmetry_planes(summary),
         (f"wall of {summary.get('scene', 'a formed part')}, formed by jaxform {release.version()}",),
     )
-
-
-def _summary(path: Path) -> dict[str, Any]:
-    if not disk.is_file(path):
-        return {}
-    try:
-        found = json.loads(disk.read_text(path))
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise InputError("is not the summary of a run", _NO_RESULTS, file=str(path))
-    return found
-
-
-def _planes(summary: Mapping[str, Any]) -> dict[str, float]:
-    found = summary.get("symmetry_planes")
-    known = found.items() if isinstance(found, dict) else ()
-    return {axis: float(level) for axis, level in known if axis in ("x", "y", "z") and isinstance(level, float | int)}
 
 
 def _positive(fields: Mapping[str, Array], name: str) -> Array:
@@ -148,27 +130,6 @@ def end_sets(positions: Array) -> dict[str, Index]:
         found[f"MIN_{name}"] = np.flatnonzero(along <= along.min() + near)
         found[f"MAX_{name}"] = np.flatnonzero(along >= along.max() - near)
     return found
-
-
-def areas(positions: Array, triangles: Index) -> Array:
-    """Of triangles [m^2], shape (m,)."""
-    corners = positions[triangles]
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return 0.5 * np.linalg.norm(doubled, axis=1)
-
-
-def conserving(positions: Array, triangles: Index, nodal: Array, elements: Array) -> Array:
-    """A nodal thickness (n,) [m] near a given one whose volume is that of the elements' thickness (m,) [m].
-
-    Each node's is multiplied by the mean, by area, of what its elements are thicker than their corners say. The volume
-    of a linear field is a sum over nodes of a third of the area around, so the products add up exactly.
-    """
-    area, ratio = areas(positions, triangles), elements / nodal[triangles].mean(1)
-    corner, count = triangles.reshape(-1), len(positions)
-    around = np.bincount(corner, np.repeat(area, 3), count)
-    # A node that no triangle with an area uses has no volume.
-    share = np.bincount(corner, np.repeat(area * ratio, 3), count) / np.where(around > 0, around, 1.0)
-    return nodal * np.where(around > 0, share, 1.0)
 
 
 def mirrored(wall: Wall, axis: int, level: float) -> Wall:
