@@ -292,7 +292,7 @@ def results(tmp_path: Path) -> Path:
     meshes.write_vtu(
         folder / "final.vtu", wall.positions, wall.triangles, data, {"thickness": 1.1 * wall.element_thickness}
     )
-    summary = {"scene": "bowl", "status": "ok", "symmetry_planes": {"x": 0.0, "y": 0.0}}
+    summary = {"scene": "b\u00f6wl\n*NODE", "status": "ok", "symmetry_planes": {"x": 0.0, "y": 0.0}}
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder
 
@@ -314,6 +314,8 @@ def test_the_command_writes_a_completed_part_onto_a_mesh_in_mm(
         assert volume == pytest.approx(4 * 1.1 * _formed(60, "quarter").volume, rel=1e-3)
     assert command.main([*arguments, "--quiet", "--force"]) == 0
     assert capfd.readouterr().out == ""
+    # A name with a line feed does not become a line of its own.
+    assert "<!-- wall of b\\xf6wl *NODE, formed by jaxform" in (results / "wall.vtu").read_text()
 
 
 def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 FARTHEST = 0.05
 """Distance from the formed part beyond which a mesh does not lie on it, relative to the part's size."""
 _ON_RIM = 1e-6  # of the part's size: as far as that beyond an open rim a place is still on it
-_FINEST = 300  # samples along the part's size
+_FINEST, _MOST = 300, 100_000  # samples along the part's size, and about how many there are
 _CHUNK = 50_000  # places looked for together
 _NOTHING, _LITTLE = 0.01, 0.005  # shares of the mesh's area: what lies on the part, or does not
 _OTHER, _TWICE = 0.05, 0.5  # by which areas differ: of another surface, and of one with two sides
@@ -142,8 +142,9 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
 
 def _sampled(surface: Surface, other: Surface, reach: float, size: float) -> _Samples:
     """Places all over a surface, as close as the elements of the finer one, and where they are on the other."""
+    area = float(areas(surface.vertices, surface.triangles).sum())
     sides = [np.linalg.norm(np.diff(one.vertices[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
-    longest = max(0.5 * min(float(np.median(side)) for side in sides), size / _FINEST)
+    longest = max(0.5 * min(float(np.median(side)) for side in sides), size / _FINEST, (area / _MOST) ** 0.5)
     pieces, owner = cut(surface.vertices[surface.triangles], longest)
     middle = pieces.mean(1)
     doubled = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)

@@ -13,8 +13,10 @@ from jaxform.io.export.wall import Wall
 def head(wall: Wall) -> list[str]:
     """What a file says about itself, line by line, without the marks of comments."""
     low, high = (1e3 * float(value) for value in (wall.thickness.min(), wall.thickness.max()))
+    # Names of scenes and files may have any characters; solvers read comments in one line and ASCII.
+    words = [" ".join(line.encode("ascii", "backslashreplace").decode().split()) for line in wall.words]
     return [
-        *wall.words,
+        *words,
         "Units: SI (m, kg, s, N, Pa); thickness in m",
         f"{len(wall.positions)} nodes, {len(wall.triangles)} triangles, {low:.4g} to {high:.4g} mm thick, "
         f"volume {wall.volume:.6g} m3",
