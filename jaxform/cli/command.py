@@ -1,4 +1,4 @@
-"""The command: `jaxform scenes | simulate | optimize | check | warm`. It alone knows both jaxform and optimize.
+"""The command: `jaxform scenes`, `simulate`, `optimize`, `check` and others. It alone knows both jaxform and optimize.
 
 Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
 computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import session
-from jaxform.core import lastresort
+from jaxform.cli import exporting, session
+from jaxform.core import lastresort, release
 from jaxform.core.errors import InputError, heard
 from jaxform.io import catalog
 
@@ -66,8 +66,17 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; see `{self.prog} --help`")
 
 
+class _Version(argparse.Action):
+    """Prints the version, which is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        session.say(f"{parser.prog} {release.version()}")
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxform", description="Blow moulding and thermoforming, simulated and designed.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     scenes = commands.add_parser("scenes", help="list the built-in scenes and studies")
     scenes.set_defaults(command=_scenes)
@@ -93,6 +102,10 @@ def _parser() -> argparse.ArgumentParser:
     warm.add_argument("--quiet", action="store_true", help="print errors only")
     warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
     warm.set_defaults(command=_warm)
+    words = "write the wall of a formed part for the next analysis, on its own mesh or on one of yours"
+    exported = commands.add_parser("export", help=words, description=words)
+    exporting.add_arguments(exported)
+    exported.set_defaults(command=exporting.export)
     return parser
 
 

@@ -20,7 +20,7 @@ from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import check
 from jaxform.core.store import Store
-from jaxform.io import catalog, fields, schema
+from jaxform.io import catalog, earlier, fields, schema
 from jaxform.io.survey import warn_of_scene
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
@@ -241,7 +241,9 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
     table = document.model.parison
     if isinstance(table, schema.FileParison):
         with _told_of("", "parison.path"):
-            mesh = meshes.read_mesh(disk.located(table.path, document.folder), scale=table.scale)
+            path = disk.located(table.path, document.folder)
+            mesh = meshes.read_mesh(path, scale=table.scale)
+            earlier.look_at_planes(path, table.scale, table.planes)
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
     if isinstance(table, schema.Rectangle):
         return shapes.rectangle(

@@ -21,27 +21,30 @@ from jaxform.mesh import facets, legacy_vtk
 from jaxform.mesh.facets import Faces
 
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".msh")
+FURTHER = {".inp": "abaqus", ".bdf": "nastran", ".nas": "nastran", ".fem": "nastran", ".mesh": "medit"}
+"""Endings of other programs' input files, and what meshio calls their formats."""
 REEXPORT = "export it again as STL, OBJ, PLY, OFF, VTK, VTU or MSH"
 _ROOM, _ROOM_PER_BYTE = 500_000_000, 60  # of memory for meshio, beside what the process has
 _limiting = threading.Lock()
 
 
-def read_faces(path: Path) -> Faces:
-    """The faces that a mesh file has.
+def read_faces(path: Path, further: bool = False) -> Faces:
+    """The faces that a mesh file has, of one of `ENDINGS` or, if asked for, of `FURTHER`.
 
     Raises:
         InputError: The file is missing, too large, or no mesh of the format that its ending tells.
     """
     value = str(path)
     ending = path.suffix.lower()
-    if ending not in ENDINGS and not os.path.isdir(path):
-        raise InputError("is of no known mesh format", f"use one of {', '.join(ENDINGS)}", value=value)
+    readers = _READERS | _FURTHER if further else _READERS
+    if ending not in readers and not os.path.isdir(path):
+        raise InputError("is of no known mesh format", f"use one of {', '.join(readers)}", value=value)
     content = disk.read_bytes(path, disk.MOST_MESH)
     if not content:
         raise InputError("is empty", REEXPORT, value=value)
     try:
         with _silence() as told:
-            faces = _READERS[ending](content, value)
+            faces = readers[ending](content, value)
     except InputError as error:
         raise replace(error, value=value) from None
     # meshio raises all kinds of errors on bad input, and exits; so do the readers, a few kinds.
@@ -147,6 +150,13 @@ def _whole_msh(content: bytes, name: str) -> str:
     return name
 
 
+def _one_inp(content: bytes, name: str) -> str:
+    # meshio would read whatever it names, a pipe or itself.
+    if re.search(rb"(?im)^\*\s*include", content):
+        raise InputError("takes in other files (*INCLUDE)", "give one file that has the mesh")
+    return name
+
+
 _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".stl": facets.read_stl,
     ".obj": facets.read_obj,
@@ -155,4 +165,8 @@ _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".ply": _by_meshio("ply", _ply_header),
     ".vtu": _by_meshio("vtu", lambda content, name: name),
     ".msh": _by_meshio("gmsh", _whole_msh),
+}
+_FURTHER: dict[str, Callable[[bytes, str], Faces]] = {
+    ending: _by_meshio(file_format, _one_inp if ending == ".inp" else lambda content, name: name)
+    for ending, file_format in FURTHER.items()
 }

@@ -43,7 +43,7 @@ class Mesh:
     cell_fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
-def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
+def read_mesh(path: str | Path, *, scale: float = 1.0, further: bool = False) -> Mesh:
     """The triangles of an STL, OBJ, PLY, OFF, VTK (legacy), VTU or MSH (Gmsh) file.
 
     Quadrilaterals and polygons are split in triangles, points, lines and solids are ignored.
@@ -51,6 +51,8 @@ def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
     Args:
         path: The file; its ending tells the format.
         scale: Metres per unit of length of the file.
+        further: Whether input files of other programs are read too: Abaqus' and CalculiX' INP, Nastran's BDF, NAS and
+            FEM, Medit's MESH.
 
     Returns:
         Positions [m] of shape (n, 3), triangles of shape (m, 3), the scalar point data as fields of shape (n,) and
@@ -63,7 +65,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0) -> Mesh:
     if not (np.isreal(scale) and np.isfinite(scale) and scale > 0):
         raise InputError("is not a positive number", "give the metres per unit of the file", key="scale", value=scale)
     path = Path(path)
-    faces = formats.read_faces(path)
+    faces = formats.read_faces(path, further)
     count = len(faces.points)
     if not (faces.counts >= 3).any():
         raise replace(facets.no_surface(solid=False), value=str(path))

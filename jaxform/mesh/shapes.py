@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import grids, meshes, topology
+from jaxform.mesh import grids, meshes, topology, volumes
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
@@ -287,7 +287,7 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
         flip: Turn the normals round.
         clamp: What never moves: 'boundary' (open edges off the symmetry planes), 'none', or 'field:NAME'
             (where that field of the mesh is not zero).
-        planes: Axes of the symmetry planes: 'x' means that the mesh is cut at x = 0.
+        planes: Symmetry planes: 'x' means that the mesh is cut at x = 0, 'x=0.15' that it is at 0.15 m.
 
     Returns:
         The sheet, with the fields of the mesh.
@@ -314,4 +314,14 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     if clamped.all():
         raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)
     triangles = mesh.triangles[:, [0, 2, 1]] if flip else mesh.triangles
-    return Sheet(positions, triangles, clamped, fixed, meshes.nodal_fields(mesh))
+    return Sheet(positions, triangles, clamped, fixed, _own_fields(mesh))
+
+
+def _own_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
+    """The mesh's fields at its nodes; of a positive one that its triangles have too, with the triangles' volume."""
+    found = meshes.nodal_fields(mesh)
+    for name in mesh.fields.keys() & mesh.cell_fields.keys():
+        nodal, elements = mesh.fields[name], mesh.cell_fields[name]
+        if nodal.min() > 0 and elements.min() > 0:
+            found[name] = volumes.conserving(mesh.positions, mesh.triangles, nodal, elements)
+    return found

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,21 +37,39 @@ def _place(mesh: Mesh, edge: NDArray[np.int64]) -> str:
     return "at (" + ", ".join(f"{x:.6g}" for x in mesh.positions[edge].mean(axis=0)) + ") m"
 
 
+def plane_of(text: str) -> tuple[int, float]:
+    """Axis and place [m] of a symmetry plane that is written `x`, which is x = 0, or `x=0.15`.
+
+    Raises:
+        InputError: It is no such plane.
+    """
+    axis, equals, place = text.partition("=")
+    try:
+        level = float(place) if equals else 0.0
+    except ValueError:
+        level = math.nan
+    if axis.strip() not in ("x", "y", "z") or not abs(level) <= meshes.LARGEST:
+        raise InputError("is no symmetry plane", 'name planes as in ["x", "y"], or with their place, ["x=0.15"]')
+    return "xyz".index(axis.strip()), level
+
+
 def snapped(positions: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Positions moved exactly onto the planes they are on, and which components those hold."""
     key, positions, fixed = "parison.planes", positions.copy(), np.zeros(positions.shape, dtype=bool)
     tolerance = PLANE_TOLERANCE * meshes.size(positions)
     for plane in planes:
-        if plane not in ("x", "y", "z"):
-            raise InputError("is no symmetry plane", 'name planes as in ["x", "y"]', key, planes)
-        axis = "xyz".index(plane)
-        on = np.abs(positions[:, axis]) <= tolerance
+        try:
+            axis, level = plane_of(plane)
+        except InputError as error:
+            raise replace(error, key=key, value=list(planes)) from None
+        name, away = f"{'xyz'[axis]} = {level:g}", positions[:, axis] - level
+        on = np.abs(away) <= tolerance
         if not on.any():
-            raise InputError(f"no node lies on {plane} = 0", "cut the mesh there or leave the plane out", key, planes)
-        if positions[~on, axis].min(initial=0.0) < 0 < positions[~on, axis].max(initial=0.0):
-            problem = f"nodes lie on both sides of {plane} = 0"
+            raise InputError(f"no node lies on {name}", "cut the mesh there or leave the plane out", key, planes)
+        if away[~on].min(initial=0.0) < 0 < away[~on].max(initial=0.0):
+            problem = f"nodes lie on both sides of {name}"
             raise InputError(problem, "keep the mesh of one side only or leave the plane out", key, planes)
-        positions[on, axis] = 0.0
+        positions[on, axis] = level
         fixed[:, axis] = on
     return positions, fixed
 

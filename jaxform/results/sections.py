@@ -106,7 +106,7 @@ def symmetry_planes(scene: Scene) -> dict[int, float]:
     """Axis and place [m] of the planes about which the modelled part is symmetric."""
     free = np.asarray(scene.parison.fixed) & ~np.asarray(scene.parison.clamped)[:, None]
     start = np.asarray(scene.parison.positions, float)
-    return {k: float(start[free[:, k], k].mean()) for k in range(3) if free[:, k].any()}
+    return {k: float(np.median(start[free[:, k], k])) for k in range(3) if free[:, k].any()}
 
 
 def _middle(scene: Scene, axis: int) -> float:

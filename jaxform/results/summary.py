@@ -13,6 +13,7 @@ from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import thinnest, warnings_of_part
+from jaxform.results.sections import symmetry_planes
 from jaxform.tools.penetration import Penetration, penetration, resting_directions
 
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
@@ -71,6 +72,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         **_wrinkles(result, scene, area),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),
+        "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
         # Under its older name as well.

@@ -1,12 +1,13 @@
-"""How far points are from the mold. On the host."""
+"""How far points are from the mold, or from another surface. On the host."""
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
-from jaxform.tools.mold import Mold
 from jaxform.tools.search import cut
 
 Array = NDArray[np.float64]
@@ -17,10 +18,38 @@ _FINEST = 200  # pieces of triangles along the mold's longest side
 _CHUNK = 200_000  # pairs of point and triangle looked at together
 
 
+class Surface(Protocol):
+    """Triangles with an area: `vertices` (n, 3) [m] and `triangles`, their numbers (m, 3), as molds have them."""
+
+    @property
+    def vertices(self) -> Any:
+        """Places [m]."""
+
+    @property
+    def triangles(self) -> Any:
+        """Numbers of vertices."""
+
+
+class Nearest(NamedTuple):
+    """The places of a surface that are nearest to points.
+
+    Attributes:
+        triangle: Which triangle each is in (n,).
+        place: Where it is (n, 3) [m].
+        distance: How far away (n,) [m].
+        at_rim: Whether it is on the rim of an open surface (n,), beyond which there is no wall.
+    """
+
+    triangle: NDArray[np.int64]
+    place: Array
+    distance: Array
+    at_rim: NDArray[np.bool_]
+
+
 class Distances:
     """Distances from a mold, where they are no more than `farthest` [m]."""
 
-    def __init__(self, mold: Mold, farthest: float) -> None:
+    def __init__(self, mold: Surface, farthest: float) -> None:
         from scipy.spatial import KDTree  # takes a tenth of a second to import
 
         triangles = np.asarray(mold.triangles)
@@ -58,6 +87,20 @@ class Distances:
         rim = np.zeros(len(points), bool)
         rim[point[at_rim & (distance <= nearest[point] + _TIE * self.size)]] = True
         return np.where(rim | (nearest > self.farthest), 0.0, nearest)
+
+    def nearest(self, points: Array) -> Nearest:
+        """The nearest places to points (n, 3) [m]; in the triangle with the nearest middle, where it is too far."""
+        triangle = self.owner[np.asarray(self.tree.query(points, workers=-1)[1])]
+        point, candidate = self._pairs(points)
+        parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
+        found = [point_triangle_distance(points[point[part]], self.corners[candidate[part]]) for part in parts]
+        order = np.lexsort((np.concatenate(found), point))
+        first = order[np.unique(point[order], return_index=True)[1]]
+        triangle[point[first]] = candidate[first]
+        parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
+        seen = [self._examine(points[part], triangle[part]) for part in parts]
+        distance, at_rim = (np.concatenate(values) for values in zip(*seen, strict=True))
+        return Nearest(triangle, nearest_places(points, self.corners[triangle]), distance, at_rim)
 
     def _pairs(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Points and the triangles that may be nearest to them."""

@@ -63,7 +63,12 @@ def test_every_key_of_a_file_is_described_and_nothing_else_is(model: Any) -> Non
 
 def test_links_between_pages_and_files_lead_somewhere() -> None:
     """As they are read in the repository; those of the site are checked when it is built."""
-    pages = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *(ROOT / "docs").rglob("*.md")]
+    pages = [
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        ROOT / "benchmarks" / "README.md",
+        *(ROOT / "docs").rglob("*.md"),
+    ]
     for page in pages:
         if "_generated" in page.parts:
             continue

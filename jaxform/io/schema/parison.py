@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Tag, field_validator
+from pydantic import AfterValidator, Field, Tag, field_validator
 
+from jaxform.core.errors import InputError
 from jaxform.io.schema.quantities import Count, ElementSize, Profile, Temperature, Thickness
 from jaxform.io.validation import Length, Positive, Table, choice, wrong
+from jaxform.mesh.surfaces import plane_of
 
 
 class _BuiltIn(Table):
@@ -114,6 +116,14 @@ class BottleHalfParison(Table):
     temperature: Temperature | None = None
 
 
+def _plane(text: str) -> str:
+    try:
+        plane_of(text)
+    except InputError as error:
+        raise wrong(error.problem, error.remedy, value=text) from None
+    return text
+
+
 class FileParison(Table):
     """A user's mesh; pressure acts along its triangles' normals.
 
@@ -124,7 +134,7 @@ class FileParison(Table):
         flip: Turns all triangles, and so the side that the pressure pushes to.
         clamp: What never moves: `boundary` (open edges off the symmetry planes), `none`, or `field:NAME`, where that
             nodal field is not zero.
-        planes: Symmetry planes: `x` where the mesh is cut at x = 0.
+        planes: Symmetry planes: `x` where the mesh is cut at x = 0, `x=0.15` where it is at 0.15 m.
         thickness: Initial thickness [m]; `field:NAME` is a field of the mesh itself.
         temperature: Of the sheet [degC], where the law has a shift.
     """
@@ -134,7 +144,7 @@ class FileParison(Table):
     scale: Positive = 1.0
     flip: bool = False
     clamp: str = "boundary"
-    planes: list[Literal["x", "y", "z"]] = Field(default_factory=list)
+    planes: list[Annotated[str, AfterValidator(_plane)]] = Field(default_factory=list)
     thickness: Thickness
     temperature: Temperature | None = None
 

@@ -1,0 +1,71 @@
+"""What an earlier run left in its folder, as far as later ones need it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxform.core import disk
+from jaxform.core.errors import InputError, warn_of
+from jaxform.mesh.surfaces import plane_of
+
+_PART, _SUMMARY = "final.vtu", "summary.json"
+_SAME = 1e-6  # m: planes as near as that are one
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The summary in a folder of results; empty where there is none.
+
+    Raises:
+        InputError: It is damaged.
+    """
+    path = folder / _SUMMARY
+    if not disk.is_file(path):
+        return {}
+    try:
+        found = json.loads(disk.read_text(path))
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError("is not the summary of a run", "run the scene again", file=str(path))
+    return found
+
+
+def symmetry_planes(summary: Mapping[str, Any]) -> dict[int, float]:
+    """Axis and place [m] of the planes at which a part is cut."""
+    found = summary.get("symmetry_planes")
+    known = found.items() if isinstance(found, dict) else ()
+    return {
+        "xyz".index(axis): float(level)
+        for axis, level in known
+        if axis in ("x", "y", "z") and isinstance(level, float | int)
+    }
+
+
+def look_at_planes(path: Path, scale: float, planes: Sequence[str]) -> None:
+    """Warns where a parison is the part of an earlier run, and is held at its cuts otherwise than that was.
+
+    Args:
+        path: The parison's file.
+        scale: Factor on its coordinates.
+        planes: Its symmetry planes, as the scene file names them.
+    """
+    if path.name != _PART:
+        return
+    try:
+        summary = read_summary(path.parent)
+    except InputError:
+        return
+    if "symmetry_planes" not in summary:
+        return
+    earlier = symmetry_planes(summary)
+    wanted = {axis: scale * level for axis, level in earlier.items()}
+    given = dict(map(plane_of, planes))
+    if wanted.keys() == given.keys() and all(abs(given[axis] - wanted[axis]) <= _SAME for axis in wanted):
+        return
+    names = ", ".join(f'"{"xyz"[axis]}={level:.9g}"' for axis, level in wanted.items())
+    problem = f"the part of that run is cut at planes = [{names}] (its {_SUMMARY})"
+    remedy = "name the same planes: otherwise its cuts are clamped, or its rim is free"
+    warn_of(problem, remedy, key="parison.planes", value=list(planes))

@@ -1,0 +1,46 @@
+"""Walls for the next analysis: what a format is called, and what writes it. A new format is a file and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxform.core.writing import whole
+from jaxform.io.export import abaqus, calculix, radioss, table, vtu
+from jaxform.io.export.wall import Wall, mirrored, read_wall
+
+
+class Format(NamedTuple):
+    """A format of files.
+
+    Attributes:
+        ending: Of its files' names.
+        write: Writes a wall to a path.
+    """
+
+    ending: str
+    write: Callable[[Path, Wall], None]
+
+
+FORMATS = {
+    "abaqus": Format(".inp", abaqus.write),
+    "calculix": Format(".inp", calculix.write),
+    "radioss": Format(".rad", radioss.write),
+    "vtu": Format(".vtu", vtu.write),
+    "csv": Format(".csv", table.write),
+}
+"""By the name that `jaxform export --to` takes."""
+
+
+def write_wall(wall: Wall, path: Path, name: str) -> None:
+    """Writes a wall in the format of that name.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    with whole(path, "choose another file (--out)") as fresh:
+        FORMATS[name].write(fresh, wall)
+
+
+__all__ = ["FORMATS", "Format", "Wall", "mirrored", "read_wall", "write_wall"]

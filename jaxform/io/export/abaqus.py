@@ -1,0 +1,58 @@
+"""Abaqus: three-node shells with nodal thickness, to be included in an input file that has material and steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.io.export import text
+from jaxform.io.export.wall import Wall
+
+MATERIAL = "WALL"
+"""What the section's material is called; the file that includes this one says what it is."""
+
+
+def write(path: Path, wall: Wall) -> None:
+    """Writes the wall for Abaqus: S3, ELSET and material WALL, NSET NODES and those of the wall."""
+    sections = keywords(wall, "S3", wall.triangles, wall.positions, wall.thickness, wall.node_sets(), ", 5")
+    path.write_text("\n".join(sections) + "\n", encoding="utf-8")
+
+
+def keywords(
+    wall: Wall,
+    kind: str,
+    elements: NDArray[np.integer],
+    positions: NDArray[np.float64],
+    thickness: NDArray[np.float64],
+    sets: Mapping[str, NDArray[np.integer]],
+    more: str = "",
+) -> Iterator[str]:
+    """Lines of an input file.
+
+    Args:
+        wall: What the head tells of.
+        kind: Of the elements, as `S3`.
+        elements: Node numbers from 0 (m, k).
+        positions: Of the nodes (n, 3) [m].
+        thickness: Of the nodes (n,) [m].
+        sets: Node numbers by name.
+        more: What the section's line has after its thickness.
+    """
+    number = np.arange(1, len(positions) + 1)
+    yield from (f"** {line}" for line in text.head(wall))
+    yield f"** Sets: NSET {', '.join(['NODES', *sets])}; ELSET WALL. Define *MATERIAL, NAME={MATERIAL} yourself."
+    yield "*NODE, NSET=NODES"
+    yield from text.table("%d, %.10g, %.10g, %.10g", number, positions)
+    yield f"*ELEMENT, TYPE={kind}, ELSET=WALL"
+    form = ", ".join(["%d"] * (1 + elements.shape[1]))
+    yield from text.table(form, np.arange(1, len(elements) + 1), elements + 1)
+    for name, nodes in sets.items():
+        yield f"*NSET, NSET={name}"
+        yield from text.rows(nodes + 1, 8, "%d", ", ")
+    yield f"*SHELL SECTION, ELSET=WALL, MATERIAL={MATERIAL}, NODAL THICKNESS"
+    yield f"{thickness.mean():.6g}{more}"
+    yield "*NODAL THICKNESS"
+    yield from text.table("%d, %.8g", number, thickness)

@@ -1,0 +1,232 @@
+"""The wall of a formed part carried over to a mesh of the user's own, its volume kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError, warn_of
+from jaxform.io.export.wall import Wall
+from jaxform.mesh import meshes
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.volumes import areas, conserving
+from jaxform.tools.distances import Distances, Nearest
+from jaxform.tools.search import cut
+
+Array = NDArray[np.float64]
+
+FARTHEST = 0.05
+"""Distance from the formed part beyond which a mesh does not lie on it, relative to the part's size."""
+_ON_RIM = 1e-6  # of the part's size: as far as that beyond an open rim a place is still on it
+_FINEST, _MOST = 300, 100_000  # samples along the part's size, and about how many there are
+_CHUNK = 50_000  # places looked for together
+_NOTHING, _LITTLE = 0.01, 0.005  # shares of the mesh's area: what lies on the part, or does not
+_OTHER, _TWICE = 0.05, 0.5  # by which areas differ: of another surface, and of one with two sides
+_ALIKE = 10.0  # times as large as the part, or as small, a mesh may be
+
+
+class Surface(NamedTuple):
+    """Triangles, as `Distances` takes them."""
+
+    vertices: Array
+    triangles: NDArray[np.integer]
+
+
+class Coverage(NamedTuple):
+    """How a mesh lies on a formed part.
+
+    Attributes:
+        mesh: Share of the mesh's area that lies on the part.
+        part: Share of the part's volume that has a place on the mesh.
+        farthest: Largest distance [m] of the mesh from the part.
+        scaled: What the thickness was multiplied by, so that the volume is the part's.
+        volume: Of the part [m^3], where it has a place on the mesh.
+    """
+
+    mesh: float
+    part: float
+    farthest: float
+    scaled: float
+    volume: float
+
+    def __str__(self) -> str:
+        """The same in words."""
+        return (
+            f"{100 * self.mesh:.4g} % of the mesh lies on the part, at most {1e3 * self.farthest:.3g} mm away, and "
+            f"{100 * self.part:.4g} % of the part's volume has a place on it; the thickness was scaled by "
+            f"{self.scaled:.5g} to keep {self.volume:.6g} m3"
+        )
+
+
+class _Samples(NamedTuple):
+    """Places on a surface with the area [m^2] that each stands for, and where they are on another one."""
+
+    triangle: NDArray[np.int64]
+    weight: Array
+    area: Array
+    found: Nearest
+
+    def covered(self, reach: float, size: float) -> NDArray[np.bool_]:
+        beside = self.found.at_rim & (self.found.distance > _ON_RIM * size)
+        return (self.found.distance <= reach) & ~beside
+
+
+def read_target(path: Path, scale: float) -> Mesh:
+    """The user's mesh in m, its nodes in their order: welded, without triangles that have no area.
+
+    Raises:
+        InputError: There is no such mesh, or nothing of it is left.
+    """
+    try:
+        mesh, dropped = meshes.drop_degenerate(meshes.weld(meshes.read_mesh(path, scale=scale, further=True)))
+    except InputError as error:
+        raise replace(error, key="--scale" if error.key == "scale" else "--onto") from None
+    if not len(mesh.triangles):
+        raise InputError("has no triangle with an area", "export its surface again", "--onto", str(path))
+    if dropped:
+        remedy = "the exported mesh has the others"
+        warn_of(f"{dropped} triangles have no area, or are there twice", remedy, key="--onto", value=str(path))
+    return mesh
+
+
+def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
+    """The wall on another mesh, and how that lies on the part.
+
+    Every place of the mesh takes the thickness of the nearest place of the part, also where that is far away. All are
+    then multiplied by one number, so that the mesh has the part's volume where each lies on the other.
+
+    Args:
+        wall: The part's.
+        mesh: The mesh, positions in m.
+        name: What to call the mesh in messages.
+
+    Raises:
+        InputError: The mesh is somewhere else, or is no single surface.
+
+    Warns:
+        InputWarning: Some of the mesh does not lie on the part, or its area is another there.
+    """
+    size = meshes.size(wall.positions)
+    _check_size(size, mesh, name)
+    reach = FARTHEST * size
+    part, target = Surface(wall.positions, wall.triangles), Surface(mesh.positions, mesh.triangles)
+    here, there = _sampled(target, part, reach, size), _sampled(part, target, reach, size)
+    on, used = here.covered(reach, size), there.covered(reach, size)
+    share = float(here.area[on].sum() / here.area.sum())
+    if share < _NOTHING or not used.any():
+        raise InputError(_nowhere(wall, mesh, reach), "move or scale the mesh to where the part is", "--onto", name)
+    mapped = _carried(wall, mesh, here, reach)
+    volumes = there.area * _at(wall.thickness, wall.triangles, there.triangle, there.weight)
+    volume = float(volumes[used].sum())
+    before = float(here.area[on] @ _at(mapped.thickness, mesh.triangles, here.triangle, here.weight)[on])
+    coverage = Coverage(
+        share,
+        volume / float(volumes.sum()),
+        float(here.found.distance.max()),
+        volume / before,
+        volume,
+    )
+    _look_over(coverage, float(here.area[on].sum() / there.area[used].sum()), wall, reach, name)
+    mapped = replace(
+        mapped,
+        thickness=coverage.scaled * mapped.thickness,
+        element_thickness=coverage.scaled * mapped.element_thickness,
+        words=(*wall.words, f"carried over to the mesh {Path(name).name}: {coverage}"),
+    )
+    return mapped, coverage
+
+
+def _sampled(surface: Surface, other: Surface, reach: float, size: float) -> _Samples:
+    """Places all over a surface, as close as the elements of the finer one, and where they are on the other."""
+    area = float(areas(surface.vertices, surface.triangles).sum())
+    sides = [np.linalg.norm(np.diff(one.vertices[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
+    longest = max(0.5 * min(float(np.median(side)) for side in sides), size / _FINEST, (area / _MOST) ** 0.5)
+    pieces, owner = cut(surface.vertices[surface.triangles], longest)
+    middle = pieces.mean(1)
+    doubled = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
+    weight = _weights(middle, surface.vertices[surface.triangles[owner]])
+    return _Samples(owner, weight, 0.5 * doubled, _nearest(other, middle, reach))
+
+
+def _nearest(surface: Surface, points: Array, reach: float) -> Nearest:
+    distances = Distances(surface, reach)
+    parts = np.array_split(points, 1 + len(points) // _CHUNK)
+    found = [distances.nearest(part) for part in parts]
+    return Nearest(*(np.concatenate(values) for values in zip(*found, strict=True)))
+
+
+def _weights(points: Array, corners: Array) -> Array:
+    """Barycentric coordinates (n, 3) of points (n, 3) of triangles (n, 3, 3), pair by pair."""
+    opposite = np.cross(corners[:, [1, 2, 0]] - points[:, None], corners[:, [2, 0, 1]] - points[:, None])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weight = np.einsum("nki,ni->nk", opposite, normal) / np.einsum("ni,ni->n", normal, normal)[:, None]
+    weight = np.maximum(weight, 0.0)
+    return weight / weight.sum(1, keepdims=True)
+
+
+def _at(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64], weight: Array) -> Array:
+    """Nodal values (n, ...) at places of triangles with these weights (m, 3)."""
+    return np.einsum("mk,mk...->m...", weight, nodal[triangles[triangle]])
+
+
+def _carried(wall: Wall, mesh: Mesh, samples: _Samples, reach: float) -> Wall:
+    """The wall with the mesh's nodes, each triangle as thick as its samples are in the mean."""
+    part = Surface(wall.positions, wall.triangles)
+    nodes = _nearest(part, mesh.positions, reach)
+    weight = _weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
+    nodal = _at(wall.thickness, wall.triangles, nodes.triangle, weight)
+    found = samples.found
+    there = _weights(found.place, wall.positions[wall.triangles[found.triangle]])
+    thick = samples.area * _at(wall.thickness, wall.triangles, found.triangle, there)
+    count = len(mesh.triangles)
+    elements = np.bincount(samples.triangle, thick, count) / areas(mesh.positions, mesh.triangles)
+    return Wall(
+        mesh.positions,
+        mesh.triangles,
+        conserving(mesh.positions, mesh.triangles, nodal, elements),
+        elements,
+        _at(wall.reference, wall.triangles, nodes.triangle, weight),
+        np.ones(len(mesh.positions), bool),
+        wall.planes,
+    )
+
+
+def _check_size(size: float, mesh: Mesh, name: str) -> None:
+    ratio = meshes.size(mesh.positions) / size
+    if not 1 / _ALIKE <= ratio <= _ALIKE:
+        problem = f"the mesh is {ratio:.3g} times as large as the part, which measures {size:.3g} m"
+        many = "0.001 for millimetres" if ratio > 1 else "1 for metres, 0.001 for millimetres"
+        raise InputError(problem, f"give its unit of length in m (--scale, {many})", "--onto", name)
+
+
+def _nowhere(wall: Wall, mesh: Mesh, reach: float) -> str:
+    def box(positions: Array) -> str:
+        sides = zip(positions.min(0), positions.max(0), strict=True)
+        return " x ".join(f"{low + 0.0:.4g} to {high + 0.0:.4g}" for low, high in sides) + " m"
+
+    boxes = f"mesh {box(mesh.positions)}, part {box(wall.positions)}"
+    return f"nearly nothing of the mesh lies within {1e3 * reach:.3g} mm of the part ({boxes})"
+
+
+def _look_over(coverage: Coverage, ratio: float, wall: Wall, reach: float, name: str) -> None:
+    if ratio > 1 + _TWICE or ratio < 1 - _TWICE:
+        problem = f"where it lies on the part its area is {ratio:.3g} times the part's"
+        raise InputError(problem, "give one side of the wall alone, not both of a solid", "--onto", name)
+    if coverage.mesh < 1 - _LITTLE:
+        cut_at = " ".join(f"{'xyz'[axis]}={level:g}" for axis, level in wall.planes.items())
+        remedy = f"the part is cut: --mirror {cut_at} makes it whole; " if cut_at else ""
+        warn_of(
+            f"{100 * (1 - coverage.mesh):.3g} % of the mesh's area does not lie on the formed part (within "
+            f"{1e3 * reach:.3g} mm; the largest distance is {1e3 * coverage.farthest:.3g} mm)",
+            f"{remedy}there it has the thickness of the nearest place, and does not count in the volume",
+            key="--onto",
+            value=name,
+        )
+    if abs(ratio - 1) > _OTHER:
+        problem = f"where it lies on the part its area is {ratio:.4g} times the part's"
+        remedy = f"the thickness was scaled by {coverage.scaled:.4g} to keep the volume; is it the same surface?"
+        warn_of(problem, remedy, key="--onto", value=name)

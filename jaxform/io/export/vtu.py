@@ -1,0 +1,24 @@
+"""VTU: the wall for ParaView, meshio and all that read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxform.io.export import text
+from jaxform.io.export.wall import Wall
+from jaxform.mesh import meshes
+
+
+def write(path: Path, wall: Wall) -> None:
+    """Writes point data `thickness` and `reference` [m], cell data `thickness`, and a mark (0 or 1) for each set."""
+    marks = {}
+    for name, nodes in wall.node_sets().items():
+        marks[name] = np.zeros(len(wall.positions), np.int8)
+        marks[name][nodes] = 1
+    data = {"thickness": wall.thickness, "reference": wall.reference, **marks}
+    meshes.write_vtu(path, wall.positions, wall.triangles, data, {"thickness": wall.element_thickness})
+    first, _, rest = path.read_bytes().partition(b"\n")
+    said = "".join(f"<!-- {line.replace('--', '- -')} -->\n" for line in text.head(wall))
+    path.write_bytes(first + b"\n" + said.encode() + rest)

@@ -1,0 +1,391 @@
+"""The wall for other programs: volumes and fields with known answers, what the files say, and CalculiX where it is."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from jaxform import shapes
+from jaxform.cli import command, exporting
+from jaxform.core.errors import InputError, InputWarning
+from jaxform.io import export
+from jaxform.io.export import Wall, mapping
+from jaxform.mesh import meshes, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.volumes import areas, conserving
+
+Array = NDArray[np.float64]
+
+RADIUS, HEIGHT, MIDDLE = 0.1, 0.04, 1.0e-3  # of a paraboloid of revolution, and its thickness at the pole
+
+
+def _grid(many: tuple[int, int], place: Callable[[Array, Array], list[Array]]) -> tuple[Array, NDArray[np.int32]]:
+    """A regular mesh of the unit square, put somewhere."""
+    u, v = np.meshgrid(*(np.linspace(0, 1, n + 1) for n in many), indexing="ij")
+    number = np.arange(u.size).reshape(u.shape)
+    a, b, c, d = (number[i, j].ravel() for i in (slice(-1), slice(1, None)) for j in (slice(-1), slice(1, None)))
+    triangles = np.concatenate([np.stack([a, c, d], 1), np.stack([a, d, b], 1)])
+    return np.stack(place(u.ravel(), v.ravel()), axis=1), triangles.astype(np.int32)
+
+
+def _bowl(elements: int, radius: float = RADIUS, symmetry: shapes.Symmetry = "none") -> Mesh:
+    sheet = shapes.disc(radius=radius, elements=elements, symmetry=symmetry)
+    positions = np.array(sheet.positions)
+    positions[:, 2] = HEIGHT * (1 - (positions[:, 0] ** 2 + positions[:, 1] ** 2) / RADIUS**2)
+    return Mesh(positions, sheet.triangles)
+
+
+def _thickness(positions: Array) -> Array:
+    return MIDDLE * (1 - 0.7 * (positions[:, 0] ** 2 + positions[:, 1] ** 2) / RADIUS**2)
+
+
+def _wall(mesh: Mesh, thickness: Array, **options: object) -> Wall:
+    positions, triangles = mesh.positions, mesh.triangles
+    elements = thickness[triangles].mean(1)
+    reference = positions * [1, 1, 0]
+    held = np.ones(len(positions), bool)
+    return Wall(positions, triangles, thickness, elements, reference, held, **options)  # pyright: ignore[reportArgumentType]
+
+
+def _formed(elements: int, symmetry: shapes.Symmetry = "none") -> Wall:
+    mesh = _bowl(elements, symmetry=symmetry)
+    planes = {0: 0.0, 1: 0.0} if symmetry == "quarter" else {}
+    return _wall(mesh, _thickness(mesh.positions), planes=planes)
+
+
+def _exact(radius: float) -> tuple[float, float]:
+    """Area and volume of the paraboloid's wall up to a radius, by quadrature."""
+    edge = np.linspace(0, radius, 20_001)
+    r = 0.5 * (edge[1:] + edge[:-1])
+    area = 2 * np.pi * r * np.sqrt(1 + (2 * HEIGHT * r / RADIUS**2) ** 2) * edge[1]
+    return float(area.sum()), float(area @ (MIDDLE * (1 - 0.7 * r**2 / RADIUS**2)))
+
+
+def test_nodal_thickness_has_the_volume_of_the_elements() -> None:
+    random = np.random.default_rng(0)
+    mesh = _bowl(80)
+    nodal, elements = _thickness(mesh.positions), random.uniform(1e-4, 1e-3, len(mesh.triangles))
+    found = conserving(mesh.positions, mesh.triangles, nodal, elements)
+    area = areas(mesh.positions, mesh.triangles)
+    assert area @ found[mesh.triangles].mean(1) == pytest.approx(area @ elements, rel=1e-12)
+    assert found.min() > 0
+    # Where both agree nothing changes.
+    same = conserving(mesh.positions, mesh.triangles, nodal, nodal[mesh.triangles].mean(1))
+    np.testing.assert_allclose(same, nodal, rtol=1e-12)
+
+
+@pytest.mark.parametrize("elements", [250, 3000])
+def test_a_wall_on_another_mesh_of_its_surface_keeps_volume_and_field(elements: int) -> None:
+    wall, mesh = _formed(1000), _bowl(elements)
+    mapped, coverage = mapping.onto(wall, mesh, "mesh")
+    assert mapped.volume == pytest.approx(wall.volume, rel=1e-3)
+    assert areas(mesh.positions, mesh.triangles) @ mapped.element_thickness == pytest.approx(wall.volume, rel=1e-3)
+    assert mapped.volume == pytest.approx(_exact(RADIUS)[1], rel=3e-3)  # 1000 flat triangles
+    assert coverage.mesh > 0.995 and coverage.part > 0.995
+    # Of 250 triangles the surface is a hundredth smaller, so the wall is as much thicker.
+    np.testing.assert_allclose(mapped.thickness, _thickness(mesh.positions), rtol=0.015)
+    # The bowl was formed straight upwards.
+    np.testing.assert_allclose(mapped.reference, mesh.positions * [1, 1, 0], atol=1e-3)
+
+
+def test_a_mesh_that_covers_some_of_the_part_gets_that_much_of_its_volume() -> None:
+    """Half a strip that is 1 mm thick at one end and 2 mm at the other: 1.25 mm in the mean."""
+    half = Mesh(*_grid((7, 3), lambda u, v: [0.05 * u, 0.02 * v, 0 * u]))
+    mapped, coverage = mapping.onto(_strip((20, 8)), half, "mesh")
+    assert mapped.volume == pytest.approx(0.05 * 0.02 * 1.25e-3, rel=1e-3)
+    assert coverage.part == pytest.approx(1.25 / 3, rel=1e-3) and coverage.mesh == 1.0
+    np.testing.assert_allclose(mapped.thickness, 1e-3 * (1 + half.positions[:, 0] / 0.1), rtol=1e-3)
+
+
+def test_a_mesh_that_goes_beyond_the_part_is_warned_of_with_its_share_and_distance() -> None:
+    wall, mesh = _formed(1000), _bowl(4000, radius=0.12)
+    with pytest.warns(InputWarning, match=r"% of the mesh's area does not lie on the formed part") as told:
+        mapped, coverage = mapping.onto(wall, mesh, "mesh")
+    assert coverage.mesh == pytest.approx(_exact(RADIUS)[0] / _exact(0.12)[0], rel=5e-3)
+    low = HEIGHT * (1 - 1.2**2)
+    assert coverage.farthest == pytest.approx(np.hypot(0.02, low), rel=0.02)
+    assert f"{1e3 * coverage.farthest:.3g} mm" in str(told[0].message)
+    inner = np.hypot(*mesh.positions[:, :2].T) < 0.09
+    np.testing.assert_allclose(mapped.thickness[inner], _thickness(mesh.positions[inner]), rtol=0.01)
+
+
+def test_a_quarter_is_completed_by_its_images() -> None:
+    quarter = _formed(60, "quarter")
+    assert set(quarter.edge_sets()) == {"RIM", "SYM_X", "SYM_Y"}
+    half = export.mirrored(quarter, 0, 0.0)
+    assert set(half.edge_sets()) == {"RIM", "SYM_Y"}
+    whole = export.mirrored(half, 1, 0.0)
+    assert whole.volume == pytest.approx(4 * quarter.volume, rel=1e-12)
+    assert not len(topology.inconsistent_edges(whole.triangles))
+    rim = np.hypot(*whole.positions[whole.edge_sets()["RIM"]][:, :2].T)
+    np.testing.assert_allclose(rim, RADIUS, rtol=1e-9)
+    assert set(whole.edge_sets()) == {"RIM"}
+    with pytest.warns(InputWarning, match=r"--mirror x=0 y=0 makes it whole"):
+        mapping.onto(quarter, _bowl(300), "mesh")
+    with pytest.raises(InputError, match="both sides"):
+        export.mirrored(whole, 0, 0.0)
+    with pytest.raises(InputError, match="no node of the part lies"):
+        export.mirrored(quarter, 0, -0.01)
+
+
+def _moved(mesh: Mesh, far: float) -> Mesh:
+    return Mesh(mesh.positions + np.full(3, far), mesh.triangles)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda mesh: Mesh(1e3 * mesh.positions, mesh.triangles), "--scale"),
+        (lambda mesh: _moved(mesh, 0.5), "nearly nothing of the mesh lies within"),
+        (lambda mesh: meshes.merged([mesh, _moved(mesh, 1e-4)]), "give one side of the wall alone"),
+    ],
+)
+def test_a_mesh_that_is_no_wall_of_this_part_is_refused(change: Callable[[Mesh], Mesh], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        mapping.onto(_formed(200), change(_bowl(200)), "mesh")
+
+
+def _strip(many: tuple[int, int]) -> Wall:
+    """100 mm by 20 mm, from 1 to 2 mm thick; clamped at x = 0."""
+    mesh = Mesh(*_grid(many, lambda u, v: [0.1 * u, 0.02 * v, 0 * u]))
+    return _wall(mesh, 1e-3 * (1 + mesh.positions[:, 0] / 0.1), words=("a strip",))
+
+
+def _volume_of(positions: Array, triangles: NDArray[np.integer], thickness: Array) -> float:
+    return float(areas(positions, triangles) @ thickness[triangles].mean(1))
+
+
+def _nodal(text: str) -> Array:
+    lines = text.split("*NODAL THICKNESS\n")[1].splitlines()
+    return np.array([float(line.split(",")[1]) for line in lines])
+
+
+@pytest.mark.parametrize("name", ["abaqus", "calculix"])
+def test_an_input_file_says_what_the_wall_is(tmp_path: Path, name: str) -> None:
+    wall, path = _strip((5, 2)), tmp_path / "wall.inp"
+    export.write_wall(wall, path, name)
+    text = path.read_text()
+    # As meshio calls the element with six nodes.
+    path.write_text(text.replace("TYPE=S6", "TYPE=STRI65"))
+    mesh = meshio.read(path)
+    corners = mesh.cells[0].data[:, :3]
+    assert mesh.cells[0].type == ("triangle" if name == "abaqus" else "triangle6")
+    assert _volume_of(mesh.points, corners, _nodal(text)) == pytest.approx(0.1 * 0.02 * 1.5e-3, rel=1e-6)
+    assert "** Units: SI" in text and "*SHELL SECTION, ELSET=WALL, MATERIAL=WALL, NODAL THICKNESS" in text
+    # Nodes of straight sides, in their middle where there are any.
+    sides = 10 if name == "calculix" else 5
+    assert len(mesh.point_sets["MIN_X"]) == (5 if name == "calculix" else 3)
+    assert len(mesh.point_sets["MIN_Y"]) == sides + 1
+    np.testing.assert_array_equal(mesh.points[mesh.point_sets["MAX_X"], 0], 0.1)
+    assert len(mesh.point_sets["RIM"]) == 2 * sides + 2 * (4 if name == "calculix" else 2)
+    if name == "calculix":
+        middle = mesh.points[mesh.cells[0].data[:, 3:]]
+        expected = 0.5 * (mesh.points[corners] + mesh.points[np.roll(corners, -1, axis=1)])
+        np.testing.assert_allclose(middle, expected, atol=1e-12)
+
+
+def test_a_radioss_file_has_its_numbers_in_their_columns(tmp_path: Path) -> None:
+    wall, path = _strip((5, 2)), tmp_path / "wall.rad"
+    export.write_wall(wall, path, "radioss")
+    blocks: dict[str, list[str]] = {}
+    for line in path.read_text().splitlines():
+        if line.startswith("/"):
+            blocks[line] = []
+        elif not line.startswith("#"):
+            blocks[list(blocks)[-1]].append(line)
+    nodes = np.array([[float(line[10 + 20 * k : 30 + 20 * k]) for k in range(3)] for line in blocks["/NODE"]])
+    cells = np.array([[int(line[10 * k : 10 * k + 10]) for k in range(4)] for line in blocks["/SH3N/1"]])
+    thick = np.array([float(line[80:100]) for line in blocks["/SH3N/1"]])
+    np.testing.assert_allclose(nodes, wall.positions, atol=1e-12)
+    assert areas(nodes, cells[:, 1:] - 1) @ thick == pytest.approx(0.1 * 0.02 * 1.5e-3, rel=1e-9)
+    assert all(line[40:60] == 20 * " " and float(line[60:80]) == 0 for line in blocks["/SH3N/1"])
+    assert [int(blocks["/PART/1"][1][10 * k : 10 * k + 10]) for k in range(3)] == [1, 1, 0]
+    assert float(blocks["/PROP/SHELL/1"][3][20:40]) == pytest.approx(1.5e-3)
+    groups = {lines[0]: " ".join(lines[1:]).split() for name, lines in blocks.items() if name.startswith("/GRNOD")}
+    assert [int(number) - 1 for number in groups["RIM"]] == wall.edge_sets()["RIM"].tolist()
+
+
+def test_a_table_and_a_mesh_have_the_thickness_at_each_place(tmp_path: Path) -> None:
+    wall = _strip((5, 2))
+    export.write_wall(wall, tmp_path / "wall.csv", "csv")
+    export.write_wall(wall, tmp_path / "wall.vtu", "vtu")
+    rows = list(csv.DictReader((tmp_path / "wall.csv").read_text().splitlines()))
+    assert len(rows) == 18
+    for row in rows:
+        assert float(row["thickness_m"]) == pytest.approx(1e-3 * (1 + float(row["x_m"]) / 0.1), rel=1e-9)
+        assert float(row["reference_y_m"]) == float(row["y_m"])
+    mesh = meshio.read(tmp_path / "wall.vtu")
+    np.testing.assert_array_equal(mesh.point_data["thickness"], wall.thickness)
+    np.testing.assert_array_equal(mesh.cell_data["thickness"][0], wall.element_thickness)
+    np.testing.assert_array_equal(np.flatnonzero(mesh.point_data["MAX_X"]), [15, 16, 17])
+    assert "Units: SI" in (tmp_path / "wall.vtu").read_text()
+
+
+_DECK = """*INCLUDE, INPUT=wall.inp
+*MATERIAL, NAME=WALL
+*ELASTIC
+1e9, 0.
+*BOUNDARY
+{held}
+*STEP
+*STATIC
+{load}
+*NODE PRINT, NSET=MIN_X, TOTALS=ONLY
+RF
+*NODE PRINT, NSET=MAX_X
+U
+*END STEP
+"""
+
+
+def _calculix(folder: Path, wall: Wall, held: str, load: str) -> tuple[Array, Array]:
+    """The total force (3,) at the small end and the mean displacement (3,) of the other one, as CalculiX finds them."""
+    found = shutil.which("ccx") or shutil.which("ccx_dynamic")
+    if found is None:
+        pytest.skip("CalculiX (ccx) is not installed")
+    export.write_wall(wall, folder / "wall.inp", "calculix")
+    (folder / "run.inp").write_text(_DECK.format(held=held, load=load))
+    done = subprocess.run([found, "-i", "run"], cwd=folder, capture_output=True, text=True, timeout=60)
+    assert "Job finished" in done.stdout, done.stdout[-1000:]
+    rows = [line.split() for line in (folder / "run.dat").read_text().splitlines()]
+    totals = [row for row in rows if len(row) == 3 and "E" in row[0]]
+    moved = [row[1:] for row in rows if len(row) == 4 and row[0].isdigit()]
+    return np.array(totals[0], float), np.array(moved, float).mean(0)
+
+
+def test_calculix_pulls_a_strip_of_varying_thickness_as_hard_as_the_formula(tmp_path: Path) -> None:
+    held = "NODES, 3, 3\nMIN_X, 1, 2"
+    force, moved = _calculix(tmp_path, _strip((10, 4)), held, "*BOUNDARY\nMAX_X, 1, 1, 1e-5")
+    assert moved[0] == pytest.approx(1e-5)
+    # In series: E b over the integral of 1/h.
+    assert -force[0] == pytest.approx(1e9 * 0.02 * 1e-5 / (0.1 / 1e-3 * np.log(2)), rel=1e-3)
+
+
+def test_calculix_bends_a_strip_as_far_as_the_formula(tmp_path: Path) -> None:
+    strip = _strip((10, 2))
+    even = replace(strip, thickness=np.full(33, 1e-3))
+    load = "*CLOAD\n31, 3, 0.0025\n32, 3, 0.005\n33, 3, 0.0025"
+    force, moved = _calculix(tmp_path, even, "MIN_X, 1, 6", load)
+    assert -force[2] == pytest.approx(0.01, rel=1e-4)
+    assert moved[2] == pytest.approx(0.01 * 0.1**3 / (3 * 1e9 * 0.02 * 1e-3**3 / 12), rel=0.01)
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    """A folder as a run of a quarter leaves it."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    wall = _formed(60, "quarter")
+    flat = wall.positions * [1, 1, 0]
+    held = np.hypot(*flat[:, :2].T) > 0.999 * RADIUS
+    data = {"reference": flat, "thickness": wall.thickness, "contact_time": np.where(held, 0.0, -1.0)}
+    meshes.write_vtu(
+        folder / "final.vtu", wall.positions, wall.triangles, data, {"thickness": 1.1 * wall.element_thickness}
+    )
+    summary = {"scene": "b\u00f6wl\n*NODE", "status": "ok", "symmetry_planes": {"x": 0.0, "y": 0.0}}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+def test_the_command_writes_a_completed_part_onto_a_mesh_in_mm(
+    results: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    target = _bowl(400)
+    meshes.write_stl(tmp_path / "part.stl", 1e3 * target.positions, target.triangles)
+    arguments = ["export", str(results), "--to", "vtu", "--mirror", "x", "y=0"]
+    onto = ["--onto", str(tmp_path / "part.stl"), "--scale", "0.001", "--out", str(tmp_path / "on.vtu")]
+    assert command.main(arguments) == 0
+    assert command.main([*arguments, *onto]) == 0
+    captured = capfd.readouterr()
+    assert captured.err == "" and "on.vtu" in captured.out
+    for path in (results / "wall.vtu", tmp_path / "on.vtu"):
+        mesh = meshio.read(path)
+        volume = _volume_of(mesh.points, mesh.cells[0].data, mesh.point_data["thickness"])
+        assert volume == pytest.approx(4 * 1.1 * _formed(60, "quarter").volume, rel=1e-3)
+    assert command.main([*arguments, "--quiet", "--force"]) == 0
+    assert capfd.readouterr().out == ""
+    # A name with a line feed does not become a line of its own.
+    assert "<!-- wall of b\\xf6wl *NODE, formed by jaxform" in (results / "wall.vtu").read_text()
+
+
+def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert command.main(["export", *arguments]) == 2
+    captured = capfd.readouterr()
+    assert captured.out == "" and len(captured.err.splitlines()) == 1, captured
+    return captured.err
+
+
+def test_bad_arguments_are_one_line(results: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (results / "wall.csv").touch()
+    (tmp_path / "bad.stl").write_text("solid")
+    folder = str(results)
+    for more, words in (
+        (["--to", "nastran"], "invalid choice"),
+        (["--to", "csv"], "is there already; choose another file or give --force"),
+        (["--to", "vtu", "--scale", "0.001"], "--scale = 0.001: is there without a mesh; give --onto"),
+        (["--to", "vtu", "--mirror", "w"], "--mirror = 'w': is no plane"),
+        (["--to", "vtu", "--mirror", "x=nan"], "is no plane"),
+        (["--to", "vtu", "--mirror", "x", "x"], "lies on both sides"),
+        (["--to", "vtu", "--onto", str(tmp_path / "no.stl")], "--onto = "),
+        (["--to", "vtu", "--onto", str(tmp_path / "bad.stl")], "is not a readable STL file"),
+        (["--to", "vtu", "--onto", str(tmp_path / "bad.stl"), "--scale", "-1"], "--scale = -1.0"),
+        (["--to", "vtu", "--onto", str(results / "final.vtu"), "--scale", "0.001"], "times as large as the part"),
+        (["--to", "vtu", "--out", str(tmp_path / "no" / "w.vtu")], "cannot be written"),
+        (["--to", "vtu", "--out", str(tmp_path)], "is a folder"),
+    ):
+        assert words in _refused(capfd, folder, *more), more
+    assert not (results / "wall.vtu").exists()
+
+
+@pytest.mark.parametrize("field", [{}, {"thickness": np.array([1.0, np.nan, 1.0])}, {"thickness": np.zeros(3)}])
+def test_a_folder_without_a_wall_is_refused(
+    tmp_path: Path, field: dict[str, Array], capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert "no final.vtu" in _refused(capfd, str(tmp_path), "--to", "csv")
+    meshes.write_vtu(tmp_path / "final.vtu", np.eye(3), [[0, 1, 2]], field)
+    assert "thickness" in _refused(capfd, str(tmp_path), "--to", "csv")
+    (tmp_path / "summary.json").write_text("[")
+    assert "summary.json" in _refused(capfd, str(tmp_path), "--to", "csv")
+
+
+def test_a_run_that_stopped_is_warned_of(results: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (results / "summary.json").write_text(json.dumps({"scene": "bowl", "status": "unstable at 0.1 s"}))
+    assert command.main(["export", str(results), "--to", "csv"]) == 0
+    assert "unstable at 0.1 s" in capfd.readouterr().err
+
+
+def test_the_command_knows_all_formats() -> None:
+    assert tuple(export.FORMATS) == exporting.FORMATS
+
+
+@pytest.mark.parametrize(("ending", "form"), [(".inp", "abaqus"), (".bdf", "nastran"), (".mesh", "medit")])
+def test_meshes_of_other_programs_are_taken(tmp_path: Path, ending: str, form: str) -> None:
+    mesh, path = _bowl(100), tmp_path / f"part{ending}"
+    # Short numbers: meshio cannot write others into the fields of Nastran.
+    mesh = Mesh(np.round(mesh.positions, 5), mesh.triangles)
+    meshio.Mesh(np.round(1e3 * mesh.positions, 2), [("triangle", mesh.triangles)]).write(path, file_format=form)
+    found = mapping.read_target(path, 1e-3)
+    np.testing.assert_allclose(found.positions, mesh.positions, atol=1e-7)
+    np.testing.assert_array_equal(found.triangles, mesh.triangles)
+    with pytest.raises(InputError, match="no known mesh format"):
+        meshes.read_mesh(path)
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(InputError, match="--onto"):
+        mapping.read_target(path, 1e-3)
+
+
+def test_an_input_file_that_takes_in_others_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "part.inp"
+    path.write_text(f"*Include, input={path}\n")
+    with pytest.raises(InputError, match=r"takes in other files \(\*INCLUDE\)"):
+        mapping.read_target(path, 1.0)

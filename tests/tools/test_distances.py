@@ -1,0 +1,56 @@
+"""The nearest places of a surface, against all pairs of points and triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import shapes
+from jaxform.tools.distances import Distances, point_triangle_distance
+
+
+class _Surface(NamedTuple):
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.integer]
+
+
+def _bowl() -> _Surface:
+    """An open paraboloid with one triangle far longer than the others."""
+    sheet = shapes.disc(radius=1.0, elements=120)
+    vertices = np.array(sheet.positions)
+    vertices[:, 2] = vertices[:, 0] ** 2 + vertices[:, 1] ** 2
+    rim = len(vertices)
+    vertices = np.concatenate([vertices, [[3.0, 0.0, 1.0], [3.0, 0.2, 1.0], [1.5, 0.1, 1.2]]])
+    return _Surface(vertices, np.concatenate([sheet.triangles, [[rim, rim + 1, rim + 2]]]))
+
+
+def test_the_nearest_place_is_that_of_all_triangles() -> None:
+    surface, random = _bowl(), np.random.default_rng(0)
+    points = random.uniform([-1.5, -1.5, -0.5], [3.0, 1.5, 1.5], (400, 3))
+    found = Distances(surface, 2.0).nearest(points)
+    corners = surface.vertices[surface.triangles]
+    every = np.stack([point_triangle_distance(points, np.broadcast_to(one, (400, 3, 3))) for one in corners], axis=1)
+    np.testing.assert_allclose(found.distance, every.min(1), rtol=1e-12)
+    np.testing.assert_allclose(every[np.arange(400), found.triangle], every.min(1), rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(points - found.place, axis=1), found.distance, rtol=1e-9, atol=1e-15)
+
+
+def test_what_lies_beyond_an_open_rim_is_told() -> None:
+    surface, angle = _bowl(), np.linspace(0.1, 6.1, 50)
+    around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    found = Distances(surface, 0.5).nearest(1.2 * around + [0, 0, 1.2])
+    assert found.at_rim.all()
+    inner = Distances(surface, 0.5).nearest(0.5 * around + [0, 0, 0.3])
+    assert not inner.at_rim.any()
+
+
+def test_far_away_it_is_near_the_nearest_all_the_same() -> None:
+    """Farther than was asked for: no nearer than the nearest, and not farther by more than a triangle is large."""
+    surface = _bowl()
+    points = np.array([[0.0, 0.0, 9.0], [-7.0, 2.0, 0.0], [5.0, -5.0, 5.0]])
+    found = Distances(surface, 0.1).nearest(points)
+    corners = surface.vertices[surface.triangles]
+    every = np.stack([point_triangle_distance(points, np.broadcast_to(one, (3, 3, 3))) for one in corners], axis=1)
+    assert (found.distance >= every.min(1) - 1e-12).all() and (found.distance <= every.min(1) + 0.4).all()
