@@ -1,4 +1,4 @@
-"""The command: `jaxform scenes | simulate | optimize | check | warm`. It alone knows both jaxform and optimize.
+"""The command: `jaxform scenes | simulate | optimize | check | warm | fit`. It alone knows both jaxform and optimize.
 
 Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
 computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import session
+from jaxform.cli import fitting, session
 from jaxform.core import lastresort
 from jaxform.core.errors import InputError, heard
 from jaxform.io import catalog
@@ -93,6 +93,10 @@ def _parser() -> argparse.ArgumentParser:
     warm.add_argument("--quiet", action="store_true", help="print errors only")
     warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
     warm.set_defaults(command=_warm)
+    words = "find the numbers of a material from tables of tests"
+    fit = commands.add_parser("fit", help=words, description=words)
+    fitting.add_arguments(fit)
+    fit.set_defaults(command=fitting.fit)
     return parser
 
 
