@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="where material.toml, summary.json and fit.png go")
     words = "how many terms a law of lists has (ogden); 3 by default"
     parser.add_argument("--terms", metavar="N", type=int, help=words)
-    words = "how many viscous modes; by default, with relaxation tests, one for each decade of time, 4 at most"
+    words = "how many viscous modes; by default, with relaxation tests, as many as these need, 4 at most"
     parser.add_argument("--modes", metavar="N", type=int, help=words)
     words = "kind of the viscous modes; christensen by default"
     parser.add_argument("--viscous", choices=("christensen", "maxwell"), default="christensen", help=words)

@@ -23,6 +23,7 @@ VISCOUS = "viscous."
 DENSITY = 1000.0
 """[kg/m^3], of a law while it is fitted: in a slow process it changes nothing."""
 _SMALLEST = 1e-9  # of the largest stress, a modulus that must be positive
+_BEYOND = 10.0  # times the longest time of the data, or a part of the shortest, a relaxation time is
 _LONGEST = 1e3  # a number that must be positive and is no modulus lies between this and its inverse, in the starts
 
 
@@ -181,7 +182,6 @@ def _of_mode(name: str, place: int, count: int, allowed: Range, stress: float, t
     low, high = np.log(times)
     part = (high - low) / count
     begin = low + place * part
-    # A time that no data can tell stays within what they can tell from none and from always.
-    return Number(
-        VISCOUS + name, place, allowed, 1.0, True, low - np.log(1e2), high + np.log(1e3), (begin, begin + part)
-    )
+    # Much shorter ones have relaxed before the first row, much longer ones never do.
+    lower, upper = low - np.log(_BEYOND), high + np.log(_BEYOND)
+    return Number(VISCOUS + name, place, allowed, 1.0, True, lower, upper, (begin, begin + part))

@@ -149,8 +149,8 @@ def fit(
         tables: The tests.
         model: The law's name in a scene file.
         terms: How long the law's lists are; 3 by default, for laws that have such.
-        modes: How many viscous modes; by default one for each decade of time, 4 at most, with relaxation tests and none
-            without.
+        modes: How many viscous modes; by default, with relaxation tests, as many as say something by Schwarz's
+            criterion, 4 at most, and none without.
         viscous: Their kind.
         weights: "relative" or "absolute".
 
@@ -164,12 +164,16 @@ def fit(
     _check(model, terms, weights)
     stress = max(_largest_stress(table) for table in tables)
     times = _times(tables)
-    count = _modes(tables, modes, times)
-    if not count:
-        tables = only_slow(tables)
-    listed = bool(listed_numbers(LAWS[model]))
-    made = make_numbers(model, (terms or _USUAL_TERMS) if listed else 1, viscous, count, stress, times)
-    solution = solving.solve(list(tables), made, weights, stress)
+    _check_modes(tables, modes, times)
+    solution, best, count = None, np.inf, 0
+    for tried in _counts(tables, modes):
+        terms = terms or _USUAL_TERMS
+        numbers = make_numbers(model, terms, viscous, tried, stress, times)
+        found = solving.solve(list(tables if tried else only_slow(tables)), numbers, weights, stress)
+        if solution is not None and solving.information(found) >= best:
+            break
+        solution, best, count = found, solving.information(found), tried
+    assert solution is not None
     found = Fit(
         model,
         viscous if count else "",
@@ -210,7 +214,7 @@ def _times(tables: Sequence[Table]) -> tuple[float, float] | None:
     return (float(steps[steps > 0.0].min()), longest) if longest > 0.0 else None
 
 
-def _modes(tables: Sequence[Table], modes: int | None, times: tuple[float, float] | None) -> int:
+def _check_modes(tables: Sequence[Table], modes: int | None, times: tuple[float, float] | None) -> None:
     if modes is not None and not 0 <= modes <= MOST_MODES:
         raise InputError("is out of range", f"give 0 to {MOST_MODES}", "--modes", modes)
     relaxing = any(table.kind == "relaxation" for table in tables)
@@ -218,9 +222,13 @@ def _modes(tables: Sequence[Table], modes: int | None, times: tuple[float, float
         raise InputError("needs tests with a column time", "give a relaxation test", "--modes", modes)
     if modes == 0 and relaxing:
         raise InputError("leaves nothing that relaxes", "leave out the relaxation tests, or this option", "--modes", 0)
-    if modes is not None or not relaxing or times is None:
-        return modes or 0
-    return int(np.clip(np.round(np.log10(times[1] / times[0])), 1, _USUAL_MODES))
+
+
+def _counts(tables: Sequence[Table], modes: int | None) -> Sequence[int]:
+    """Of modes, those to try."""
+    if modes is None and any(table.kind == "relaxation" for table in tables):
+        return range(1, _USUAL_MODES + 1)
+    return (modes or 0,)
 
 
 def _matches(solution: Solution) -> list[Match]:

@@ -48,7 +48,7 @@ def at_first(modes: Modes, count: int) -> Overstress:
 def memory_after(modes: Modes, past: Overstress, step: jax.Array) -> Memory:
     """What modes remember after a step [s] over which the strain is linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
-    return Memory(jnp.stack([row for rows in past.kept(recursion) for row in rows]), recursion.gain, modes.kind)
+    return Memory(jnp.stack(past.kept(recursion)), recursion.gain, modes.kind)
 
 
 def overstress(memory: Memory, one: jax.Array, two: jax.Array) -> Overstress:
