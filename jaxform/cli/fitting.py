@@ -19,9 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sources", metavar="DATA.csv", nargs="+", help=words)
     parser.add_argument("--model", metavar="NAME", required=True, help="the law, as in a scene file")
     parser.add_argument("--out", metavar="DIR", type=Path, help="where material.toml, summary.json and fit.png go")
-    words = "how many terms a law of lists has (ogden); 3 by default"
+    words = "how many terms a law of lists has (ogden); by default as many as the tests need, 3 at most"
     parser.add_argument("--terms", metavar="N", type=int, help=words)
-    words = "how many viscous modes; by default, with relaxation tests, as many as these need, 4 at most"
+    words = "how many viscous modes; by default, with relaxation tests, as many as they need, 4 at most"
     parser.add_argument("--modes", metavar="N", type=int, help=words)
     words = "kind of the viscous modes; christensen by default"
     parser.add_argument("--viscous", choices=("christensen", "maxwell"), default="christensen", help=words)

@@ -117,6 +117,24 @@ class Numbers:
         of_modes = {name.removeprefix(VISCOUS): value for name, value in found.items() if name.startswith(VISCOUS)}
         return dataclasses.replace(law, viscous=self.modes(**of_modes))
 
+    def ordered(self, free: Array) -> Array:
+        """The vector with the law's terms in order, the largest first, and its modes, the shortest first."""
+        lists = {name: self._places(name) for name in dict.fromkeys(number.name for number in self.all)}
+        terms = [places for name, places in lists.items() if len(places) > 1 and not name.startswith(VISCOUS)]
+        modes = [places for name, places in lists.items() if name.startswith(VISCOUS)]
+        made = free.copy()
+        if terms:
+            order = np.argsort(-np.abs(free[terms[0]]))
+            made[np.array(terms)] = free[np.array(terms)[:, order]]
+        if modes:
+            order = np.argsort(free[lists[f"{VISCOUS}time"]])
+            made[np.array(modes)] = free[np.array(modes)[:, order]]
+        return made
+
+    def _places(self, name: str) -> Array:
+        """Where in the vector the numbers of one name are."""
+        return np.flatnonzero([number.name == name for number in self.all])
+
     def starts(self, count: int) -> Array:
         """Vectors (m, n) to begin with, always the same ones; one alone where all numbers are moduli."""
         low, high = np.array([number.first for number in self.all]).T

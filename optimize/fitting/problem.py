@@ -14,13 +14,11 @@ import numpy as np
 from jaxform import Law
 from optimize.fitting import bubble, states
 from optimize.fitting.numbers import Numbers
-from optimize.fitting.tables import Bubble, Pull, Table
+from optimize.fitting.tables import LEAST_SHARE, Bubble, Pull, Table
 
 Array = np.ndarray
 
 WEIGHTS = ("relative", "absolute")
-LEAST_SHARE = 1e-3
-"""Of the largest value of a table, the smallest that relative differences are taken of."""
 _UNKNOWN = 1e3  # a difference where there is no equilibrium
 
 

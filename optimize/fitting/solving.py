@@ -20,7 +20,7 @@ Array = np.ndarray
 LEVEL = 0.95
 """Of the intervals of confidence."""
 _STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search begins, where it is quick and slow
-_CALLS = 200  # of one search
+_CALLS = 100  # of one search
 _SAMPLES = 24  # stretches in each state, at which the law's stability is looked at
 _EXACT = 1e-6  # a difference that is none
 _FORCE = 30.0  # how much an unstable place weighs
@@ -148,14 +148,14 @@ def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) ->
     best = _verified(_best(found, problem), numbers)
     unstable = stability.first_unstable(best)
     if unstable is None:
-        return Solution(problem, best, None, False)
+        return Solution(problem, numbers.ordered(best), None, False)
     held = [_searched(problem, free, stability) for free in _best(found, problem)[:_BEST]]
     stable = [
         free for free in _best(held, problem) if stability.first_unstable(free) is None and _is_law(free, numbers)
     ]
     if not stable:
-        return Solution(problem, best, unstable, False)
-    return Solution(problem, stable[0], None, True)
+        return Solution(problem, numbers.ordered(best), unstable, False)
+    return Solution(problem, numbers.ordered(stable[0]), None, True)
 
 
 def _starts(problem: Problem) -> list[Array]:
@@ -194,7 +194,7 @@ def _searched(problem: Problem, begin: Array, stability: Stability | None = None
 
     lower, upper = problem.numbers.lower, problem.numbers.upper
     begin = np.clip(begin, lower, upper)
-    options = {"ftol": 1e-12, "xtol": 1e-12, "gtol": 1e-12, "max_nfev": _CALLS}
+    options = {"ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": _CALLS}
     found = least_squares(differences, begin, slopes, (lower, upper), x_scale="jac", **options)  # pyright: ignore[reportArgumentType]
     return found.x
 

@@ -18,6 +18,8 @@ from optimize.fitting.states import STATES
 
 Array = np.ndarray
 
+LEAST_SHARE = 1e-3
+"""Of the largest value of a table, the smallest that relative differences are taken of."""
 KINDS = (*STATES, "relaxation", "bubble")
 _ALSO = {"tension": "uniaxial", "biaxial": "equibiaxial", "planar": "pure-shear", "shear": "pure-shear"}
 _UNITS = {
@@ -32,7 +34,9 @@ _UNITS = {
 }
 _SETTINGS = {"kind": None, "state": None, "stretch": None, "radius": "m", "thickness": "m"}
 _MOST_ROWS = 20_000
-_PER_CENT = 20.0  # as a strain: what is stretched so far is no sheet that anybody forms
+_PER_CENT = 10.0  # as a strain: what is stretched so far is no sheet that anybody forms
+_FARTHEST = 100.0  # a stretch, or its inverse, beyond which the column has something else
+_SLACK = 0.02  # as a strain: so much strain needs a stress
 _SOFT = 200.0  # Pa: the largest stress of a table below which it is rather in MPa
 _TALL = 20.0  # radii: a bubble this high is given in another unit
 
@@ -165,6 +169,8 @@ def _parsed(text: str, name: str) -> tuple[dict[str, Array], dict[str, str]]:
         raise InputError("has two columns of one name", "rename one of them", value=header)
     if len(lines) - 1 > _MOST_ROWS:
         raise InputError(f"has {len(lines) - 1} rows", f"give up to {_MOST_ROWS}, every tenth for instance")
+    if len(lines) == 1:
+        raise InputError("has no rows", "give a row of numbers for each measurement")
     rows = np.array([_row(cells, mark, names, count) for count, cells in lines[1:]]).reshape(-1, len(names))
     return dict(zip(names, rows.T, strict=True)), settings
 
@@ -265,17 +271,20 @@ def _stretch(name: str, columns: dict[str, Array], settings: dict[str, str]) -> 
         raise InputError(problem, "give stretch (1 where nothing is strained) or strain (0 there)")
     values = columns[given[0]]
     if given[0] == "strain":
-        if len(values) and values.max() > _PER_CENT:
+        if values.max() > _PER_CENT:
             warn_of(f"goes up to {values.max():.4g}", "divide by 100 if this is per cent", key="strain", file=name)
         values = 1.0 + values
-    if len(values) and values.min() <= 0.0:
+    if values.min() <= 0.0:
         remedy = "call the column strain if it is 0 where nothing is strained"
         raise InputError("has a stretch that is not above 0", remedy, given[0], float(columns[given[0]].min()))
+    farthest = values[np.argmax(np.abs(np.log(values)))]
+    if not 1.0 / _FARTHEST <= farthest <= _FARTHEST:
+        raise InputError("goes farther than any sheet", "give the length over that at first", given[0], float(farthest))
     return values
 
 
 def _check_times(time: Array) -> None:
-    if len(time) and time[0] < 0.0:
+    if time[0] < 0.0:
         raise InputError("begins before 0, when nothing is strained yet", "begin at 0", "time", float(time[0]))
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if len(back):
@@ -285,11 +294,15 @@ def _check_times(time: Array) -> None:
 
 def _look_over(name: str, key: str, stretch: Array, stress: Array) -> None:
     """Warns of what is hardly meant."""
-    largest = float(np.abs(stress).max(initial=0.0))
+    largest = float(np.abs(stress).max())
     if 0.0 < largest < _SOFT:
         warn_of(f"is {largest:.4g} Pa at most", "give it in Pa, if it is in MPa", key=key, file=name)
     if not largest:
         raise InputError("is 0 throughout", "give the stress in Pa", key)
+    slack = (np.abs(stretch - 1.0) > _SLACK) & (np.abs(stress) < LEAST_SHARE * largest)
+    if slack.any():
+        problem = f"is {stress[slack][0]:.4g} Pa at a stretch of {stretch[slack][0]:.4g}"
+        warn_of(problem, "leave out rows in which the sample hangs loose or has torn", key=key, file=name)
     against = (stretch - 1.0) * stress < 0.0
     if against.any() and np.abs(stress[against]).max() > 0.01 * largest:
         problem = f"is {stress[against][0]:.4g} Pa at a stretch of {stretch[against][0]:.4g}"
@@ -304,9 +317,9 @@ def _bubble(name: str, columns: dict[str, Array], settings: dict[str, str]) -> B
     height, pressure, time = columns["height"], columns["pressure"], columns.get("time")
     if time is not None:
         _check_times(time)
-    if len(height) and height.min() < 0.0:
+    if height.min() < 0.0:
         raise InputError("is below 0", "give the pole's height above the rim", "height", float(height.min()))
-    if len(height) and height.max() > _TALL * radius:
+    if height.max() > _TALL * radius:
         problem = f"is {height.max() / radius:.4g} times the radius"
         raise InputError(problem, "give both in m", "height", float(height.max()))
     used = (height > 1e-6 * radius) & (pressure > 0.0)
