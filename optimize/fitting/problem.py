@@ -54,16 +54,25 @@ class Problem:
         models = [_model(table) for table in self.tables]
         data = [_data(table) for table in self.tables]
 
-        def modelled(free: jax.Array, data: Any) -> jax.Array:
+        def modelled(free: jax.Array, data: Any) -> tuple[jax.Array, jax.Array]:
             law = numbers.make(free)
-            return jnp.concatenate([one(law, *own) for one, own in zip(models, data, strict=True)])
+            found = jnp.concatenate([one(law, *own) for one, own in zip(models, data, strict=True)])
+            return found, found
 
-        self._values = functools.partial(jax.jit(modelled), data=data)
-        self._slopes = functools.partial(jax.jit(jax.jacfwd(modelled)), data=data)
+        # Slopes and values in one: to compile another program takes longer than all its calls.
+        self._both = functools.partial(jax.jit(jax.jacfwd(modelled, has_aux=True)), data=data)
+        self._last: tuple[Array, Array, Array] | None = None
 
     def values(self, free: Array) -> Array:
         """What the law says (m,), in the units of what was measured."""
-        return np.asarray(self._values(jnp.asarray(free)))
+        return self._at(free)[1]
+
+    def _at(self, free: Array) -> tuple[Array, Array]:
+        """Slopes (m, n) and values (m,)."""
+        if self._last is None or not np.array_equal(self._last[0], free):
+            slopes, values = self._both(jnp.asarray(free))
+            self._last = free.copy(), np.asarray(slopes), np.asarray(values)
+        return self._last[1:]
 
     def differences(self, free: Array) -> Array:
         """Weighted (m,); those of rows that do not count are 0."""
@@ -72,7 +81,7 @@ class Problem:
 
     def slopes(self, free: Array) -> Array:
         """Derivatives of the differences (m, n)."""
-        found = np.asarray(self._slopes(jnp.asarray(free))) / self._scale[:, None]
+        found = self._at(free)[0] / self._scale[:, None]
         return np.where(self.used[:, None] & np.isfinite(found), found, 0.0)
 
 

@@ -23,7 +23,7 @@ _STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search 
 _CALLS = 100  # of one search
 _SAMPLES = 24  # stretches in each state, at which the law's stability is looked at
 _EXACT = 1e-6  # a difference that is none
-_FORCE = 30.0  # how much an unstable place weighs
+_MARGIN, _FORCE = 1e-3, 1e3  # of the largest stress, what a place is held away from being unstable; what that weighs
 
 
 class Sure(NamedTuple):
@@ -78,9 +78,10 @@ class Stability:
             for stretch in np.exp(np.linspace(min(0.0, *logs), max(0.0, *logs), _SAMPLES))
         ]
         one = jnp.array([stretch for _, stretch in self.places])
-        two = jnp.array([float(states.crosswise(state, jnp.asarray(stretch))) for state, stretch in self.places])
+        states_of = {state: np.array([own == state for own, _ in self.places]) for state in reach}
 
-        def least(free: jax.Array, one: jax.Array, two: jax.Array) -> jax.Array:
+        def least(free: jax.Array) -> tuple[jax.Array, jax.Array]:
+            across = [jnp.where(own, states.crosswise(state, one), 0.0) for state, own in states_of.items()]
             law = numbers.make(free)
 
             def true_stress(logs: jax.Array) -> jax.Array:
@@ -88,21 +89,21 @@ class Stability:
                 first, second = states.nominal(law, stretch[:1], stretch[1:])
                 return jnp.stack([stretch[0] * first[0], stretch[1] * second[0]])
 
-            slopes = jax.vmap(jax.jacfwd(true_stress))(jnp.log(jnp.stack([one, two], axis=1)))
+            slopes = jax.vmap(jax.jacfwd(true_stress))(jnp.log(jnp.stack([one, sum(across)], axis=1)))
             mean = 0.5 * (slopes[:, 0, 0] + slopes[:, 1, 1])
             apart = jnp.hypot(0.5 * (slopes[:, 0, 0] - slopes[:, 1, 1]), 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]))
-            return (mean - apart) / stress
+            return (mean - apart) / stress, (mean - apart) / stress
 
-        self._least = jax.jit(lambda free: least(free, one, two))
-        self._slopes = jax.jit(jax.jacfwd(lambda free: least(free, one, two)))
+        self._both = jax.jit(jax.jacfwd(least, has_aux=True))
 
-    def lacking(self, free: Array) -> Array:
+    def lacking(self, free: Array, margin: float = 0.0) -> Array:
         """By how much (n_place,) each place misses being stable, relative to the largest stress; 0 where it is."""
-        return np.maximum(-np.asarray(self._least(jnp.asarray(free))), 0.0)
+        return np.maximum(margin - np.asarray(self._both(jnp.asarray(free))[1]), 0.0)
 
-    def slopes(self, free: Array) -> Array:
+    def slopes(self, free: Array, margin: float = 0.0) -> Array:
         """Derivatives of that (n_place, n)."""
-        return np.where(self.lacking(free)[:, None] > 0.0, -np.asarray(self._slopes(jnp.asarray(free))), 0.0)
+        slopes, least = map(np.asarray, self._both(jnp.asarray(free)))
+        return np.where(least[:, None] < margin, -slopes, 0.0)
 
     def first_unstable(self, free: Array) -> tuple[str, float] | None:
         """The place nearest to no strain that is unstable."""
@@ -186,11 +187,11 @@ def _searched(problem: Problem, begin: Array, stability: Stability | None = None
 
     def differences(free: Array) -> Array:
         own = problem.differences(free)
-        return own if stability is None else np.concatenate([own, _FORCE * stability.lacking(free)])
+        return own if stability is None else np.concatenate([own, _FORCE * stability.lacking(free, _MARGIN)])
 
     def slopes(free: Array) -> Array:
         own = problem.slopes(free)
-        return own if stability is None else np.concatenate([own, _FORCE * stability.slopes(free)])
+        return own if stability is None else np.concatenate([own, _FORCE * stability.slopes(free, _MARGIN)])
 
     lower, upper = problem.numbers.lower, problem.numbers.upper
     begin = np.clip(begin, lower, upper)

@@ -279,7 +279,8 @@ def _stretch(name: str, columns: dict[str, Array], settings: dict[str, str]) -> 
         raise InputError("has a stretch that is not above 0", remedy, given[0], float(columns[given[0]].min()))
     farthest = values[np.argmax(np.abs(np.log(values)))]
     if not 1.0 / _FARTHEST <= farthest <= _FARTHEST:
-        raise InputError("goes farther than any sheet", "give the length over that at first", given[0], float(farthest))
+        percent = "divide by 100 if this is per cent" if given[0] == "strain" else "give the length over that at first"
+        raise InputError(f"goes farther than any sheet, to a stretch of {farthest:.4g}", percent, given[0])
     return values
 
 
