@@ -41,12 +41,12 @@ def fit(arguments: argparse.Namespace) -> int:
         InputError: A table or an option is wrong, or the tests cannot tell the law's numbers.
     """
     say, _ = session.prepare(arguments)
+    import optimize
     from jaxform.core.ranges import RANGES, check_one
     from jaxform.io import fitted, output
-    from optimize import fitting
 
     check_one("--density", arguments.density, RANGES["material.density"])
-    tables = [fitting.read_table(source) for source in arguments.sources]
+    tables = [optimize.fitting.read_table(source) for source in arguments.sources]
     names = [table.name for table in tables]
     if len(set(names)) < len(names):
         repeated = next(name for name in names if names.count(name) > 1)
@@ -55,7 +55,7 @@ def fit(arguments: argparse.Namespace) -> int:
     if folder is not None:
         session.open_folder(folder, arguments.force)
     options = {"terms": arguments.terms, "modes": arguments.modes, "viscous": arguments.viscous}
-    found = fitting.fit(tables, arguments.model, weights=arguments.weights, **options)
+    found = optimize.fitting.fit(tables, arguments.model, weights=arguments.weights, **options)
     facts = found.summary(arguments.warned, arguments.density)
     words = list(_error_lines(facts))
     for line in (*_number_lines(facts), *words):

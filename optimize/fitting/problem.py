@@ -19,6 +19,7 @@ from optimize.fitting.tables import LEAST_SHARE, Bubble, Pull, Table
 Array = np.ndarray
 
 WEIGHTS = ("relative", "absolute")
+_LOW = 0.1  # the same share for bubbles: when they are low, the pressure goes with the cube of a height that is small
 _UNKNOWN = 1e3  # a difference where there is no equilibrium
 
 
@@ -47,7 +48,8 @@ class Problem:
                 begin = sum(map(len, measured))
                 self.slices.append((table, name, slice(begin, begin + len(values))))
                 measured.append(values)
-                scale.append(_scale(values, weights))
+                share = 1.0 if weights == "absolute" else _LOW if isinstance(table, Bubble) else LEAST_SHARE
+                scale.append(np.maximum(np.abs(values), share * np.abs(values).max()))
                 used.append(_says_something(table))
         self.measured, self._scale = np.concatenate(measured), np.concatenate(scale)
         self.used = np.concatenate(used)
@@ -83,11 +85,6 @@ class Problem:
         """Derivatives of the differences (m, n)."""
         found = self._at(free)[0] / self._scale[:, None]
         return np.where(self.used[:, None] & np.isfinite(found), found, 0.0)
-
-
-def _scale(values: Array, weights: str) -> Array:
-    largest = np.abs(values).max()
-    return np.full(len(values), largest) if weights == "absolute" else np.maximum(np.abs(values), LEAST_SHARE * largest)
 
 
 def _says_something(table: Table) -> Array:
