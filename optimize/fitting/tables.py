@@ -21,7 +21,7 @@ Array = np.ndarray
 LEAST_SHARE = 1e-3
 """Of the largest value of a table, the smallest that relative differences are taken of."""
 KINDS = (*STATES, "relaxation", "bubble")
-_ALSO = {"tension": "uniaxial", "biaxial": "equibiaxial", "planar": "pure-shear", "shear": "pure-shear"}
+_ALSO = {"tension": "uniaxial", "biaxial": "equibiaxial", "planar": "pure-shear"}
 _UNITS = {
     "stretch": ("", "-", "1"),
     "strain": ("", "-", "1"),
@@ -34,6 +34,7 @@ _UNITS = {
 }
 _SETTINGS = {"kind": None, "state": None, "stretch": None, "radius": "m", "thickness": "m"}
 _MOST_ROWS = 20_000
+_MOST_HEIGHTS = 1000
 _PER_CENT = 10.0  # as a strain: what is stretched so far is no sheet that anybody forms
 _FARTHEST = 100.0  # a stretch, or its inverse, beyond which the column has something else
 _SLACK = 0.02  # as a strain: so much strain needs a stress
@@ -141,12 +142,12 @@ def _kind(path: Path, columns: dict[str, Array], settings: dict[str, str]) -> st
     if {"pressure", "height"} <= set(columns):
         return "bubble"
     stem = path.stem.lower().replace("_", "-")
-    # The longer words first, since some are part of others.
-    words = sorted((*KINDS, *_ALSO), key=len, reverse=True)
-    found = [next((known(word) for word in words if word in stem), "")]
-    if not found[0]:
-        raise InputError("does not say what test it is", remedy)
-    return found[0]
+    found = {known(word) for word in (*KINDS, *_ALSO) if word in stem and word != "tension"}
+    # The others are tension too.
+    found = found or ({"uniaxial"} if "tension" in stem else set())
+    if len(found) != 1:
+        raise InputError("names more than one kind of test" if found else "does not say what test it is", remedy)
+    return found.pop()
 
 
 def _parsed(text: str, name: str) -> tuple[dict[str, Array], dict[str, str]]:
@@ -314,6 +315,8 @@ def _bubble(name: str, columns: dict[str, Array], settings: dict[str, str]) -> B
     for key in ("pressure", "height"):
         if key not in columns:
             raise InputError(f"has no column {key}", f"add it, in {_UNITS[key][0]}")
+    if len(columns["height"]) > _MOST_HEIGHTS:
+        raise InputError(f"has {len(columns['height'])} rows", f"give up to {_MOST_HEIGHTS}, every tenth for instance")
     radius, sheet = _setting(settings, "radius"), _setting(settings, "thickness")
     height, pressure, time = columns["height"], columns["pressure"], columns.get("time")
     if time is not None:

@@ -211,6 +211,22 @@ def test_what_columns_and_settings_mean(tmp_path: Path) -> None:
     assert isinstance(blown, Bubble) and blown.height.tolist() == [0.02] and blown.sheet == 1e-3
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("planar-tension", "pure-shear"), ("Biaxial_tension", "equibiaxial"), ("tension-2", "uniaxial")],
+)
+def test_a_name_that_says_what_test_it_is(tmp_path: Path, name: str, kind: str) -> None:
+    assert _read(tmp_path, "stretch,stress\n2,1e5\n", f"{name}.csv").kind == kind
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("uniaxial-relaxation", "more than one kind"), ("simple-shear", "does not say what test")]
+)
+def test_a_name_that_does_not(tmp_path: Path, name: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        _read(tmp_path, "stretch,stress\n2,1e5\n", f"{name}.csv")
+
+
 BAD = [
     ("", "is empty"),
     ("stretch,stress\n", "has no rows"),
