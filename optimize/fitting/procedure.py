@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import jax
 import numpy as np
 
 from jaxform import InputError
@@ -46,7 +47,7 @@ def fit(
         weights: "relative" or "absolute".
 
     Raises:
-        InputError: There is no such law, or the tests cannot tell its numbers.
+        InputError: There is no such law, the tests cannot tell its numbers, or JAX has no double precision.
 
     Warns:
         InputWarning: A number can hardly be told or lies at its bound, the law is unstable where it was fitted, or fits
@@ -102,6 +103,8 @@ def _check(model: str, terms: int | None, weights: str) -> None:
         raise InputError("is out of range", f"give 1 to {MOST_TERMS}", "--terms", terms)
     if weights not in WEIGHTS:
         raise InputError("is unknown", f"use {', '.join(WEIGHTS)}", "--weights", weights)
+    if not jax.config.jax_enable_x64:
+        raise InputError("a fit needs double precision", 'call jax.config.update("jax_enable_x64", True) first')
 
 
 def _largest_stress(table: Table) -> float:

@@ -297,6 +297,12 @@ def test_options_that_are_refused(options: dict[str, Any], words: str) -> None:
     assert words in str(error.value)
 
 
+def test_single_precision_is_refused() -> None:
+    table = _pull("uniaxial", np.array([1.5, 2.0]), np.array([1e5, 2e5]))
+    with jax.enable_x64(False), pytest.raises(InputError, match="double precision"):
+        fitting.fit([table], "neo-hookean")
+
+
 def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(session, "cache_folder", lambda: None)
     stretch = np.linspace(1.1, 2.0, 10)
