@@ -112,7 +112,7 @@ def _curves(found: Any) -> Iterator[Any]:
 
     for match in found.matches:
         table, used = match.table, match.used
-        label = f"{Path(table.name).name} ({table.kind})"
+        label = f"{table.kind}: {Path(table.name).name}"
         measured, fitted = match.measured[used], match.fitted[used]
         if table.kind == "bubble":
             unit, size = ("kPa", 1e-3) if match.column == "pressure" else ("mm", 1e3)

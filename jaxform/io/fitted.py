@@ -60,7 +60,7 @@ def write_material(path: Path, table: Mapping[str, Any], words: Sequence[str]) -
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Writes rows as CSV."""
-    with whole(path) as fresh, fresh.open("w", newline="") as file:
+    with whole(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(names)
         writer.writerows(rows)
@@ -94,7 +94,7 @@ def _cycled(count: int) -> list[str]:
 
 
 def _draw(upper: Any, lower: Any, curve: Curve, color: str) -> None:
-    upper.plot(curve.at, curve.measured, "o", color=color, markersize=4, alpha=0.7, label=curve.label)
+    upper.plot(curve.at, curve.measured, "o", color=color, markersize=4, alpha=0.7, label=curve.label.replace("$", r"\$"))
     line = curve.line or (curve.at, curve.fitted)
     upper.plot(*line, "-", color=color, linewidth=1.6)
     told = curve.measured != 0.0

@@ -108,7 +108,8 @@ def read_table(source: str) -> Table:
         InputError: There is no such file, or what it has is no test that is known.
     """
     kind, path = _split(source)
-    name = str(path)
+    # What no text file could have in it would stop the results later.
+    name = " ".join(str(path).encode("utf-8", "backslashreplace").decode().split())
     try:
         columns, settings = _parsed(disk.read_text(path), name)
         kind = kind or _kind(path, columns, settings)
