@@ -94,7 +94,8 @@ def _cycled(count: int) -> list[str]:
 
 
 def _draw(upper: Any, lower: Any, curve: Curve, color: str) -> None:
-    upper.plot(curve.at, curve.measured, "o", color=color, markersize=4, alpha=0.7, label=curve.label.replace("$", r"\$"))
+    label = curve.label.replace("$", r"\$")  # or it would be taken for a formula
+    upper.plot(curve.at, curve.measured, "o", color=color, markersize=4, alpha=0.7, label=label)
     line = curve.line or (curve.at, curve.fitted)
     upper.plot(*line, "-", color=color, linewidth=1.6)
     told = curve.measured != 0.0

@@ -81,7 +81,7 @@ def _most_telling(counts: Sequence[int], solved: Callable[[int], Solution]) -> t
         try:
             found = solved(count)
         except InputError:
-            # More numbers than rows.
+            # More numbers than rows, or none that are a law.
             break
         if _worth(found) >= _worth(best[0]):
             break

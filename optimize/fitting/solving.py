@@ -22,7 +22,7 @@ LEVEL = 0.95
 _STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search begins, where it is quick and slow
 _CALLS = 100  # of one search
 _SAMPLES = 24  # stretches in each state, at which the law's stability is looked at
-_EXACT = 1e-6  # a difference that is none
+_EXACT, _NO_CHANGE = 1e-6, 1e-5  # a difference that is none, and what changes differences by so little is no number
 _MARGIN, _FORCE = 1e-3, 1e3  # of the largest stress, what a place is held away from being unstable; what that weighs
 
 
@@ -132,11 +132,7 @@ def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) ->
         InputError: There are too few rows, or no start leads anywhere.
     """
     problem = Problem(tables, numbers, weights)
-    rows, unknown = int(problem.used.sum()), len(numbers.all)
-    if rows <= unknown:
-        raise InputError(
-            f"{rows} measured values cannot tell {unknown} numbers", "give more rows, or fewer terms or modes"
-        )
+    _check_rows(problem)
     rough = problem
     if any(isinstance(table, Bubble) for table in tables):
         rough = Problem(without_bubbles(tables), numbers, weights)
@@ -146,14 +142,13 @@ def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) ->
     if rough is not problem:
         # A rough law may have lost what the right one needs.
         found = [_searched(problem, free) for free in (*_best(found, rough)[:_FEW], *starts[:_FEW])]
-    best = _verified(_best(found, problem), numbers)
+    best = _verified(_best(found, problem), problem)
     unstable = stability.first_unstable(best)
     if unstable is None:
         return Solution(problem, numbers.ordered(best), None, False)
     held = [_searched(problem, free, stability) for free in _best(found, problem)[:_BEST]]
-    stable = [
-        free for free in _best(held, problem) if stability.first_unstable(free) is None and _is_law(free, numbers)
-    ]
+    laws = [free for free in _best(held, problem) if _is_law(free, problem)]
+    stable = [free for free in laws if stability.first_unstable(free) is None]
     if not stable:
         return Solution(problem, numbers.ordered(best), unstable, False)
     return Solution(problem, numbers.ordered(stable[0]), None, True)
@@ -204,49 +199,56 @@ def _best(found: list[Array], problem: Problem) -> list[Array]:
     return sorted(found, key=lambda free: float(np.sum(np.square(problem.differences(free)))))
 
 
-def _verified(found: list[Array], numbers: Numbers) -> Array:
+def _check_rows(problem: Problem) -> None:
+    rows, unknown = int(problem.used.sum()), len(problem.numbers.all)
+    if rows <= unknown:
+        words = f"{rows} measured values cannot tell {unknown} numbers"
+        raise InputError(words, "give more rows, or fewer terms or modes")
+
+
+def _verified(found: list[Array], problem: Problem) -> Array:
     """The first that is a law."""
     for free in found:
-        if _is_law(free, numbers):
+        if _is_law(free, problem):
             return free
-    raise InputError(
-        "no numbers of this law fit these data", "choose another law, or check units and kinds of the tests"
-    )
+    raise InputError("no numbers of this law fit these tests", "choose another law, or check units and kinds of tests")
 
 
-def _is_law(free: Array, numbers: Numbers) -> bool:
+def _is_law(free: Array, problem: Problem) -> bool:
+    """Whether numbers go together, and say something of every row: a bubble may have no equilibrium."""
     try:
-        numbers.make(jnp.asarray(free)).verify()
+        problem.numbers.make(jnp.asarray(free)).verify()
     except InputError:
         return False
-    return bool(np.isfinite(free).all())
+    return bool(np.isfinite(problem.values(free)).all())
 
 
 def sureness(problem: Problem, free: Array) -> Sure:
     """Intervals from the slopes at the solution, for independent differences of equal variance and the right law."""
     from scipy.special import stdtrit
 
-    numbers = problem.numbers
-    count = len(free)
-    near = 1e-6 * np.maximum(np.abs(free), 1.0)
-    at_bound = (free - numbers.lower < near) | (numbers.upper - free < near)
-    at_bound |= np.array([one.lower > 0 and x < 10.0 * one.lower for one, x in zip(numbers.all, free, strict=True)])
-    inside = ~at_bound
+    numbers, count = problem.numbers, len(free)
+    slopes = problem.slopes(free)
+    at_bound = _at_bound(numbers, free, np.linalg.norm(slopes, axis=0) / np.sqrt(problem.used.sum()))
     low, high, correlation = np.full(count, np.nan), np.full(count, np.nan), np.full((count, count), np.nan)
-    slopes = problem.slopes(free)[:, inside]
-    size = np.linalg.norm(slopes, axis=0)
+    inside = ~at_bound
+    size = np.linalg.norm(slopes[:, inside], axis=0)
     if not inside.any() or not np.all(size > 0.0):
         return Sure(low, high, correlation, at_bound, np.inf if inside.any() else 1.0)
-    _, singular, turned = np.linalg.svd(slopes / size, full_matrices=False)
-    condition = float(singular[0] / max(singular[-1], 1e-300))
+    _, singular, turned = np.linalg.svd(slopes[:, inside] / size, full_matrices=False)
+    spread = (turned.T / np.maximum(singular, 1e-12 * singular[0]) ** 2) @ turned
     freedom = int(problem.used.sum()) - count
     variance = float(np.sum(np.square(problem.differences(free)))) / freedom
-    spread = (turned.T / np.maximum(singular, 1e-12 * singular[0]) ** 2) @ turned
-    deviation = np.sqrt(variance * np.diag(spread)) / size
-    half = stdtrit(freedom, 0.5 + 0.5 * LEVEL) * deviation
+    half = stdtrit(freedom, 0.5 + 0.5 * LEVEL) * np.sqrt(variance * np.diag(spread)) / size
     with np.errstate(over="ignore"):
         for place, width in zip(np.flatnonzero(inside), half, strict=True):
             low[place], high[place] = (numbers.all[place].value(free[place] + sign * width) for sign in (-1.0, 1.0))
     own = np.sqrt(np.diag(spread))
     correlation[np.ix_(inside, inside)] = spread / np.outer(own, own)
-    return Sure(low, high, correlation, at_bound, condition)
+    return Sure(low, high, correlation, at_bound, float(singular[0] / max(singular[-1], 1e-300)))
+
+
+def _at_bound(numbers: Numbers, free: Array, size: Array) -> Array:
+    """Which (n,) are as good as at a bound: a search stays a little inside. `size` is what a change of one changes."""
+    way = np.minimum(free - numbers.lower, numbers.upper - free)
+    return way * np.where(np.isfinite(way), size, 1.0) < _NO_CHANGE

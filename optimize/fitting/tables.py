@@ -255,6 +255,8 @@ def _pull(name: str, kind: str, columns: dict[str, Array], settings: dict[str, s
         raise InputError("has no column time", "add it, in s")
     if time is not None:
         _check_times(time)
+    if time is not None and time[-1] <= 0.0:
+        raise InputError("tells of no time after 0", "give rows at later times", "time", float(time[-1]))
     _look_over(name, keys[0], stretch, stress)
     # What is not strained says nothing, but of a history it is part.
     used = np.abs(stretch - 1.0) > 1e-9 if time is None else np.ones(len(stretch), bool)
