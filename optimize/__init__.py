@@ -1,5 +1,6 @@
 """Inverse design on top of jaxform: which sheet and which pressure make the wall that the part needs?"""
 
+from optimize import fitting
 from optimize.designs import COLUMNS, Study
 from optimize.heaters import HeaterZones
 from optimize.journal import Journal
@@ -29,6 +30,7 @@ __all__ = [
     "ThicknessProfile",
     "Uniform",
     "Weighted",
+    "fitting",
     "load_study",
     "solve",
     "write_history",

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import exporting, session
+from jaxform.cli import exporting, fitting, session
 from jaxform.core import lastresort, release
 from jaxform.core.errors import InputError, heard
 from jaxform.io import catalog
@@ -106,6 +106,10 @@ def _parser() -> argparse.ArgumentParser:
     exported = commands.add_parser("export", help=words, description=words)
     exporting.add_arguments(exported)
     exported.set_defaults(command=exporting.export)
+    words = "find the numbers of a material from tables of tests"
+    fit = commands.add_parser("fit", help=words, description=words)
+    fitting.add_arguments(fit)
+    fit.set_defaults(command=fitting.fit)
     return parser
 
 

@@ -98,27 +98,28 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
 
 def _toml(data: Mapping[str, Any]) -> str:
     """Numbers, texts, lists and tables, two levels of which become sections."""
-    plain = [f"{_key(key)} = {_inline(value)}" for key, value in data.items() if not isinstance(value, dict)]
+    plain = [f"{_key(key)} = {inline(value)}" for key, value in data.items() if not isinstance(value, dict)]
     lines = list(plain)
     for section, table in data.items():
         if isinstance(table, dict):
             lines += ["", f"[{_key(section)}]"]
-            lines += [f"{_key(key)} = {_inline(value)}" for key, value in table.items()]
+            lines += [f"{_key(key)} = {inline(value)}" for key, value in table.items()]
     return "\n".join(lines) + "\n"
 
 
 def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _inline(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else inline(key)
 
 
-def _inline(value: Any) -> str:
+def inline(value: Any) -> str:
+    """A value as TOML in one line: a number, a text, a list or a table."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # TOML's escapes include those of JSON; only this one character is allowed there and not here.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_key(key)} = {_inline(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(key)} = {inline(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_inline, value)) + "]"
+        return "[" + ", ".join(map(inline, value)) + "]"
     return repr(value)

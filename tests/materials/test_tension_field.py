@@ -74,7 +74,7 @@ def test_the_stress_is_the_derivative_of_the_energy(law: jaxform.Law) -> None:
 
 
 def test_a_sheet_that_is_not_strained_or_slack_all_over_has_no_stress() -> None:
-    share = jnp.resize(jnp.asarray([1.0, 1.0 - 1e-15, 0.7, 1e-6]), COUNT)
+    share = jnp.resize(jnp.asarray([1.0, 1.0 - 1e-15, 0.7, 1e-6]), (COUNT,))
     g = share, jnp.zeros(COUNT), share
     change = 0.3 * share, 0.1 * share, -0.2 * share
     found, slopes = jax.jvp(lambda g: stress(g, MOONEY, UNIT), (g,), (change,))

@@ -1,0 +1,205 @@
+"""The numbers of a law and of its viscous modes as a vector within bounds: any registered law, by what it declares."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import Law
+from jaxform.core.parameters import listed_numbers, ranges_of
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import LEAST, MOST, Range
+from jaxform.materials import LAWS, MODES, Modes
+
+Array = np.ndarray
+
+VISCOUS = "viscous."
+"""What the names of modes' numbers begin with."""
+DENSITY = 1000.0
+"""[kg/m^3], of a law while it is fitted: in a slow process it changes nothing."""
+_SMALLEST = 1e-9  # of the largest stress, a modulus that must be positive
+_BEYOND = 10.0  # times the longest time of the data, or a part of the shortest, a relaxation time is
+_LONGEST = 1e3  # a number that must be positive and is no modulus lies between this and its inverse, in the starts
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of the vector.
+
+    Attributes:
+        name: As in the table of the material; of modes it begins with `viscous.`.
+        place: Which of a list; None where it is no list.
+        allowed: Its range.
+        unit: What the number is where the vector has 1, or 0 where it has a logarithm.
+        logarithmic: Whether the vector has its logarithm.
+        lower, upper: Bounds in the vector.
+        first: Between what a start lies in the vector.
+    """
+
+    name: str
+    place: int | None
+    allowed: Range
+    unit: float
+    logarithmic: bool
+    lower: float
+    upper: float
+    first: tuple[float, float]
+
+    @property
+    def modulus(self) -> bool:
+        """Whether stresses are proportional to it and its like."""
+        return self.allowed.unit == "Pa"
+
+    @property
+    def words(self) -> str:
+        """Such as mu[1], counted from 1."""
+        return self.name if self.place is None else f"{self.name}[{self.place + 1}]"
+
+    def value(self, free: float) -> float:
+        """The number itself."""
+        return self.unit * float(np.exp(free) if self.logarithmic else free)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """All numbers that are fitted.
+
+    Attributes:
+        law: The class of the law.
+        modes: The class of its viscous modes, or None.
+        all: The numbers, in the order of the vector.
+    """
+
+    law: type[Law]
+    modes: type[Modes] | None
+    all: tuple[Number, ...]
+
+    @property
+    def lower(self) -> Array:
+        """Lower bounds (n,)."""
+        return np.array([number.lower for number in self.all])
+
+    @property
+    def upper(self) -> Array:
+        """Upper bounds (n,)."""
+        return np.array([number.upper for number in self.all])
+
+    @property
+    def moduli(self) -> Array:
+        """Which (n,) are moduli."""
+        return np.array([number.modulus for number in self.all])
+
+    def values(self, free: Array) -> Array:
+        """The numbers (n,) of a vector."""
+        return np.array([number.value(x) for number, x in zip(self.all, free, strict=True)])
+
+    def make(self, free: jax.Array) -> Law:
+        """The law of a vector (n,)."""
+        units = as_real([number.unit for number in self.all])
+        logarithmic = np.array([number.logarithmic for number in self.all])
+        values = units * jnp.where(logarithmic, jnp.exp(jnp.where(logarithmic, free, 0.0)), free)
+        found: dict[str, Any] = {}
+        for number, value in zip(self.all, values, strict=True):
+            if number.place is None:
+                found[number.name] = value
+            else:
+                found.setdefault(number.name, []).append(value)
+        found = {name: jnp.stack(value) if isinstance(value, list) else value for name, value in found.items()}
+        of_law = {name: value for name, value in found.items() if not name.startswith(VISCOUS)}
+        law = self.law(**of_law, density=as_real(DENSITY))  # pyright: ignore[reportCallIssue]
+        if self.modes is None:
+            return law
+        of_modes = {name.removeprefix(VISCOUS): value for name, value in found.items() if name.startswith(VISCOUS)}
+        return dataclasses.replace(law, viscous=self.modes(**of_modes))
+
+    def ordered(self, free: Array) -> Array:
+        """The vector with the law's terms in order, the largest first, and its modes, the shortest first."""
+        lists = {name: self._places(name) for name in dict.fromkeys(number.name for number in self.all)}
+        terms = [places for name, places in lists.items() if len(places) > 1 and not name.startswith(VISCOUS)]
+        modes = [places for name, places in lists.items() if name.startswith(VISCOUS)]
+        made = free.copy()
+        if terms:
+            order = np.argsort(-np.abs(free[terms[0]]))
+            made[np.array(terms)] = free[np.array(terms)[:, order]]
+        if modes:
+            order = np.argsort(free[lists[f"{VISCOUS}time"]])
+            made[np.array(modes)] = free[np.array(modes)[:, order]]
+        return made
+
+    def _places(self, name: str) -> Array:
+        """Where in the vector the numbers of one name are."""
+        return np.flatnonzero([number.name == name for number in self.all])
+
+    def starts(self, count: int) -> Array:
+        """Vectors (m, n) to begin with, always the same ones; one alone where all numbers are moduli."""
+        low, high = np.array([number.first for number in self.all]).T
+        if np.all(self.moduli):
+            return 0.5 * (low + high)[None]
+        made = np.random.default_rng(0).uniform(low, high, (count, len(low)))
+        made[0] = 0.5 * (low + high)
+        return made
+
+
+def make_numbers(
+    model: str, terms: int, kind: str, modes: int, stress: float, times: tuple[float, float] | None
+) -> Numbers:
+    """The numbers of a law and its modes.
+
+    Args:
+        model: The law's name in `LAWS`.
+        terms: How long its lists are, where it has such.
+        kind: The modes' name in `MODES`.
+        modes: How many modes; 0 for none.
+        stress: The largest stress of the data [Pa].
+        times: The shortest and the longest time of the data [s]; None where there are no modes.
+    """
+    law, listed = LAWS[model], listed_numbers(LAWS[model])
+    found = []
+    for name, allowed in ranges_of(law).items():
+        if name != "density":
+            places = range(terms) if name in listed else (None,)
+            found += [_number(name, place, allowed, stress) for place in places]
+    if modes and times is not None:
+        for name, allowed in ranges_of(MODES[kind]).items():
+            found += [_of_mode(name, place, modes, allowed, stress, times) for place in range(modes)]
+    return Numbers(law, MODES[kind] if modes else None, tuple(found))
+
+
+def _number(name: str, place: int | None, allowed: Range, stress: float) -> Number:
+    if allowed.unit == "Pa":
+        positive = allowed.above == 0.0
+        lower = _SMALLEST if positive else -np.inf if allowed.least is None else allowed.least / stress
+        return Number(name, place, allowed, stress, False, lower, np.inf, (1.0, 1.0))
+    if allowed.above == 0.0:
+        first = -np.log(_LONGEST), np.log(_LONGEST)
+        most = MOST if allowed.most is None else allowed.most
+        return Number(name, place, allowed, 1.0, True, np.log(LEAST), np.log(most), first)
+    lower = -np.inf if allowed.least is None else allowed.least
+    upper = np.inf if allowed.most is None else allowed.most
+    return Number(name, place, allowed, 1.0, False, lower, upper, _between(lower, upper))
+
+
+def _between(lower: float, upper: float) -> tuple[float, float]:
+    """Where numbers of no unit are looked for first: in the middle half, or near the one bound that there is."""
+    if np.isfinite(lower) and np.isfinite(upper):
+        return lower + 0.25 * (upper - lower), upper - 0.25 * (upper - lower)
+    if np.isfinite(lower):
+        return lower, lower + 2.0
+    return (upper - 2.0, upper) if np.isfinite(upper) else (-2.0, 2.0)
+
+
+def _of_mode(name: str, place: int, count: int, allowed: Range, stress: float, times: tuple[float, float]) -> Number:
+    if allowed.unit == "Pa":
+        return Number(VISCOUS + name, place, allowed, stress, False, _SMALLEST, np.inf, (1.0, 1.0))
+    # Each mode has its own part of the times, which are divided by equal factors.
+    low, high = np.log(times)
+    part = (high - low) / count
+    begin = low + place * part
+    # Much shorter ones have relaxed before the first row, much longer ones never do.
+    lower, upper = low - np.log(_BEYOND), high + np.log(_BEYOND)
+    return Number(VISCOUS + name, place, allowed, 1.0, True, lower, upper, (begin, begin + part))

@@ -1,0 +1,137 @@
+"""A fit: numbers of a material from tests, what it leaves unexplained, and its words, tables and files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import Law
+from optimize.fitting import solving, states
+from optimize.fitting.numbers import VISCOUS
+from optimize.fitting.solving import Solution, Sure
+from optimize.fitting.tables import Pull, Table
+
+Array = np.ndarray
+
+_CURVE = 120  # points of a curve that is drawn
+ASSUMPTION = "the weighted differences are independent and of equal variance, and the law is the right one"
+
+
+class Match(NamedTuple):
+    """A measured column of a table and what the law says of it.
+
+    Attributes:
+        table: The table.
+        column: Name of the column.
+        measured: (n,), in the unit of the file; nominal stress.
+        fitted: (n,).
+        used: Which rows (n,) are strained, and count.
+    """
+
+    table: Table
+    column: str
+    measured: Array
+    fitted: Array
+    used: Array
+
+    @property
+    def errors(self) -> Array:
+        """Relative differences of the rows that count; of what was measured as 0 there are none."""
+        count = self.used & (self.measured != 0.0)
+        return np.abs(self.fitted[count] / self.measured[count] - 1.0)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Numbers of a material from tests.
+
+    Attributes:
+        model: The law's name.
+        kind: Of the viscous modes; empty where there are none.
+        solution: The numbers.
+        sure: How sure they are.
+        weights: How differences were weighted.
+        matches: Each measured column, and what the law says of it.
+    """
+
+    model: str
+    kind: str
+    solution: Solution
+    sure: Sure
+    weights: str
+    matches: tuple[Match, ...]
+
+    @property
+    def law(self) -> Law:
+        """The law, of density 1000 kg/m^3, with its viscous modes."""
+        return self.solution.problem.numbers.make(jnp.asarray(self.solution.free))
+
+    def table(self, density: float) -> dict[str, Any]:
+        """The table `[material]` of a scene file, its modes as a table `viscous` in it."""
+        numbers = self.solution.problem.numbers
+        found: dict[str, Any] = {}
+        for number, value in zip(numbers.all, numbers.values(self.solution.free), strict=True):
+            value = float(f"{value:.8g}")
+            if number.place is None:
+                found[number.name] = value
+            else:
+                found.setdefault(number.name, []).append(value)
+        of_law = {name: value for name, value in found.items() if not name.startswith(VISCOUS)}
+        made: dict[str, Any] = {"model": self.model, **of_law, "density": density}
+        if self.kind:
+            of_modes = {name.removeprefix(VISCOUS): value for name, value in found.items() if name.startswith(VISCOUS)}
+            made["viscous"] = {"kind": self.kind, **of_modes}
+        return made
+
+    def summary(self, warned: Sequence[str], density: float) -> dict[str, Any]:
+        """All that is known, as plain numbers, words, lists and tables, for summary.json."""
+        return {
+            "status": "ok",
+            "model": self.model,
+            "viscous": self.kind or None,
+            "numbers": self._numbers(),
+            "density": density,
+            "level": solving.LEVEL,
+            "assumption": ASSUMPTION,
+            "weights": self.weights,
+            "condition": self.sure.condition,
+            "tables": [_facts(match) for match in self.matches],
+            "warnings": list(warned),
+        }
+
+    def _numbers(self) -> list[dict[str, Any]]:
+        numbers = self.solution.problem.numbers
+        values = numbers.values(self.solution.free)
+        rows = zip(numbers.all, values, self.sure.low, self.sure.high, self.sure.at_bound, strict=True)
+        return [
+            {
+                "name": number.words,
+                "value": float(value),
+                "unit": number.allowed.unit,
+                "interval": None if not np.isfinite([low, high]).all() else [float(low), float(high)],
+                "at_bound": bool(bound),
+            }
+            for number, value, low, high, bound in rows
+        ]
+
+    def curve(self, table: Pull) -> tuple[Array, Array]:
+        """Stretches and nominal stresses (k,) [Pa] of a slow test, to draw a line through."""
+        low, high = min(1.0, table.stretch.min()), max(1.0, table.stretch.max())
+        stretch = np.linspace(low, high, _CURVE)
+        return stretch, np.asarray(states.along(self.law, table.state, jnp.asarray(stretch)))
+
+
+def _facts(match: Match) -> dict[str, Any]:
+    errors = match.errors
+    return {
+        "file": match.table.name,
+        "kind": match.table.kind,
+        "column": match.column,
+        "rows": int(match.used.sum()),
+        "mean_relative_error": float(errors.mean()) if errors.size else None,
+        "largest_relative_error": float(errors.max()) if errors.size else None,
+    }

@@ -1,0 +1,140 @@
+"""What a law says of the tests, against what was measured: weighted differences, with their derivatives."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import Law
+from optimize.fitting import bubble, states
+from optimize.fitting.numbers import Numbers
+from optimize.fitting.tables import LEAST_SHARE, Bubble, Pull, Table
+
+Array = np.ndarray
+
+WEIGHTS = ("relative", "absolute")
+_LOW = 0.1  # the same share for bubbles: when they are low, the pressure goes with the cube of a height that is small
+_UNKNOWN = 1e3  # a difference where there is no equilibrium
+
+
+class Problem:
+    """Tests, and the numbers that are to be found from them.
+
+    Args:
+        tables: The tests.
+        numbers: The numbers.
+        weights: "relative": each difference over what was measured there; "absolute": over the largest of the table.
+
+    Attributes:
+        tables: The tests.
+        numbers: The numbers.
+        slices: Where in the vector of differences each measured column of each table is.
+        used: Which differences count (m,): not those of rows in which nothing is strained.
+    """
+
+    def __init__(self, tables: Sequence[Table], numbers: Numbers, weights: str = "relative") -> None:
+        """See the class."""
+        self.tables, self.numbers = tuple(tables), numbers
+        self.slices: list[tuple[Table, str, slice]] = []
+        measured, scale, used = [], [], []
+        for table in self.tables:
+            for name, values in table.measured.items():
+                begin = sum(map(len, measured))
+                self.slices.append((table, name, slice(begin, begin + len(values))))
+                measured.append(values)
+                share = 1.0 if weights == "absolute" else _LOW if isinstance(table, Bubble) else LEAST_SHARE
+                scale.append(np.maximum(np.abs(values), share * np.abs(values).max()))
+                used.append(_says_something(table))
+        self.measured, self._scale = np.concatenate(measured), np.concatenate(scale)
+        self.used = np.concatenate(used)
+        models = [_model(table) for table in self.tables]
+        data = [_data(table) for table in self.tables]
+
+        def modelled(free: jax.Array, data: Any) -> tuple[jax.Array, jax.Array]:
+            law = numbers.make(free)
+            found = jnp.concatenate([one(law, *own) for one, own in zip(models, data, strict=True)])
+            return found, found
+
+        # Slopes and values in one: to compile another program takes longer than all its calls.
+        self._both = functools.partial(jax.jit(jax.jacfwd(modelled, has_aux=True)), data=data)
+        self._last: tuple[Array, Array, Array] | None = None
+
+    def values(self, free: Array) -> Array:
+        """What the law says (m,), in the units of what was measured."""
+        return self._at(free)[1]
+
+    def _at(self, free: Array) -> tuple[Array, Array]:
+        """Slopes (m, n) and values (m,)."""
+        if self._last is None or not np.array_equal(self._last[0], free):
+            slopes, values = self._both(jnp.asarray(free))
+            self._last = free.copy(), np.asarray(slopes), np.asarray(values)
+        return self._last[1:]
+
+    def differences(self, free: Array) -> Array:
+        """Weighted (m,); those of rows that do not count are 0."""
+        found = (self.values(free) - self.measured) / self._scale
+        return np.where(self.used, np.where(np.isfinite(found), found, _UNKNOWN), 0.0)
+
+    def slopes(self, free: Array) -> Array:
+        """Derivatives of the differences (m, n)."""
+        found = self._at(free)[0] / self._scale[:, None]
+        return np.where(self.used[:, None] & np.isfinite(found), found, 0.0)
+
+
+def _says_something(table: Table) -> Array:
+    """Which rows (n,) are strained."""
+    if isinstance(table, Bubble):
+        return np.ones(len(table.height), bool)
+    return np.abs(table.stretch - 1.0) > 1e-9
+
+
+def _data(table: Table) -> tuple[Any, ...]:
+    if isinstance(table, Pull):
+        return (table.stretch, table.time)
+    return (bubble.plan(table.height / table.radius, table.time),)
+
+
+def _model(table: Table) -> Callable[..., jax.Array]:
+    """What takes a law and a table's data, and gives what the law says of its measured columns, one after the other."""
+    if isinstance(table, Pull):
+        return lambda law, stretch, time: states.along(law, table.state, jnp.asarray(stretch), time)
+    over = table.sheet / table.radius
+    scale = float(table.pressure.max()) / over
+
+    def modelled(law: Law, plan: bubble.Plan) -> jax.Array:
+        pressure, wall = bubble.inflated(law, plan, scale, law.viscous is not None)
+        return jnp.concatenate(
+            [over * pressure, table.sheet * wall] if table.thickness is not None else [over * pressure]
+        )
+
+    return modelled
+
+
+def without_bubbles(tables: Sequence[Table]) -> list[Table]:
+    """The same with rough equibiaxial tests in place of bubbles: a bubble's pole, as if it were part of a sphere.
+
+    The wall there is taken to be that of Hill's solution for metal where it was not measured (R. Hill, Phil. Mag. 41,
+    1950); it is within some per cent of the right one up to a height of a radius.
+    """
+    return [_as_pull(table) if isinstance(table, Bubble) else table for table in tables]
+
+
+def _as_pull(table: Bubble) -> Pull:
+    curve = (table.radius**2 + table.height**2) / (2.0 * table.height)
+    wall = table.thickness
+    if wall is None:
+        wall = table.sheet / np.square(1.0 + np.square(table.height / table.radius))
+    stretch = np.maximum(np.sqrt(table.sheet / wall), 1.0 + 1e-3)
+    stress = 0.5 * table.pressure * curve * stretch / table.sheet
+    return Pull(table.name, "equibiaxial", "equibiaxial", stretch, stress, table.time)
+
+
+def only_slow(tables: Sequence[Table]) -> list[Table]:
+    """The same without times, for a law without viscous modes."""
+    return [dataclasses.replace(table, time=None) for table in tables]

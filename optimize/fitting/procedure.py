@@ -1,0 +1,187 @@
+"""How tests become the numbers of a material: what is asked for is checked, fitted, and looked over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+
+from jaxform import InputError
+from jaxform.core.errors import warn_of
+from jaxform.core.parameters import listed_numbers
+from jaxform.materials import LAWS
+from optimize.fitting import solving
+from optimize.fitting.numbers import make_numbers
+from optimize.fitting.outcome import Fit, Match
+from optimize.fitting.problem import WEIGHTS, only_slow
+from optimize.fitting.solving import Solution
+from optimize.fitting.tables import Bubble, Table
+
+MOST_TERMS, MOST_MODES = 6, 6
+_MOST_TRIED_TERMS, _MOST_TRIED_MODES = 3, 4
+_ALIKE = 0.99  # a correlation of two numbers that the tests can hardly tell apart
+_POOR = 0.2  # a mean relative error with which a law is hardly the right one
+_MORE = "give tests of other kinds, or choose a law of fewer numbers"
+
+
+def fit(
+    tables: Sequence[Table],
+    model: str,
+    *,
+    terms: int | None = None,
+    modes: int | None = None,
+    viscous: str = "christensen",
+    weights: str = "relative",
+) -> Fit:
+    """Fits a law, and viscous modes where there are tests for them, to tests, all at once.
+
+    Args:
+        tables: The tests.
+        model: The law's name in a scene file.
+        terms: How long the law's lists are, for laws that have such; by default as long as says something by Schwarz's
+            criterion, 3 at most.
+        modes: How many viscous modes; by default none without relaxation tests, and with them as many as say something
+            by the same criterion, 4 at most.
+        viscous: Their kind.
+        weights: "relative" or "absolute".
+
+    Raises:
+        InputError: There is no such law, the tests cannot tell its numbers, or JAX has no double precision.
+
+    Warns:
+        InputWarning: A number can hardly be told or lies at its bound, the law is unstable where it was fitted, or fits
+            badly.
+    """
+    _check(model, terms, weights)
+    times = _times(tables)
+    _check_modes(tables, modes, times)
+    stress = max(_largest_stress(table) for table in tables)
+
+    def solved(terms: int, modes: int) -> Solution:
+        numbers = make_numbers(model, terms, viscous, modes, stress, times)
+        return solving.solve(list(tables if modes else only_slow(tables)), numbers, weights, stress)
+
+    some = range(1, _MOST_TRIED_MODES + 1) if modes is None and _relaxing(tables) else (modes or 0,)
+    several = range(1, _MOST_TRIED_TERMS + 1) if terms is None and listed_numbers(LAWS[model]) else (terms or 1,)
+    solution, terms = _most_telling(several, lambda count: solved(count, some[0]))
+    if len(some) > 1:
+        solution, modes = _most_telling(some, lambda count: solved(terms, count))
+    matches = tuple(_matches(solution))
+    sure = solving.sureness(solution.problem, solution.free)
+    found = Fit(model, viscous if modes else "", solution, sure, weights, matches)
+    _look_over(found)
+    return found
+
+
+def _most_telling(counts: Sequence[int], solved: Callable[[int], Solution]) -> tuple[Solution, int]:
+    """Of solutions with more and more numbers the last that says more than the one before, and its count."""
+    best = solved(counts[0]), counts[0]
+    for count in counts[1:]:
+        try:
+            found = solved(count)
+        except InputError:
+            # More numbers than rows, or none that are a law.
+            break
+        if _worth(found) >= _worth(best[0]):
+            break
+        best = found, count
+    return best
+
+
+def _worth(solution: Solution) -> tuple[bool, float]:
+    """The smaller the better: a stable law comes first."""
+    return solution.unstable is not None, solving.information(solution)
+
+
+def _check(model: str, terms: int | None, weights: str) -> None:
+    if model not in LAWS:
+        raise InputError("is unknown", f"use {', '.join(LAWS)}", "--model", model)
+    if terms is not None and not listed_numbers(LAWS[model]):
+        raise InputError(f"means nothing to {model}", "leave it out: its numbers are no lists", "--terms", terms)
+    if terms is not None and not 1 <= terms <= MOST_TERMS:
+        raise InputError("is out of range", f"give 1 to {MOST_TERMS}", "--terms", terms)
+    if weights not in WEIGHTS:
+        raise InputError("is unknown", f"use {', '.join(WEIGHTS)}", "--weights", weights)
+    if not jax.config.jax_enable_x64:
+        raise InputError("a fit needs double precision", 'call jax.config.update("jax_enable_x64", True) first')
+
+
+def _largest_stress(table: Table) -> float:
+    if isinstance(table, Bubble):
+        return float(table.pressure.max()) * table.radius / table.sheet
+    return float(np.abs(table.stress).max())
+
+
+def _times(tables: Sequence[Table]) -> tuple[float, float] | None:
+    """The shortest and the longest time [s] that the tests tell of."""
+    given = [table.time for table in tables if table.time is not None]
+    if not given:
+        return None
+    steps = np.concatenate([np.diff(np.concatenate([[0.0], time])) for time in given])
+    longest = max(float(time[-1]) for time in given)
+    return (float(steps[steps > 0.0].min()), longest) if longest > 0.0 else None
+
+
+def _check_modes(tables: Sequence[Table], modes: int | None, times: tuple[float, float] | None) -> None:
+    if modes is not None and not 0 <= modes <= MOST_MODES:
+        raise InputError("is out of range", f"give 0 to {MOST_MODES}", "--modes", modes)
+    if modes and times is None:
+        raise InputError("needs tests with a column time", "give a relaxation test", "--modes", modes)
+    if modes == 0 and _relaxing(tables):
+        raise InputError("leaves nothing that relaxes", "leave out the relaxation tests, or this option", "--modes", 0)
+
+
+def _relaxing(tables: Sequence[Table]) -> bool:
+    return any(table.kind == "relaxation" for table in tables)
+
+
+def _matches(solution: Solution) -> list[Match]:
+    problem = solution.problem
+    fitted = problem.values(solution.free)
+    return [
+        Match(table, name, problem.measured[own], fitted[own], problem.used[own]) for table, name, own in problem.slices
+    ]
+
+
+def _look_over(fit: Fit) -> None:
+    """Warns of what makes a fit doubtful."""
+    solution = fit.solution
+    if solution.unstable is not None:
+        state, stretch = solution.unstable
+        problem = f"is unstable from a stretch of {stretch:.4g} on ({state}), and no stable numbers were found"
+        warn_of(problem, "choose another law, or fewer terms", key="--model", value=fit.model)
+    elif solution.held_stable:
+        warn_of(
+            "would fit better where it is unstable; the numbers are the best stable ones",
+            "look at the picture, or choose another law",
+            key="--model",
+            value=fit.model,
+        )
+    for match in fit.matches:
+        if match.errors.size and match.errors.mean() > _POOR:
+            problem = f"is off by {100 * match.errors.mean():.3g} % on average, in {match.column}"
+            warn_of(
+                problem, f"{fit.model} is hardly the law of this material, or a unit is wrong", file=match.table.name
+            )
+    _look_over_numbers(fit)
+
+
+def _look_over_numbers(fit: Fit) -> None:
+    numbers, sure = fit.solution.problem.numbers.all, fit.sure
+    bound = [number.words for number, at in zip(numbers, sure.at_bound, strict=True) if at]
+    if bound:
+        warn_of(
+            f"{', '.join(bound)} ended at the bound of what is allowed",
+            "a simpler law may do for these tests",
+        )
+    values = fit.solution.problem.numbers.values(fit.solution.free)
+    with np.errstate(invalid="ignore"):
+        wide = ~sure.at_bound & ~(sure.high - sure.low < 2.0 * np.abs(values))
+        alike = np.argwhere(np.triu(np.abs(sure.correlation), 1) > _ALIKE)
+    if wide.any():
+        words = ", ".join(number.words for number, is_wide in zip(numbers, wide, strict=True) if is_wide)
+        warn_of(f"{words}: known to no better than the number itself", _MORE)
+    if len(alike):
+        pairs = ", ".join(f"{numbers[a].words} and {numbers[b].words}" for a, b in alike)
+        warn_of(f"{pairs}: these tests hardly tell one from the other", _MORE)

@@ -1,0 +1,254 @@
+"""Least squares from several starts, whether the law is stable where it was fitted, and how sure its numbers are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import InputError
+from optimize.fitting import states
+from optimize.fitting.numbers import Numbers
+from optimize.fitting.problem import Problem, without_bubbles
+from optimize.fitting.tables import Bubble, Table
+
+Array = np.ndarray
+
+LEVEL = 0.95
+"""Of the intervals of confidence."""
+_STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search begins, where it is quick and slow
+_CALLS = 100  # of one search
+_SAMPLES = 24  # stretches in each state, at which the law's stability is looked at
+_EXACT, _NO_CHANGE = 1e-6, 1e-5  # a difference that is none, and what changes differences by so little is no number
+_MARGIN, _FORCE = 1e-3, 1e3  # of the largest stress, what a place is held away from being unstable; what that weighs
+
+
+class Sure(NamedTuple):
+    """How sure the numbers are.
+
+    Attributes:
+        low, high: Bounds of their intervals (n,); NaN where the data do not tell.
+        correlation: Of the numbers (n, n), NaN where they are at a bound.
+        at_bound: Which (n,) lie at a bound of their range.
+        condition: Of the slopes, each number's scaled to one.
+    """
+
+    low: Array
+    high: Array
+    correlation: Array
+    at_bound: Array
+    condition: float
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Numbers that make the differences least.
+
+    Attributes:
+        problem: What was fitted.
+        free: The vector (n,).
+        unstable: The state and stretch from which on more strain needs less stress; None for none.
+        held_stable: Whether a better but unstable law was left for this one.
+    """
+
+    problem: Problem
+    free: Array
+    unstable: tuple[str, float] | None
+    held_stable: bool
+
+
+class Stability:
+    """Drucker's condition, at stretches of the sheet that the tests reach.
+
+    The second derivatives of the energy by logarithms of the stretches are positive definite: no small strain, whatever
+    its direction, then lets the true stress fall. It is the elastic law's: what modes add relaxes.
+    """
+
+    def __init__(self, tables: list[Table], numbers: Numbers, stress: float) -> None:
+        """Of the states of the tests, over their stretches."""
+        reach: dict[str, list[float]] = {}
+        for table in without_bubbles(tables):
+            reach.setdefault(table.state, []).extend(np.log(table.stretch))  # pyright: ignore[reportAttributeAccessIssue]
+        self.places = [
+            (state, stretch)
+            for state, logs in reach.items()
+            for stretch in np.exp(np.linspace(min(0.0, *logs), max(0.0, *logs), _SAMPLES))
+        ]
+        one = jnp.array([stretch for _, stretch in self.places])
+        states_of = {state: np.array([own == state for own, _ in self.places]) for state in reach}
+
+        def least(free: jax.Array) -> tuple[jax.Array, jax.Array]:
+            across = [jnp.where(own, states.crosswise(state, one), 0.0) for state, own in states_of.items()]
+            law = numbers.make(free)
+
+            def true_stress(logs: jax.Array) -> jax.Array:
+                stretch = jnp.exp(logs)
+                first, second = states.nominal(law, stretch[:1], stretch[1:])
+                return jnp.stack([stretch[0] * first[0], stretch[1] * second[0]])
+
+            slopes = jax.vmap(jax.jacfwd(true_stress))(jnp.log(jnp.stack([one, sum(across)], axis=1)))
+            mean = 0.5 * (slopes[:, 0, 0] + slopes[:, 1, 1])
+            apart = jnp.hypot(0.5 * (slopes[:, 0, 0] - slopes[:, 1, 1]), 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]))
+            return (mean - apart) / stress, (mean - apart) / stress
+
+        self._both = jax.jit(jax.jacfwd(least, has_aux=True))
+
+    def lacking(self, free: Array, margin: float = 0.0) -> Array:
+        """By how much (n_place,) each place misses being stable, relative to the largest stress; 0 where it is."""
+        return np.maximum(margin - np.asarray(self._both(jnp.asarray(free))[1]), 0.0)
+
+    def slopes(self, free: Array, margin: float = 0.0) -> Array:
+        """Derivatives of that (n_place, n)."""
+        slopes, least = map(np.asarray, self._both(jnp.asarray(free)))
+        return np.where(least[:, None] < margin, -slopes, 0.0)
+
+    def first_unstable(self, free: Array) -> tuple[str, float] | None:
+        """The place nearest to no strain that is unstable."""
+        lacking = self.lacking(free) > 1e-6
+        found = [place for place, bad in zip(self.places, lacking, strict=True) if bad]
+        return min(found, key=lambda place: abs(np.log(place[1]))) if found else None
+
+
+def information(solution: Solution) -> float:
+    """Schwarz's criterion: of fits with more or fewer numbers the one where it is least says most about the tests."""
+    rows = int(solution.problem.used.sum())
+    square = float(np.mean(np.square(solution.problem.differences(solution.free)[solution.problem.used])))
+    return rows * float(np.log(square + _EXACT**2)) + len(solution.free) * float(np.log(rows))
+
+
+def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) -> Solution:
+    """The best numbers, stable where that costs little.
+
+    Args:
+        tables: The tests.
+        numbers: The numbers.
+        weights: How differences are weighted.
+        stress: The largest stress of the tests [Pa].
+
+    Raises:
+        InputError: There are too few rows, or no start leads anywhere.
+    """
+    problem = Problem(tables, numbers, weights)
+    _check_rows(problem)
+    rough = problem
+    if any(isinstance(table, Bubble) for table in tables):
+        rough = Problem(without_bubbles(tables), numbers, weights)
+    stability = Stability(tables, numbers, stress)
+    starts = _starts(rough)
+    found = [_searched(rough, free) for free in starts]
+    if rough is not problem:
+        # A rough law may have lost what the right one needs.
+        found = [_searched(problem, free) for free in (*_best(found, rough)[:_FEW], *starts[:_FEW])]
+    best = _verified(_best(found, problem), problem)
+    unstable = stability.first_unstable(best)
+    if unstable is None:
+        return Solution(problem, numbers.ordered(best), None, False)
+    held = [_searched(problem, free, stability) for free in _best(found, problem)[:_BEST]]
+    laws = [free for free in _best(held, problem) if _is_law(free, problem)]
+    stable = [free for free in laws if stability.first_unstable(free) is None]
+    if not stable:
+        return Solution(problem, numbers.ordered(best), unstable, False)
+    return Solution(problem, numbers.ordered(stable[0]), None, True)
+
+
+def _starts(problem: Problem) -> list[Array]:
+    """The best of many vectors, their moduli by linear least squares: stresses are proportional to moduli."""
+    numbers = problem.numbers
+    made = [_with_moduli(problem, free) for free in numbers.starts(_STARTS)]
+    return _best(made, problem)[:_BEST]
+
+
+def _with_moduli(problem: Problem, free: Array) -> Array:
+    from scipy.optimize import lsq_linear
+
+    numbers, moduli = problem.numbers, problem.numbers.moduli
+    free = np.clip(free, numbers.lower, numbers.upper)
+    slopes = problem.slopes(free)[:, moduli]
+    wanted = slopes @ free[moduli] - problem.differences(free)
+    bounds = numbers.lower[moduli], numbers.upper[moduli]
+    if not moduli.any() or not np.isfinite(slopes).all():
+        return free
+    free = free.copy()
+    # Some stiffness is kept in each: where there is none, a search does not know what the other numbers do.
+    free[moduli] = np.clip(lsq_linear(slopes, wanted, bounds).x, bounds[0] + 1e-6, bounds[1])
+    return free
+
+
+def _searched(problem: Problem, begin: Array, stability: Stability | None = None) -> Array:
+    from scipy.optimize import least_squares
+
+    def differences(free: Array) -> Array:
+        own = problem.differences(free)
+        return own if stability is None else np.concatenate([own, _FORCE * stability.lacking(free, _MARGIN)])
+
+    def slopes(free: Array) -> Array:
+        own = problem.slopes(free)
+        return own if stability is None else np.concatenate([own, _FORCE * stability.slopes(free, _MARGIN)])
+
+    lower, upper = problem.numbers.lower, problem.numbers.upper
+    begin = np.clip(begin, lower, upper)
+    options = {"ftol": 1e-10, "xtol": 1e-10, "gtol": 1e-12, "max_nfev": _CALLS}
+    found = least_squares(differences, begin, slopes, (lower, upper), x_scale="jac", **options)  # pyright: ignore[reportArgumentType]
+    return found.x
+
+
+def _best(found: list[Array], problem: Problem) -> list[Array]:
+    return sorted(found, key=lambda free: float(np.sum(np.square(problem.differences(free)))))
+
+
+def _check_rows(problem: Problem) -> None:
+    rows, unknown = int(problem.used.sum()), len(problem.numbers.all)
+    if rows <= unknown:
+        words = f"{rows} measured values cannot tell {unknown} numbers"
+        raise InputError(words, "give more rows, or fewer terms or modes")
+
+
+def _verified(found: list[Array], problem: Problem) -> Array:
+    """The first that is a law."""
+    for free in found:
+        if _is_law(free, problem):
+            return free
+    raise InputError("no numbers of this law fit these tests", "choose another law, or check units and kinds of tests")
+
+
+def _is_law(free: Array, problem: Problem) -> bool:
+    """Whether numbers go together, and say something of every row: a bubble may have no equilibrium."""
+    try:
+        problem.numbers.make(jnp.asarray(free)).verify()
+    except InputError:
+        return False
+    return bool(np.isfinite(problem.values(free)).all())
+
+
+def sureness(problem: Problem, free: Array) -> Sure:
+    """Intervals from the slopes at the solution, for independent differences of equal variance and the right law."""
+    from scipy.special import stdtrit
+
+    numbers, count = problem.numbers, len(free)
+    slopes = problem.slopes(free)
+    at_bound = _at_bound(numbers, free, np.linalg.norm(slopes, axis=0) / np.sqrt(problem.used.sum()))
+    low, high, correlation = np.full(count, np.nan), np.full(count, np.nan), np.full((count, count), np.nan)
+    inside = ~at_bound
+    size = np.linalg.norm(slopes[:, inside], axis=0)
+    if not inside.any() or not np.all(size > 0.0):
+        return Sure(low, high, correlation, at_bound, np.inf if inside.any() else 1.0)
+    _, singular, turned = np.linalg.svd(slopes[:, inside] / size, full_matrices=False)
+    spread = (turned.T / np.maximum(singular, 1e-12 * singular[0]) ** 2) @ turned
+    freedom = int(problem.used.sum()) - count
+    variance = float(np.sum(np.square(problem.differences(free)))) / freedom
+    half = stdtrit(freedom, 0.5 + 0.5 * LEVEL) * np.sqrt(variance * np.diag(spread)) / size
+    with np.errstate(over="ignore"):
+        for place, width in zip(np.flatnonzero(inside), half, strict=True):
+            low[place], high[place] = (numbers.all[place].value(free[place] + sign * width) for sign in (-1.0, 1.0))
+    own = np.sqrt(np.diag(spread))
+    correlation[np.ix_(inside, inside)] = spread / np.outer(own, own)
+    return Sure(low, high, correlation, at_bound, float(singular[0] / max(singular[-1], 1e-300)))
+
+
+def _at_bound(numbers: Numbers, free: Array, size: Array) -> Array:
+    """Which (n,) are as good as at a bound: a search stays a little inside. `size` is what a change of one changes."""
+    way = np.minimum(free - numbers.lower, numbers.upper - free)
+    return way * np.where(np.isfinite(way), size, 1.0) < _NO_CHANGE
