@@ -141,17 +141,32 @@ def write_part(
     reference: dict[str, Any] | None,
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
     draw: Callable[..., None] = here,
+    then: Callable[[], object] = lambda: None,
 ) -> dict[str, Any]:
-    """Writes files and picture, the summary amended on request; warns of what was not told before."""
+    """Writes files, what is to be written `then`, and the picture; warns of what was not told before.
+
+    The summary is amended on request.
+    """
     from jaxform.io import output, plots
 
     folder, told = arguments.out, list(arguments.warned)
-    with meanwhile(lambda: output.write_result(scene, result, folder, told, amend)) as written:
+
+    def write() -> tuple[dict[str, Any], Exception | None]:
+        summary = output.write_result(scene, result, folder, told, amend)
+        try:
+            then()
+        except (OSError, InputError) as error:
+            return summary, error  # it is told when all else is
+        return summary, None
+
+    with meanwhile(write) as written:
         draw(plots.thickness_picture, folder / "thickness.png", *drawable(scene, result), reference)
-    summary = written.result()
+    summary, failure = written.result()
     for sentence in summary["warnings"]:
         if sentence not in told:
             warn(sentence)
+    if failure is not None:
+        raise failure
     return summary
 
 

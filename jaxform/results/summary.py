@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxform.loads import Pressure
 from jaxform.model.scene import Scene
+from jaxform.results import sections
 from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
 from jaxform.results.result import Result, Seconds
@@ -56,6 +57,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "run_seconds": seconds.run,
         "thickness": wall_statistics(result),
         "thinnest": thinnest(result, scene),
+        "symmetry": {"xyz"[axis]: place for axis, place in sections.symmetry_planes(scene).items()},
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),

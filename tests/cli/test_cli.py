@@ -122,6 +122,15 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     assert (out / "frames.pvd").read_text().count("<DataSet") == 3
     assert len(list((out / "frames").glob("*.vtu"))) == 3
     assert _picture_size(out / "thickness.png") == (1600, 700)
+    assert summary["symmetry"] == {"x": 0.0, "y": 0.0}
+    assert (out / "simulated.toml").read_text() == scene_file.read_text()
+    page = (out / "report.html").read_text()
+    assert f"{1e3 * summary['thickness']['min']:.4g} mm" in page
+    (out / "report.html").unlink()
+    assert command.main(["report", str(out)]) == 0
+    assert capfd.readouterr().out == f"report in {out / 'report.html'}\n"
+    assert (out / "report.html").read_text() == page
+    assert f"DIR = '{tmp_path}': holds no summary.json" in _refused(capfd, "report", str(tmp_path))
 
 
 def test_the_box_with_an_insert_tells_where_an_element_cuts_its_edge(
