@@ -78,7 +78,7 @@ def _progress_words(row: dict[str, Any]) -> str:
 
 
 def _write_design(arguments: argparse.Namespace, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
-    from jaxform.io import output, plots, report, rewriting
+    from jaxform.io import output, plots, rewriting
 
     folder: Path = arguments.out
     rewriting.write_scene(study.document, design.changes, folder)
@@ -86,7 +86,7 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
 
     def rest() -> None:
         output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
-        report.write_report(folder)
+        session.write_report(folder)
 
     session.write_part(arguments, design.scene, design.result, exact, design.amended, then=rest)
     plots.convergence_picture(folder / "convergence.png", design.history)

@@ -153,21 +153,39 @@ def write_part(
 
     def write() -> tuple[dict[str, Any], Exception | None]:
         summary = output.write_result(scene, result, folder, told, amend)
-        try:
-            then()
-        except (OSError, InputError) as error:
-            return summary, error  # it is told when all else is
-        return summary, None
+        return summary, None if draw is here else _failure(then)
 
     with meanwhile(write) as written:
         draw(plots.thickness_picture, folder / "thickness.png", *drawable(scene, result), reference)
     summary, failure = written.result()
+    if draw is here:
+        # To read files back, a process limits its memory; not while it draws.
+        failure = _failure(then)
     for sentence in summary["warnings"]:
         if sentence not in told:
             warn(sentence)
     if failure is not None:
         raise failure
     return summary
+
+
+def _failure(work: Callable[[], object]) -> Exception | None:
+    """What kept something from being written; it is told when all else is."""
+    try:
+        work()
+    except (OSError, InputError) as error:
+        return error
+    return None
+
+
+def write_report(folder: Path) -> None:
+    """Writes the report; where the results are such that it cannot be made, a warning says why."""
+    from jaxform.io import report
+
+    try:
+        report.write_report(folder)
+    except InputError as error:
+        warn(f"there is no {report.NAME}: {error}")
 
 
 def exit_status(result: Result) -> int:

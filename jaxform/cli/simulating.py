@@ -20,7 +20,7 @@ def simulate(arguments: argparse.Namespace) -> int:
     """Runs `jaxform simulate` with its arguments and returns its exit status."""
     with session.drawing(arguments) as draw:
         say, store = session.prepare(arguments)
-        from jaxform.io import files, report, rewriting
+        from jaxform.io import files, rewriting
         from jaxform.io.output import Frames
         from jaxform.runs import loop
 
@@ -38,7 +38,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         def rest() -> None:
             rewriting.keep_scene(document, arguments.out)
             frames.finish(scene, result)
-            report.write_report(arguments.out)
+            session.write_report(arguments.out)
 
         summary = session.write_part(arguments, scene, result, reference, draw=draw, then=rest)
     _tell(say, summary, arguments.out)

@@ -29,7 +29,7 @@ NAME = "cup <script>alert(1)</script> & more"
 RADIUS = np.hypot(*SHEET.positions[:, :2].T) / 0.1
 
 
-def _write_part(path: Path, height: float) -> dict[str, Array]:
+def _write_part(path: Path, height: float, sheet: float = 1e-3) -> dict[str, Array]:
     """Writes a cap of a height over the sheet and returns its data; the outer half touches, from the rim inwards.
 
     Its wall is by no law: from 0.2 mm in the middle to 1 mm at the rim; that of no height is the sheet.
@@ -41,7 +41,7 @@ def _write_part(path: Path, height: float) -> dict[str, Array]:
     nodal = {
         "reference": SHEET.positions,
         "thickness": 2e-4 + 8e-4 * RADIUS**2,
-        "initial_thickness": np.full(len(RADIUS), 1e-3),
+        "initial_thickness": np.full(len(RADIUS), sheet),
         "contact_time": np.where(SHEET.clamped, 0.0, time),
     }
     cells = {"thickness": walls, "stretch_1": 1e-3 / walls / 1.25, "stretch_2": 0 * walls + 1.25, "level": 0 * walls}
@@ -109,7 +109,7 @@ def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = {"before": first, "after": first | {"objective": 0.125}, "evaluations": 2, "message": "done"}
     summary = _summary(_write_part(folder / "final.vtu", 0.05)) | {"design": found}
     (folder / "summary.json").write_text(json.dumps(summary))
-    _write_part(folder / "start.vtu", 0.02)
+    _write_part(folder / "start.vtu", 0.02, sheet=2e-3)
     rows = [
         "simulations,thickness_rms_error,wall_min,wall_mean",
         "1,0.25,2e-4,6e-4",

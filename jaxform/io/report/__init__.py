@@ -41,8 +41,10 @@ def write_report(folder: str | Path) -> Path:
     parcel = Parcel()
     facts = pack_parts(results, parcel) | {
         "charts": pack_charts(results, parcel),
+        "frame_count": results.frame_count,
         "points": [point.drawn() for point in points],
         "thinnest": results.summary["thickness"]["min"],
+        "thickest": results.summary["thickness"]["max"],
     }
     design = page.design(results.summary)
     parts = {

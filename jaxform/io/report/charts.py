@@ -19,13 +19,20 @@ from jaxform.results.sections import Curve
 Array = NDArray[np.float64]
 Chart = dict[str, Any]
 
+_KEPT = 5e-3  # of a limit, by which it may be broken
+
+
+_DESIGNED = {
+    "initial_thickness": ("initial thickness [mm]", 1e3),
+    "temperature": ("temperature of the sheet [°C]", 1.0),
+}
+
 
 def pack_charts(results: Results, parcel: Parcel) -> list[Chart]:
     """Packs the points of the diagrams; returns their titles, axes and lines, as plain numbers and words."""
     charts = [_wall(results, parcel)]
     if results.start is not None:
-        disc = is_disc(results.part, symmetry_of(results))
-        charts.append(_initial(results.start, results.part, disc, parcel))
+        charts += _initial(results.start, results.part, is_disc(results.part, symmetry_of(results)), parcel)
     if results.history:
         charts += _history(results.history, parcel)
     return [chart for chart in charts if chart["series"]]
@@ -53,16 +60,26 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
     return _chart(title, f"{where} [mm]", "wall thickness [mm]", series, zero=True)
 
 
-def _initial(start: Part, best: Part, disc: bool, parcel: Parcel) -> Chart:
-    """The initial thickness over the place in the sheet, before and after a search."""
+def _initial(start: Part, best: Part, disc: bool, parcel: Parcel) -> list[Chart]:
+    """What the search changed in the sheet, its thickness or temperature, over the place there; none of another."""
+    changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
+    if not changed:
+        return []
+    (words, factor), name = _DESIGNED[changed[0]], changed[0]
     along = int(np.argmax(np.ptp(best.reference, axis=0)))
     series = []
     for role, label, part in (("after", "best design", best), ("before", "start", start)):
+        if name not in part.nodal:
+            continue
         place = np.hypot(*part.reference[:, :2].T) if disc else part.reference[:, along]
-        points = _shown(1e3 * place, 1e3 * part.nodal["initial_thickness"], dots=True)
+        points = _shown(1e3 * place, factor * part.nodal[name], dots=True)
         series.append({"label": label, "role": role, "dots": True, **_packed(parcel, f"initial.{role}", *points)})
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
-    return _chart("The sheet before it is formed", f"{where} [mm]", "initial thickness [mm]", series, zero=True)
+    return [_chart("The sheet before it is formed", f"{where} [mm]", words, series, zero=factor > 1.0)]
+
+
+def _same(one: Array | None, other: Array) -> bool:
+    return one is not None and np.array_equal(one, other)
 
 
 def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
@@ -70,10 +87,9 @@ def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
     error, words = 100 * _column(rows, "thickness_rms_error"), "deviation from the target, rms [%]"
     if not np.isfinite(error).any():
         error, words = _column(rows, "objective"), "objective"
-    best = np.fmin.accumulate(np.where(error > 0, error, np.nan))
     search = [
         {"label": "each simulation", "role": "before", "dots": True, **_packed(parcel, "search.all", spent, error)},
-        {"label": "best so far", "role": "after", "dots": False, **_packed(parcel, "search.best", spent, best)},
+        _good(rows, spent, error, parcel),
     ]
     walls = []
     for role, label, name in (("after", "mean wall", "wall_mean"), ("other", "thinnest wall", "wall_min")):
@@ -84,6 +100,17 @@ def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
         _chart("History of the search", cost, words, search, log=True),
         _chart("The wall on the way", cost, "wall thickness [mm]", walls, zero=True),
     ]
+
+
+def _good(rows: Sequence[dict[str, str]], spent: Array, error: Array, parcel: Parcel) -> dict[str, Any]:
+    """The simulations that keep all limits, or the best so far where there are none."""
+    if "violation" in rows[0]:
+        kept = _column(rows, "violation") <= _KEPT
+        return {"label": "limits kept", "role": "after", "dots": True} | _packed(
+            parcel, "search.kept", spent[kept], error[kept]
+        )
+    best = np.fmin.accumulate(np.where(error > 0, error, np.nan))
+    return {"label": "best so far", "role": "after", "dots": False} | _packed(parcel, "search.best", spent, best)
 
 
 def _chart(title: str, x: str, y: str, series: list[dict[str, Any]], *, zero: bool = False, log: bool = False) -> Chart:

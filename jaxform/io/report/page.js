@@ -1,7 +1,7 @@
 // The page: what is drawn, what is chosen, what is read.
 
 const get = (id) => document.getElementById(id);
-const MM = 1000, NONE = -1e30;
+const MM = 1000, NONE = Math.fround(-1e30);
 
 async function start() {
   const facts = await unpack(get("parcel").textContent);
@@ -52,6 +52,7 @@ class Page {
   player() {
     const slider = get("frame"), last = this.frames.length;
     get("frames").hidden = false;
+    if (this.facts.frame_count > last + 1) get("kept").textContent = `${last + 1} of ${this.facts.frame_count} frames`;
     Object.assign(slider, { max: last, value: last });
     slider.addEventListener("input", () => this.show());
     get("play").addEventListener("click", () => {
@@ -80,9 +81,10 @@ class Page {
     this.quantity = this.facts.quantities[Number(get("quantity").value)];
     const before = view.panes.map(({ part }) => part.prefix).join();
     view.panes.forEach(({ surface }) => view.release(surface));
+    this.gaps = false;
     view.panes = this.wanted().map((number) => this.pane(number));
     if (before !== view.panes.map(({ part }) => part.prefix).join()) this.picked = null;
-    get("time").textContent = `${short(view.panes[0].part.time * 1000)} ms`;
+    get("time").textContent = `${short(view.panes[0].part.time)} s`;
     this.settle();
     this.read();
   }
@@ -90,6 +92,7 @@ class Page {
   pane(number) {
     const part = number ? new Part(this.facts, number) : this.first, position = part.cornersOf(part.positions);
     const value = part.values(this.quantity).map((x) => (Number.isFinite(x) ? x : NONE));
+    this.gaps ||= this.quantity.key === "contact_time" && value.includes(NONE);
     const wall = part.values(this.facts.quantities[0]);
     const normal = cornerNormals(position, part.nodes);
     return { part, surface: this.view.surface({ position, normal, value, wall }, 3 * part.count) };
@@ -109,7 +112,7 @@ class Page {
     const { view, quantity } = this, limit = parseFloat(get("limit").value);
     Object.assign(view.options, { whole: get("whole").checked, mold: get("mold").checked, edges: get("edges").checked });
     Object.assign(view.options, { range: [quantity.low, quantity.high], limit: limit > 0 ? limit : -1 });
-    get("below").textContent = limit > 0 ? `${short(100 * this.shareBelow(limit), 3)} % of the formed area` : "";
+    get("below").textContent = limit > 0 ? `${short(100 * this.shareBelow(limit), 3)} % of the area` : "";
     this.frameBox();
     this.colorBar();
     this.redraw();
@@ -175,7 +178,10 @@ class Page {
     const last = view.panes[view.panes.length - 1];
     this.pins = [];
     if (last.part.number === 0 || last.part === this.first)
-      this.pins = facts.points.map(({ formed, name }, k) => ({ pane: last, point: formed, node: pin(overlay, last, view, formed, String(k + 1), name === "thinnest") }));
+      this.pins = facts.points
+        .map(({ formed, name }, k) => ({ pane: last, point: formed, number: String(k + 1), thin: name === "thinnest" }))
+        .filter(({ point }) => !point.includes(null))
+        .map((one) => ({ ...one, node: pin(overlay, last, view, one.point, one.number, one.thin) }));
     if (this.picked) for (const { pane, point } of this.picked.marks) if (view.panes.includes(pane)) pin(overlay, pane, view, point, "", false, "picked");
     if (this.crossed) for (const { seen } of [last]) put(overlay, "cross", "", seen.left + seen.width / 2, seen.height / 2);
   }
@@ -193,7 +199,7 @@ class Page {
       const towards = (end) => [0, 1].map((k) => end[k] + 0.12 * (middleOf[k] - end[k]));
       const words = [millimetres(low[axis], 3), millimetres(high[axis], 3)];
       [[towards(line[0]), words[0], 14], [towards(line[1]), words[1], 14], [middleOf, `${"xyz"[axis]} [mm]`, 18]].forEach(([[x, y], text, away]) =>
-        put(overlay, "", text, x + away * out[0], y + away * out[1]));
+        put(overlay, "", text, clamp(x + away * out[0], pane.seen.left + 24, pane.seen.left + pane.seen.width - 24), y + away * out[1]));
     }
   }
 
@@ -219,8 +225,11 @@ class Page {
       const at = Math.min(Math.max((value - low) / span, 0), 1);
       element(box, "span", { className: kind }, text).style.bottom = `${100 * at}%`;
     };
+    bar.querySelector("em").textContent = this.gaps ? "grey: free, or held from the start" : "";
     const values = ticks(low, high, 5).filter((value) => !(Math.abs(value - thin) < 0.07 * span));
-    values.forEach((value) => tick(value, short(value, 3), ""));
+    const more = key === "thickness" && MM * this.facts.thickest > 1.001 * high;
+    if (more) tick(high, `${short(high, 3)} and more`, "");
+    values.filter((value) => !more || high - value > 0.07 * span).forEach((value) => tick(value, short(value, 3), ""));
     if (Number.isFinite(thin)) tick(thin, `thinnest ${short(thin, 3)}`, "thin");
     if (this.picked) {
       const value = this.valueAt(this.picked.reading);
@@ -293,6 +302,7 @@ class Page {
     if (this.facts.search && get("shown").value === "start") (get("shown").value = "best"), this.show();
     if (this.frames.length) (get("frame").value = this.frames.length), this.show();
     const { view } = this, pane = view.panes[view.panes.length - 1], point = this.facts.points[number];
+    if (point.formed.includes(null)) return;
     const away = point.formed.map((x, k) => x - view.center[k]);
     view.azimuth = Math.atan2(away[1], away[0]);
     view.elevation = clamp(Math.atan2(view.up * away[2], Math.hypot(away[0], away[1])), -1.2, 1.2);
@@ -394,7 +404,7 @@ function touched(times) {
 function touchWords(times) {
   const known = times.filter((time) => Number.isFinite(time));
   if (known.length < 3) return known.length ? "only some of its corners" : "not";
-  return Math.max(...times) > 0 ? `${short(1000 * Math.max(...times))} ms` : "held from the start";
+  return Math.max(...times) > 0 ? `at ${short(Math.max(...times))} s` : "held from the start";
 }
 
 function boxEdges(low, high) {
@@ -430,6 +440,7 @@ function theme() {
 start().catch((error) => {
   const problem = get("problem");
   problem.hidden = false;
+  for (const part of [get("bar"), ...document.querySelectorAll("#stage .tools, #reading")]) part.hidden = true;
   problem.textContent = `The part cannot be drawn here (${error.message}). It needs a browser with WebGL2 and DecompressionStream: any since 2023. The tables on this page are complete.`;
   document.documentElement.dataset.ready = "no";
 });

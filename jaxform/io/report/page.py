@@ -18,6 +18,7 @@ _ENERGY = {
     "refinement_loss": "refinement: taken away by new nodes",
     "viscous_loss": "viscous modes",
     "friction_loss": "friction",
+    "tool_work": "work of tools",
 }
 _WHOLE = {1: "half", 2: "a quarter", 3: "an eighth"}  # of the part is modelled, by the number of symmetry planes
 _NOTHING = "\N{EN DASH}"
