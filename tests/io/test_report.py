@@ -252,6 +252,41 @@ def test_a_large_part_takes_little_room() -> None:
         assert len(parcel.text(contents.pack_parts(reading.Results(summary, part), parcel))) < most
 
 
+def test_frames_share_a_mesh_or_bring_their_own(folder: Path) -> None:
+    """Of a refined sheet every frame has a mesh of its own, whose elements are packed in another order."""
+    part, half = reading.read_results(folder).part, reading._part(folder / "frames" / "1.vtu")
+    order = np.random.default_rng(0).permutation(len(part.triangles))
+    finer = part._replace(triangles=part.triangles[order], cells={name: x[order] for name, x in part.cells.items()})
+    parcel = packing.Parcel()
+    results = reading.Results({"time": 1.0}, part, frames=[(0.1, half), (0.2, finer), (0.3, finer)])
+    arrays = _unpacked(parcel.text(contents.pack_parts(results, parcel)))[1]
+    assert {name for name in arrays if name.startswith("mesh")} == {
+        f"mesh{mesh}.{name}" for mesh in (0, 1) for name in ("triangles", "reference", "level")
+    }
+    assert "part1.contact_time" not in arrays and "part2.contact_time" in arrays
+    wanted = {tuple(row) for row in np.round(part.positions[part.triangles].reshape(-1, 9), 4)}
+    packed = arrays["part2.positions"][arrays["mesh1.triangles"]].reshape(-1, 9)
+    walls = dict(
+        zip(map(tuple, np.round(part.positions[part.triangles].mean(1), 4)), part.cells["thickness"], strict=True)
+    )
+    assert len(wanted) == len(packed)
+    near = np.linalg.norm(packed[:, None] - np.array(sorted(wanted))[None], axis=2).min(1)
+    assert near.max() < 2e-4
+    middles = np.array(list(walls))
+    for row, wall in zip(packed.reshape(-1, 3, 3).mean(1), arrays["part2.thickness"][:, 0], strict=True):
+        closest = tuple(middles[np.argmin(np.linalg.norm(middles - row, axis=1))])
+        assert wall == pytest.approx(walls[closest], rel=1e-3)
+
+
+def test_a_mold_that_ends_at_the_symmetry_plane_has_images() -> None:
+    whole = molds.revolved(profile=[[0.0, 0.06], [0.08, 0.06], [0.11, 0.0]], segments=24)
+    half = whole.triangles[(whole.vertices[whole.triangles][..., 0] > -1e-9).all(1)]
+    for triangles, mirrored in ((whole.triangles, False), (half, True)):
+        mold = meshes.used(meshes.Mesh(whole.vertices, triangles))
+        told = contents._pack_mold(mold, {"x": 0.0}, packing.Parcel())
+        assert told == {"mirrored": mirrored, "rough": False}
+
+
 def test_a_fine_mold_is_drawn_more_roughly() -> None:
     ball = shapes.sphere(radius=1.0, elements=80_000)
     vertices, triangles = contents._roughened(ball.positions, ball.triangles)
@@ -444,3 +479,15 @@ def test_a_design_is_shown_beside_its_start(page: browser.Browser, design: Path)
         assert title in titles
     assert page.value("document.querySelectorAll('svg.chart').length") == 4
     assert page.complaints == [] and page.requests == [(design / "report.html").as_uri()]
+
+
+def test_without_webgl_the_tables_and_diagrams_are_there(page: browser.Browser, folder: Path) -> None:
+    script = "HTMLCanvasElement.prototype.getContext = () => null"
+    number = page.call("Page.addScriptToEvaluateOnNewDocument", source=script)["identifier"]
+    page.visit(folder / "report.html", READY)
+    page.call("Page.removeScriptToEvaluateOnNewDocument", identifier=number)
+    assert page.value(READY) == "no"
+    assert "no WebGL2" in page.value("document.getElementById('problem').innerText")
+    assert page.value("document.querySelectorAll('svg.chart').length") == 1
+    assert "0.0123" not in page.value("document.body.innerText")  # masses are in g
+    assert "12.3 g" in page.value("document.body.innerText")

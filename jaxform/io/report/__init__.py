@@ -20,7 +20,7 @@ from jaxform.io.report.packing import Parcel
 from jaxform.io.report.reading import read_results
 
 NAME = "report.html"
-_SCRIPTS = ("unpack.js", "chart.js", "part.js", "view.js", "page.js")
+_SCRIPTS = ("unpack", "chart", "part", "shaders", "view", "words", "overlay", "controls", "page")
 
 
 def write_report(folder: str | Path) -> Path:
@@ -57,7 +57,7 @@ def write_report(folder: str | Path) -> Path:
         "energy": page.energy(results.summary),
         "scene": page.scene(results),
         "parcel": parcel.text(facts),
-        "scripts": "\n".join(_text(name) for name in _SCRIPTS),
+        "scripts": "\n".join(_text(f"{name}.js") for name in _SCRIPTS),
     }
     text = "".join(parts[piece] if place % 2 else piece for place, piece in enumerate(_text("page.html").split("@")))
     with whole(folder / NAME) as fresh:

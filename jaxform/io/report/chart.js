@@ -1,6 +1,11 @@
 // Diagrams: lines and clouds of points in SVG, with a reading under the pointer.
 
-const WIDTH = 640, HEIGHT = 330, LEFT = 62, RIGHT = 16, TOP = 12, BOTTOM = 48;
+const WIDTH = 640,
+  HEIGHT = 330,
+  LEFT = 62,
+  RIGHT = 16,
+  TOP = 12,
+  BOTTOM = 48;
 
 function short(value, digits = 4) {
   return Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "–";
@@ -23,8 +28,10 @@ function element(parent, tag, attributes = {}, text = "") {
 }
 
 function ticks(low, high, wanted = 6) {
-  const rough = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].find((factor) => factor * power >= rough) * power, found = [];
+  const rough = (high - low) / wanted,
+    power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].find((factor) => factor * power >= rough) * power,
+    found = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
   return found;
 }
@@ -40,10 +47,16 @@ function chart(parent, { title, x, y, series, zero, log }) {
   const figure = element(element(parent, "section", { className: "card" }), "figure");
   element(figure, "h2", {}, title);
   const legend = element(figure, "div", { className: "legend" });
-  const points = series.map(({ points }) => pairs(points, log)), all = points.flat();
+  const points = series.map(({ points }) => pairs(points, log)),
+    all = points.flat();
   if (!all.length) return figure.parentNode.remove();
   const scale = scales(all, zero, log);
-  const svg = drawn(figure, "svg", { class: "chart", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": title });
+  const svg = drawn(figure, "svg", {
+    class: "chart",
+    viewBox: `0 0 ${WIDTH} ${HEIGHT}`,
+    role: "img",
+    "aria-label": title,
+  });
   axes(svg, scale, x, y, log);
   series.forEach((line, index) => {
     element(legend, "span", { className: line.role }, line.label);
@@ -73,24 +86,28 @@ function pairs(values, log) {
 function scales(all, zero, log) {
   let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
   for (const [a, b] of all) {
-    left = Math.min(left, a), right = Math.max(right, a), low = Math.min(low, b), high = Math.max(high, b);
+    ((left = Math.min(left, a)), (right = Math.max(right, a)), (low = Math.min(low, b)), (high = Math.max(high, b)));
   }
-  if (right <= left) left -= 0.5, right += 0.5;
-  if (log) low /= 1.15, high *= 1.15;
+  if (right <= left) ((left -= 0.5), (right += 0.5));
+  if (log) ((low /= 1.15), (high *= 1.15));
   else {
     const room = 0.06 * (high - low || Math.abs(high) || 1);
-    low = zero && low >= 0 ? 0 : low - room, high += room;
+    ((low = zero && low >= 0 ? 0 : low - room), (high += room));
   }
   const bend = log ? Math.log : (value) => value;
   return {
-    left, right, low, high,
+    left,
+    right,
+    low,
+    high,
     across: (a) => LEFT + ((a - left) / (right - left)) * (WIDTH - LEFT - RIGHT),
     up: (b) => HEIGHT - BOTTOM - ((bend(b) - bend(low)) / (bend(high) - bend(low))) * (HEIGHT - TOP - BOTTOM),
   };
 }
 
 function axes(svg, scale, x, y, log) {
-  const bottom = HEIGHT - BOTTOM, middle = (TOP + bottom) / 2;
+  const bottom = HEIGHT - BOTTOM,
+    middle = (TOP + bottom) / 2;
   for (const value of ticks(scale.left, scale.right, 7)) {
     const at = scale.across(value);
     drawn(svg, "line", { class: "grid", x1: at, x2: at, y1: TOP, y2: bottom });
@@ -110,24 +127,29 @@ function axes(svg, scale, x, y, log) {
 function follow(svg, scale, series, points, x, y) {
   const group = drawn(svg, "g", { visibility: "hidden" });
   const line = drawn(group, "line", { class: "cursor", y1: TOP, y2: HEIGHT - BOTTOM });
-  const dot = drawn(group, "circle", { class: "focus", r: 5 }), words = drawn(group, "text", { class: "value" });
+  const dot = drawn(group, "circle", { class: "focus", r: 5 }),
+    words = drawn(group, "text", { class: "value" });
   svg.addEventListener("pointerleave", () => group.setAttribute("visibility", "hidden"));
   svg.addEventListener("pointermove", (event) => {
-    const box = svg.getBoundingClientRect(), factor = WIDTH / box.width;
+    const box = svg.getBoundingClientRect(),
+      factor = WIDTH / box.width;
     const [px, py] = [(event.clientX - box.left) * factor, (event.clientY - box.top) * factor];
-    let best = Infinity, found = null;
+    let best = Infinity,
+      found = null;
     points.forEach((some, index) => {
       for (const [a, b] of some) {
         const away = Math.hypot(scale.across(a) - px, 0.3 * (scale.up(b) - py));
-        if (away < best) best = away, found = [a, b, index];
+        if (away < best) ((best = away), (found = [a, b, index]));
       }
     });
-    const [a, b, index] = found, [cx, cy] = [scale.across(a), scale.up(b)], right = cx > WIDTH / 2;
+    const [a, b, index] = found,
+      [cx, cy] = [scale.across(a), scale.up(b)],
+      right = cx > WIDTH / 2;
     group.setAttribute("visibility", "visible");
     group.setAttribute("class", series[index].role);
-    line.setAttribute("x1", cx), line.setAttribute("x2", cx);
-    dot.setAttribute("cx", cx), dot.setAttribute("cy", cy);
-    words.setAttribute("x", cx + (right ? -10 : 10)), words.setAttribute("y", Math.max(cy - 10, TOP + 12));
+    (line.setAttribute("x1", cx), line.setAttribute("x2", cx));
+    (dot.setAttribute("cx", cx), dot.setAttribute("cy", cy));
+    (words.setAttribute("x", cx + (right ? -10 : 10)), words.setAttribute("y", Math.max(cy - 10, TOP + 12)));
     words.setAttribute("text-anchor", right ? "end" : "start");
     words.textContent = `${short(b)} ${unit(y)} at ${short(a)} ${unit(x)}`;
   });

@@ -1,6 +1,7 @@
 // A part as it is drawn: the corners of its elements, their normals and values, and what is at a place of an element.
 
 const CREASE = Math.cos((35 * Math.PI) / 180);
+const MIDDLE = [1 / 3, 1 / 3, 1 / 3]; // of an element, as shares of its corners
 const AREA_STRETCH = "area_stretch";
 
 class Part {
@@ -51,9 +52,24 @@ class Part {
     return [values[3 * node], values[3 * node + 1], values[3 * node + 2]];
   }
 
+  // The share of the area where the wall is thinner than a limit [m].
+  shareBelow(limit) {
+    const walls = this.raw("thickness");
+    let [below, all] = [0, 0];
+    for (let k = 0; k < this.count; k++) {
+      const [a, b, c] = [0, 1, 2].map((corner) => this.corner(this.positions, k, corner));
+      const [u, v] = [b, c].map((end) => end.map((x, axis) => x - a[axis]));
+      const area = Math.hypot(...cross(u, v));
+      all += area;
+      if (walls[k] < limit) below += area;
+    }
+    return below / (all || 1);
+  }
+
   // What is at a place of an element, given by the shares of its corners.
   at(element, shares) {
-    const mixed = (values) => [0, 1, 2].map((axis) => shares.reduce((sum, share, k) => sum + share * this.corner(values, element, k)[axis], 0));
+    const mixed = (values) =>
+      [0, 1, 2].map((axis) => shares.reduce((sum, share, k) => sum + share * this.corner(values, element, k)[axis], 0));
     const nodes = [0, 1, 2].map((k) => this.nodes[3 * element + k]);
     const nodal = (key) => {
       const raw = this.raw(key);
@@ -62,19 +78,26 @@ class Part {
     const own = (key) => this.raw(key)[element];
     const times = nodes.map((node) => (this.raw("contact_time") || [])[node] ?? NaN);
     return {
-      element, times, nodal, own,
-      formed: mixed(this.positions), initial: mixed(this.reference),
-      thickness: own("thickness"), stretches: [own("stretch_1"), own("stretch_2")], level: own("level"),
+      element,
+      times,
+      nodal,
+      own,
+      formed: mixed(this.positions),
+      initial: mixed(this.reference),
+      thickness: own("thickness"),
+      stretches: [own("stretch_1"), own("stretch_2")],
+      level: own("level"),
     };
   }
 
-  // The element (and shares of its corners) in whose initial place a point of the sheet is; the nearest one.
+  // The element whose middle was nearest to a place of the sheet.
   find(initial) {
-    let best = Infinity, found = 0;
+    let best = Infinity,
+      found = 0;
     for (let element = 0; element < this.count; element++) {
       const [a, b, c] = [0, 1, 2].map((k) => this.corner(this.reference, element, k));
       const away = Math.hypot(...[0, 1, 2].map((axis) => (a[axis] + b[axis] + c[axis]) / 3 - initial[axis]));
-      if (away < best) best = away, found = element;
+      if (away < best) ((best = away), (found = element));
     }
     return found;
   }
@@ -90,11 +113,14 @@ function lastOfCorners(values) {
 
 // Normals (3 per corner): the mean of the elements around, but for those that bend away from it by more than a crease.
 function cornerNormals(corners, nodes) {
-  const count = nodes.length / 3, own = new Float32Array(3 * count), mean = new Float32Array(3 * (1 + nodes.reduce((a, b) => Math.max(a, b), 0)));
+  const count = nodes.length / 3,
+    own = new Float32Array(3 * count),
+    mean = new Float32Array(3 * (1 + nodes.reduce((a, b) => Math.max(a, b), 0)));
   for (let k = 0; k < count; k++) {
     const p = corners.subarray(9 * k, 9 * k + 9);
     const [ux, uy, uz, vx, vy, vz] = [p[3] - p[0], p[4] - p[1], p[5] - p[2], p[6] - p[0], p[7] - p[1], p[8] - p[2]];
-    const normal = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], size = Math.hypot(...normal) || 1;
+    const normal = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx],
+      size = Math.hypot(...normal) || 1;
     for (let axis = 0; axis < 3; axis++) {
       own[3 * k + axis] = normal[axis] / size;
       for (let corner = 0; corner < 3; corner++) mean[3 * nodes[3 * k + corner] + axis] += normal[axis];
@@ -102,9 +128,11 @@ function cornerNormals(corners, nodes) {
   }
   const found = new Float32Array(9 * count);
   for (let k = 0; k < 3 * count; k++) {
-    const [at, face] = [3 * nodes[k], 3 * ((k / 3) | 0)], size = Math.hypot(mean[at], mean[at + 1], mean[at + 2]) || 1;
+    const [at, face] = [3 * nodes[k], 3 * ((k / 3) | 0)],
+      size = Math.hypot(mean[at], mean[at + 1], mean[at + 2]) || 1;
     const along = (mean[at] * own[face] + mean[at + 1] * own[face + 1] + mean[at + 2] * own[face + 2]) / size;
-    for (let axis = 0; axis < 3; axis++) found[3 * k + axis] = along > CREASE ? mean[at + axis] / size : own[face + axis];
+    for (let axis = 0; axis < 3; axis++)
+      found[3 * k + axis] = along > CREASE ? mean[at + axis] / size : own[face + axis];
   }
   return found;
 }

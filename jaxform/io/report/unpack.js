@@ -1,13 +1,15 @@
 // Unpacks what packing.py packed.
 
 async function unpack(text) {
-  const letters = atob(text.trim()), packed = new Uint8Array(letters.length);
+  const letters = atob(text.trim()),
+    packed = new Uint8Array(letters.length);
   for (let k = 0; k < letters.length; k++) packed[k] = letters.charCodeAt(k);
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   const size = new DataView(bytes.buffer).getUint32(0, true);
   const facts = JSON.parse(new TextDecoder().decode(bytes.subarray(4, 4 + size)));
-  const content = bytes.subarray(4 + size), known = new Map();
+  const content = bytes.subarray(4 + size),
+    known = new Map();
   facts.array = (name) => {
     if (!known.has(name)) known.set(name, name in facts.arrays ? decode(content, facts.arrays[name]) : null);
     return known.get(name);
@@ -19,7 +21,8 @@ function decode(content, { at, count, columns, coding, low, step }) {
   if (coding === "index") return decodeIndices(content.subarray(at), count);
   const values = new Float32Array(count * columns);
   for (let column = 0; column < columns; column++) {
-    const high = content.subarray(at + 2 * count * column), rest = high.subarray(count);
+    const high = content.subarray(at + 2 * count * column),
+      rest = high.subarray(count);
     for (let k = 0, code = 0; k < count; k++) {
       const change = (high[k] << 8) | rest[k];
       code = (code + ((change >> 1) ^ -(change & 1))) & 65535;
