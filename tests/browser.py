@@ -103,7 +103,6 @@ class Browser:
         """Clicks at a place in CSS pixels."""
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
-        self.frame()
 
     def key(self, key: str) -> None:
         """Presses a key."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from jaxform import molds, shapes
 from jaxform.core.errors import InputError
-from jaxform.io import files, report, rewriting
+from jaxform.io import files, raster, report, rewriting
 from jaxform.io.report import contents, measuring, packing, reading
 from jaxform.mesh import meshes
 from tests import browser, scenes
@@ -418,6 +418,45 @@ def test_a_browser_draws_it_and_a_click_tells_the_wall(page: browser.Browser, fo
     assert page.complaints == [] and page.requests == [(folder / "report.html").as_uri()]
 
 
+def _seen(folder: Path, width: int, height: int) -> NDArray[np.int64]:
+    """Which element each pixel (height, width) of the first view shows, -1 none: by a camera and raster of ours."""
+    part = reading.read_results(folder).part
+    images = [part.positions * [x, y, 1] for y in (1, -1) for x in (1, -1)]
+    faces = np.concatenate([image[part.triangles] for image in images])
+    low, high = faces.min((0, 1)), faces.max((0, 1))
+    middle, turn, tilt, half = (low + high) / 2, -np.pi / 4, 0.62, np.tan(np.pi / 12)
+    # The part hangs: up is -z.
+    away = np.array([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), -np.sin(tilt)])
+    right = np.cross(-away, [0, 0, -1])
+    right /= np.linalg.norm(right)
+    above = np.cross(right, -away)
+    corners = np.array(list(itertools.product(*zip(low - middle, high - middle, strict=True))))
+    aspect = width / height
+    size = np.maximum(np.abs(corners @ right) / aspect, np.abs(corners @ above)) / (0.92 * half)
+    distance = (size + corners @ away).max()
+    offset = faces - middle - distance * away
+    depth = -offset @ away
+    across, up = offset @ right / (depth * half * aspect), offset @ above / (depth * half)
+    pixels = np.stack([(1 + across) / 2 * width, (1 - up) / 2 * height], axis=-1)
+    found = raster.nearest(pixels, -1 / depth, width, height).triangle.reshape(height, width)
+    return np.where(found < 0, -1, found % len(part.triangles))
+
+
+def test_clicks_are_exact_to_the_element(page: browser.Browser, folder: Path) -> None:
+    left, top, width, height = _visit(page, folder / "report.html")
+    seen = _seen(folder, round(width), round(height))
+    random, asked = np.random.default_rng(1), []
+    while len(asked) < 40:
+        x, y = random.integers(2, [round(width) - 2, round(height) - 2])
+        around = seen[y - 1 : y + 2, x - 1 : x + 2]
+        if seen[y, x] >= 0 and (around == seen[y, x]).all():
+            page.click(left + x, top + y)
+            asked.append((page.value("Number(document.getElementById('reading').dataset.element)"), seen[y, x]))
+    told, wanted = np.array(asked).T
+    np.testing.assert_array_equal(told, wanted)
+    assert len(set(wanted)) > 15
+
+
 def test_the_keyboard_turns_it_and_reads_the_middle(page: browser.Browser, folder: Path) -> None:
     """From straight above or below the middle of the view is the axis of the cup."""
     _visit(page, folder / "report.html")
@@ -430,6 +469,26 @@ def test_the_keyboard_turns_it_and_reads_the_middle(page: browser.Browser, folde
     np.testing.assert_allclose(place, [0.0, 0.0, 0.05], atol=1e-3)
     page.key("+")
     assert (page.picture() != before).any(axis=2).mean() > 0.02
+    assert page.complaints == []
+
+
+def test_places_of_the_table_and_of_the_diagram_are_shown(page: browser.Browser, folder: Path) -> None:
+    _visit(page, folder / "report.html")
+    results = reading.read_results(folder)
+    for number, point in enumerate(measuring.measuring_points(results.part, results.summary)):
+        page.value(f"document.querySelector('[data-point=\"{number}\"]').click()")
+        read = page.value("({...document.getElementById('reading').dataset})")
+        assert float(read["thickness"]) == pytest.approx(point.thickness, rel=3e-5)
+        np.testing.assert_allclose(np.array(read["place"].split(","), float), point.formed, atol=2e-6)
+    # The first point of the meridian is on the axis, the last one at the rim.
+    for across, place in ((70 / 640, [0.0, 0.05]), (620 / 640, [0.1, 0.0])):
+        page.value(
+            "(it => (({left, top, width}) => it.dispatchEvent(new MouseEvent('click', "
+            f"{{clientX: left + {across} * width, clientY: top + 9}})))(it.getBoundingClientRect()))"
+            "(document.querySelector('svg.chart'))"
+        )
+        read = page.value("document.getElementById('reading').dataset.place.split(',').map(Number)")
+        np.testing.assert_allclose([np.hypot(read[0], read[1]), read[2]], place, atol=1e-4)
     assert page.complaints == []
 
 

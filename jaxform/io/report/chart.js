@@ -13,7 +13,7 @@ function short(value, digits = 4) {
 
 function drawn(parent, tag, attributes = {}, text = "") {
   const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  set(node, attributes);
   if (text) node.textContent = text;
   parent.appendChild(node);
   return node;
@@ -43,7 +43,8 @@ function logarithmicTicks(low, high) {
   return found.filter((value) => value >= low * 0.999 && value <= high * 1.001);
 }
 
-function chart(parent, { title, x, y, series, zero, log }) {
+// Draws a diagram; `visit` is called with a line and the number of its point that was clicked on, where it has places.
+function chart(parent, { title, x, y, series, zero, log }, visit) {
   const figure = element(element(parent, "section", { className: "card" }), "figure");
   element(figure, "h2", {}, title);
   const legend = element(figure, "div", { className: "legend" });
@@ -72,28 +73,28 @@ function chart(parent, { title, x, y, series, zero, log }) {
     if (!marks.has(mark[2])) element(legend, "span", { className: "thinnest" }, `${mark[2]}: ${short(mark[1])} mm`);
     marks.add(mark[2]);
   }
-  follow(svg, scale, series, points, x, y);
+  follow(svg, scale, series, points, [x, y].map(unit), visit);
 }
 
 function pairs(values, log) {
   const found = [];
   for (let k = 0; k < values.length; k += 2)
     if (Number.isFinite(values[k]) && Number.isFinite(values[k + 1]) && !(log && values[k + 1] <= 0))
-      found.push([values[k], values[k + 1]]);
+      found.push([values[k], values[k + 1], k / 2]);
   return found;
 }
 
 function scales(all, zero, log) {
   let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
   for (const [a, b] of all) {
-    ((left = Math.min(left, a)), (right = Math.max(right, a)), (low = Math.min(low, b)), (high = Math.max(high, b)));
+    left = Math.min(left, a);
+    right = Math.max(right, a);
+    low = Math.min(low, b);
+    high = Math.max(high, b);
   }
-  if (right <= left) ((left -= 0.5), (right += 0.5));
-  if (log) ((low /= 1.15), (high *= 1.15));
-  else {
-    const room = 0.06 * (high - low || Math.abs(high) || 1);
-    ((low = zero && low >= 0 ? 0 : low - room), (high += room));
-  }
+  if (right <= left) [left, right] = [left - 0.5, right + 0.5];
+  const room = 0.06 * (high - low || Math.abs(high) || 1);
+  [low, high] = log ? [low / 1.15, high * 1.15] : [zero && low >= 0 ? 0 : low - room, high + room];
   const bend = log ? Math.log : (value) => value;
   return {
     left,
@@ -123,36 +124,50 @@ function axes(svg, scale, x, y, log) {
   drawn(svg, "text", { x: 15, y: middle, "text-anchor": "middle", transform: `rotate(-90 15 ${middle})` }, y);
 }
 
-// Shows the point that is nearest to the pointer.
-function follow(svg, scale, series, points, x, y) {
-  const group = drawn(svg, "g", { visibility: "hidden" });
-  const line = drawn(group, "line", { class: "cursor", y1: TOP, y2: HEIGHT - BOTTOM });
-  const dot = drawn(group, "circle", { class: "focus", r: 5 }),
+// Shows the point that is nearest to the pointer, and has it visited where it is clicked on.
+function follow(svg, scale, series, points, units, visit) {
+  const group = drawn(svg, "g", { visibility: "hidden" }),
+    line = drawn(group, "line", { class: "cursor", y1: TOP, y2: HEIGHT - BOTTOM }),
+    dot = drawn(group, "circle", { class: "focus", r: 5 }),
     words = drawn(group, "text", { class: "value" });
-  svg.addEventListener("pointerleave", () => group.setAttribute("visibility", "hidden"));
+  if (series.some(({ places }) => places)) svg.classList.add("places");
+  svg.addEventListener("pointerleave", () => set(group, { visibility: "hidden" }));
   svg.addEventListener("pointermove", (event) => {
-    const box = svg.getBoundingClientRect(),
-      factor = WIDTH / box.width;
-    const [px, py] = [(event.clientX - box.left) * factor, (event.clientY - box.top) * factor];
-    let best = Infinity,
-      found = null;
-    points.forEach((some, index) => {
-      for (const [a, b] of some) {
-        const away = Math.hypot(scale.across(a) - px, 0.3 * (scale.up(b) - py));
-        if (away < best) ((best = away), (found = [a, b, index]));
-      }
-    });
-    const [a, b, index] = found,
+    const [a, b, , index] = nearest(svg, scale, points, event),
       [cx, cy] = [scale.across(a), scale.up(b)],
       right = cx > WIDTH / 2;
-    group.setAttribute("visibility", "visible");
-    group.setAttribute("class", series[index].role);
-    (line.setAttribute("x1", cx), line.setAttribute("x2", cx));
-    (dot.setAttribute("cx", cx), dot.setAttribute("cy", cy));
-    (words.setAttribute("x", cx + (right ? -10 : 10)), words.setAttribute("y", Math.max(cy - 10, TOP + 12)));
-    words.setAttribute("text-anchor", right ? "end" : "start");
-    words.textContent = `${short(b)} ${unit(y)} at ${short(a)} ${unit(x)}`;
+    set(group, { visibility: "visible", class: series[index].role });
+    set(line, { x1: cx, x2: cx });
+    set(dot, { cx, cy });
+    set(words, { x: cx + (right ? -10 : 10), y: Math.max(cy - 10, TOP + 12), "text-anchor": right ? "end" : "start" });
+    words.textContent = `${short(b)} ${units[1]} at ${short(a)} ${units[0]}`;
   });
+  svg.addEventListener("click", (event) => {
+    const [, , number, index] = nearest(svg, scale, points, event);
+    if (series[index].places) visit(series[index], number);
+  });
+}
+
+// The point that is nearest to the pointer, above all across: its values, its number, and that of its line.
+function nearest(svg, scale, points, event) {
+  const box = svg.getBoundingClientRect(),
+    factor = WIDTH / box.width,
+    [px, py] = [(event.clientX - box.left) * factor, (event.clientY - box.top) * factor];
+  let best = Infinity,
+    found = null;
+  points.forEach((some, index) => {
+    for (const [a, b, number] of some) {
+      const away = Math.hypot(scale.across(a) - px, 0.3 * (scale.up(b) - py));
+      if (away >= best) continue;
+      best = away;
+      found = [a, b, number, index];
+    }
+  });
+  return found;
+}
+
+function set(node, attributes) {
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
 }
 
 function unit(label) {

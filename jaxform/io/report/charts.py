@@ -51,7 +51,11 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
     series = []
     for number, (label, role, curve) in enumerate(named):
         line = {"label": label, "role": role if number == 0 or results.start else "other", "dots": _is_cloud(curve)}
-        line |= _packed(parcel, f"wall{number}", *_shown(1e3 * curve.arc, 1e3 * curve.thickness, line["dots"]))
+        kept = _shown(curve.arc, curve.thickness, line["dots"])
+        line |= _packed(parcel, f"wall{number}", 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept])
+        # Of the part with that number, in the view.
+        line |= {"places": f"chart.places{number}", "part": 0 if role == "after" else 1}
+        parcel.add(line["places"], curve.place[kept])
         if curve.marked is not None and thin["thickness"] is not None and role == "after":
             line["mark"] = [1e3 * curve.marked, 1e3 * thin["thickness"], "thinnest"]
         series.append(line)
@@ -72,8 +76,9 @@ def _initial(start: Part, best: Part, disc: bool, parcel: Parcel) -> list[Chart]
         if name not in part.nodal:
             continue
         place = np.hypot(*part.reference[:, :2].T) if disc else part.reference[:, along]
-        points = _shown(1e3 * place, factor * part.nodal[name], dots=True)
-        series.append({"label": label, "role": role, "dots": True, **_packed(parcel, f"initial.{role}", *points)})
+        kept = _shown(place, part.nodal[name], dots=True)
+        points = _packed(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
+        series.append({"label": label, "role": role, "dots": True, **points})
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
     return [_chart("The sheet before it is formed", f"{where} [mm]", words, series, zero=factor > 1.0)]
 
@@ -128,12 +133,9 @@ def _is_cloud(curve: Curve) -> bool:
     return curve.label == "all nodes"
 
 
-def _shown(across: Array, up: Array, dots: bool) -> tuple[Array, Array]:
-    """Points of which each can be told from the others."""
-    if not dots or not len(across):
-        return across, up
-    kept = np.sort(seen_apart(across, up))
-    return across[kept], up[kept]
+def _shown(across: Array, up: Array, dots: bool) -> NDArray[np.int64]:
+    """Which points (n,) are drawn: all of a line, and of dots those that can be told from each other."""
+    return np.sort(seen_apart(across, up)) if dots and len(across) else np.arange(len(across))
 
 
 def _column(rows: Sequence[dict[str, str]], name: str) -> Array:

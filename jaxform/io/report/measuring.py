@@ -27,7 +27,6 @@ class Point(NamedTuple):
         chosen: How it was chosen, in words.
         thickness: Of the wall there [m].
         formed, initial: The middle of the element (3,) [m], in the part and in the initial sheet.
-        element: Its number in final.vtu; of the thinnest, which summary.json names, None.
     """
 
     name: str
@@ -35,11 +34,10 @@ class Point(NamedTuple):
     thickness: float
     formed: list[float]
     initial: list[float]
-    element: int | None = None
 
     def drawn(self) -> dict[str, Any]:
         """What the view has to know of it."""
-        return {"name": self.name, "formed": self.formed, "initial": self.initial, "element": self.element}
+        return {"name": self.name, "formed": self.formed}
 
 
 def measuring_points(part: Part, summary: Mapping[str, Any]) -> list[Point]:
@@ -89,7 +87,7 @@ def _scene(part: Part, symmetry: Mapping[str, float]) -> Any:
 def _point(name: str, chosen: str, part: Part, element: int) -> Point:
     nodes = part.triangles[element]
     formed, initial = (places[nodes].mean(0).tolist() for places in (part.positions, part.reference))
-    return Point(name, chosen, float(part.cells["thickness"][element]), formed, initial, element)
+    return Point(name, chosen, float(part.cells["thickness"][element]), formed, initial)
 
 
 def _representative(part: Part, formed: NDArray[np.int64], mean: float) -> int:

@@ -6,8 +6,9 @@ const NONE = Math.fround(-1e30);
 async function start() {
   const facts = await unpack(get("parcel").textContent);
   for (const { series } of facts.charts) for (const line of series) line.points = facts.array(line.points);
-  facts.charts.forEach((described) => chart(get("charts"), described));
-  new Page(facts).begin();
+  const page = new Page(facts);
+  facts.charts.forEach((described) => chart(get("charts"), described, (line, number) => page.follow(line, number)));
+  page.begin();
   document.documentElement.dataset.ready = "yes";
 }
 
@@ -38,6 +39,7 @@ class Page {
         this.overlay.crossed = canvas.matches(":focus-visible");
         redraw();
       });
+    canvas.addEventListener("webglcontextlost", () => complain("the graphics card lost its memory; reload the page"));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.view.theme = theme();
       redraw();
@@ -173,7 +175,8 @@ class Page {
     };
     if (other) {
       // The same place of the sheet in the part beside it.
-      const { formed, thickness } = other.part.at(other.part.find(reading.initial), MIDDLE);
+      const place = other.part.nearest(reading.initial, other.part.reference),
+        { formed, thickness } = other.part.at(place.element, place.shares);
       this.picked.beside = { label: other.part.label, thickness };
       this.picked.marks.push({ pane: panes.indexOf(other), point: inImage(image, formed) });
     }
@@ -195,18 +198,26 @@ class Page {
     Object.assign(box.dataset, { thickness, element: number, place: formed.join() });
   }
 
-  // Turns the view to a place that is to be measured.
-  visit({ formed, initial, element: number }) {
+  // Shows the place of a point of a diagram.
+  follow({ places, part }, number) {
+    if (!this.view) return;
+    const formed = [...this.facts.array(places).subarray(3 * number, 3 * number + 3)];
+    this.visit({ formed, part });
+  }
+
+  // Turns the view to a place of the best design, or of another part, and reads it.
+  visit({ formed, part = 0 }) {
     if (formed.includes(null)) return;
-    if (get("shown").value === "start") get("shown").value = "best";
+    const wanted = ["best", "start"][part],
+      { view } = this;
+    if (!["both", wanted].includes(get("shown").value)) get("shown").value = wanted;
     if (this.frames.length) get("frame").value = this.frames.length;
     this.show();
-    const { view } = this,
-      pane = view.panes[view.panes.length - 1],
+    const pane = view.panes.find((one) => one.part.prefix === `part${part}`),
       away = formed.map((x, k) => x - view.center[k]);
     view.azimuth = Math.atan2(away[1], away[0]);
     view.elevation = clamp(Math.atan2(view.up * away[2], Math.hypot(away[0], away[1])), -1.2, 1.2);
-    this.read({ pane, element: number ?? pane.part.find(initial), shares: MIDDLE, image: view.images(false)[0] });
+    this.read({ pane, ...pane.part.nearest(formed), image: view.images(false)[0] });
     const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     get("stage").scrollIntoView({ behavior: calm ? "auto" : "smooth", block: "start" });
   }
@@ -218,12 +229,14 @@ function theme() {
   return { stage: color("--stage"), line: color("--box"), mold: color("--mold") };
 }
 
-start().catch((error) => {
+function complain(words) {
   const problem = get("problem");
   problem.hidden = false;
   problem.textContent =
-    `The part cannot be drawn here (${error.message}). It needs a browser with WebGL2 and DecompressionStream: any ` +
+    `The part cannot be drawn here (${words}). It needs a browser with WebGL2 and DecompressionStream: any ` +
     "since 2023. The tables on this page are complete.";
   for (const part of [get("bar"), ...document.querySelectorAll("#stage .tools, #reading")]) part.hidden = true;
   document.documentElement.dataset.ready = "no";
-});
+}
+
+start().catch((error) => complain(error.message));

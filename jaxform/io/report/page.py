@@ -67,7 +67,8 @@ def _tiles(results: Results) -> Iterable[str]:
     yield _tile("mean wall", number(wall["mean"], 1e3), "mm", first.get("wall_mean"), 1e3)
     yield _tile("spread of the wall", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
     yield _tile("mass", number(_whole_mass(results), 1e3), "g", _times(first.get("mass"), results), 1e3)
-    yield _tile("touches the mold", number(summary["contact_fraction"], 100, 3), "%")
+    if results.mold is not None:
+        yield _tile("touches the mold", number(summary["contact_fraction"], 100, 3), "%")
     yield _tile("energy missed", _small(summary["energy"].get("balance_error")), "%")
 
 

@@ -90,17 +90,40 @@ class Part {
     };
   }
 
-  // The element whose middle was nearest to a place of the sheet.
-  find(initial) {
-    let best = Infinity,
-      found = 0;
+  // The element, and the shares of its corners, that are nearest to a place: of the part, or in the initial sheet.
+  nearest(place, positions = this.positions) {
+    const found = { element: 0, shares: MIDDLE };
+    let best = Infinity;
     for (let element = 0; element < this.count; element++) {
-      const [a, b, c] = [0, 1, 2].map((k) => this.corner(this.reference, element, k));
-      const away = Math.hypot(...[0, 1, 2].map((axis) => (a[axis] + b[axis] + c[axis]) / 3 - initial[axis]));
-      if (away < best) ((best = away), (found = element));
+      const corners = [0, 1, 2].map((k) => this.corner(positions, element, k)),
+        reach = Math.hypot(...corners[0].map((x, axis) => x - place[axis]));
+      // What is farther away than its own size and the best one cannot be nearer.
+      if (reach - Math.max(span(corners[0], corners[1]), span(corners[0], corners[2])) > best) continue;
+      const shares = sharesOf(place, corners),
+        foot = place.map((_, axis) => shares.reduce((sum, share, k) => sum + share * corners[k][axis], 0)),
+        away = span(foot, place);
+      if (away >= best) continue;
+      best = away;
+      Object.assign(found, { element, shares });
     }
     return found;
   }
+}
+
+function span(a, b) {
+  return Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+}
+
+// Shares of a triangle's corners at the foot of a place in its plane; none below 0.
+function sharesOf(place, [a, b, c]) {
+  const [u, v, from] = [b, c, place].map((end) => end.map((x, axis) => x - a[axis])),
+    normal = cross(u, v),
+    size = dot(normal, normal);
+  if (!size) return MIDDLE;
+  const [second, third] = [dot(cross(from, v), normal) / size, dot(cross(u, from), normal) / size];
+  const kept = [1 - second - third, second, third].map((share) => Math.max(share, 0)),
+    sum = kept[0] + kept[1] + kept[2];
+  return kept.map((share) => share / sum);
 }
 
 // An element touches since its last corner does; clamped elements have no time of contact.

@@ -7,7 +7,7 @@ class View {
     this.panes = [];
     this.options = { whole: true, mold: true, edges: false, limit: -1, range: [0, 1] };
     this.planes = Object.entries(symmetry).map(([axis, level]) => ["xyz".indexOf(axis), level]);
-    this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
+    this.gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
     if (!this.gl) throw new Error("no WebGL2");
     this.prepare();
     this.home();
@@ -291,28 +291,21 @@ class View {
   }
 
   // Where the ray through a place in CSS pixels meets the plane of an element: shares of its corners, none below 0.
-  shares(pane, element, { flip, shift }, x, y) {
+  shares(pane, element, image, x, y) {
     const { camera, left, width, height } = pane.seen,
       slope = Math.tan(FIELD / 2);
     const across = ((2 * (x - left)) / width - 1) * slope * camera.aspect,
       up = (1 - (2 * y) / height) * slope;
     const ray = camera.forward.map((value, k) => value + across * camera.right[k] + up * camera.above[k]);
-    const [a, b, c] = [0, 1, 2].map((k) =>
-      pane.part.corner(pane.part.positions, element, k).map((value, axis) => flip[axis] * value + shift[axis]),
+    const corners = [0, 1, 2].map((k) => inImage(image, pane.part.corner(pane.part.positions, element, k))),
+      [from, u, v] = [camera.eye, corners[1], corners[2]].map((end) => end.map((value, k) => value - corners[0][k])),
+      normal = cross(u, v),
+      fall = dot(normal, ray);
+    if (!fall) return MIDDLE;
+    return sharesOf(
+      camera.eye.map((value, k) => value - (dot(normal, from) / fall) * ray[k]),
+      corners,
     );
-    const [u, v] = [b, c].map((end) => end.map((value, k) => value - a[k])),
-      from = camera.eye.map((value, k) => value - a[k]);
-    const normal = cross(u, v),
-      fall = dot(normal, ray),
-      size = dot(normal, normal);
-    if (!fall || !size) return MIDDLE;
-    const way = -dot(normal, from) / fall,
-      hit = from.map((value, k) => value + way * ray[k]);
-    const found = [0, dot(cross(hit, v), normal) / size, dot(cross(u, hit), normal) / size];
-    found[0] = 1 - found[1] - found[2];
-    const kept = found.map((share) => Math.max(share, 0)),
-      sum = kept[0] + kept[1] + kept[2];
-    return kept.map((share) => share / sum);
   }
 }
 
