@@ -108,26 +108,20 @@ def quality(results: Results) -> str:
 
 
 def to_measure(points: Sequence[Point]) -> str:
-    """The table of places to measure on a first part; each can be shown in the view."""
+    """The table of places to measure on a first part, which can be shown in the view, and how they were chosen."""
     rows = "".join(
         f'<tr><td><button class="mark" data-point="{index}" aria-label="show the {point.name} place">{index + 1}'
         f"</button></td><td>{point.name}</td><td class=number>{number(point.thickness, 1e3)}</td>"
-        f"<td>{_place(point.formed, '')}</td><td>{_place(point.initial, '')}</td>"
-        f"<td class=quiet>{escape(point.chosen)}</td></tr>"
+        f"<td>{_place(point.formed, '')}</td><td>{_place(point.initial, '')}</td></tr>"
         for index, point in enumerate(points)
     )
-    head = "".join(
-        f'<th scope="col">{words}</th>'
-        for words in (
-            "",
-            "place",
-            "wall [mm]",
-            "in the part, x y z [mm]",
-            "in the sheet, x y z [mm]",
-            "how it was chosen",
-        )
+    words = ("", "place", "wall [mm]", "in the part, x y z [mm]", "in the sheet, x y z [mm]")
+    head = "".join(f'<th scope="col">{text}</th>' for text in words)
+    chosen = "".join(f"<li>{escape(point.chosen)}</li>" for point in points)
+    return (
+        f"<h2>To measure on the first part</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        f'<p class="quiet">How they were chosen:</p><ol class="quiet">{chosen}</ol>'
     )
-    return f"<h2>To measure on the first part</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
 def energy(summary: Mapping[str, Any]) -> str:
@@ -151,8 +145,9 @@ def energy(summary: Mapping[str, Any]) -> str:
 
 
 def _energy_row(words: str, value: Any, total: float) -> str:
-    share = abs(value) / total if isinstance(value, int | float) and total else 0.0
-    bar = f'<span class="bar"><i style="width:{100 * min(share, 1.0):.3g}%"></i></span>{number(share, 100, 3)} %'
+    share = abs(value) / total if isinstance(value, int | float) and total else None
+    width = 100 * min(share or 0.0, 1.0)
+    bar = f'<span class="bar"><i style="width:{width:.3g}%"></i></span>{_small(share)} %'
     return f'<tr><th scope="row">{words}</th><td class=number>{number(value)}</td><td>{bar}</td></tr>'
 
 
@@ -197,7 +192,7 @@ def scene(results: Results) -> str:
 
 def _small(share: Any) -> str:
     """A share in per cent, which below a hundredth of one is not told exactly."""
-    return "&lt; 0.01" if isinstance(share, int | float) and 0 <= share < 1e-4 else number(share, 100, 2)
+    return "&lt; 0.01" if isinstance(share, int | float) and 0 <= share < 1e-4 else number(share, 100, 3)
 
 
 def _place(point: Sequence[Any], unit: str = " mm") -> str:
