@@ -166,8 +166,8 @@ def test_what_is_packed_comes_back() -> None:
     parcel.add("walls", walls, relative=True)
     parcel.add("coarse", walls, relative=True, coarse=True)
     parcel.add_triangles("triangles", triangles)
-    facts, arrays = _unpacked(parcel.text({"name": "ü"}))
-    assert facts["name"] == "ü"
+    facts, arrays = _unpacked(parcel.text({"name": "ü", "numbers": [1, {"k": np.inf}]}))
+    assert facts["name"] == "ü" and facts["numbers"] == [1, {"k": None}]
     np.testing.assert_allclose(
         arrays["places"], places, atol=np.nanmax(np.nanmax(places, 0) - np.nanmin(places, 0)) / 131068
     )
@@ -303,7 +303,9 @@ def test_a_fine_mold_is_drawn_more_roughly() -> None:
         ("summary.json", None, "holds no summary.json; name the folder"),
         ("final.vtu", None, "holds no final.vtu"),
         ("summary.json", "{", "summary.json: is not valid JSON"),
-        ("summary.json", "[]", "summary.json: scene: is missing"),
+        ("summary.json", "[]", "summary.json: is no table"),
+        ("summary.json", "{}", "summary.json: scene: is missing"),
+        ("summary.json", "[" * 100_000, "summary.json: is not valid JSON"),
         ("final.vtu", "<VTKFile>", "final.vtu: is not a readable VTU file"),
         ("frames.pvd", "<VTKFile>", "frames.pvd: is no list of frames"),
         ("frames.pvd", '<a><DataSet timestep="-1" file="gone.vtu"/></a>', "gone.vtu"),
@@ -321,6 +323,34 @@ def test_damaged_results_are_named(folder: Path, tmp_path: Path, name: str, text
     with pytest.raises(InputError) as error:
         report.write_report(tmp_path)
     assert words in str(error.value) and str(tmp_path) in str(error.value)
+
+
+def _places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The keys of all that is in a tree of tables and lists."""
+    yield at
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield from _places(item, (*at, key))
+
+
+def test_whatever_summary_says_there_is_a_report_or_a_clear_error(design: Path, tmp_path: Path) -> None:
+    for name in ("final.vtu", "start.vtu", "history.csv"):
+        (tmp_path / name).write_bytes((design / name).read_bytes())
+    text, refused = (design / "summary.json").read_text(), 0
+    for at in list(_places(json.loads(text)))[1:]:
+        for value in (None, True, -1, 1e308, 10**400, "x", [], {}, ["x"]):
+            facts = json.loads(text)
+            inner = facts
+            for key in at[:-1]:
+                inner = inner[key]
+            inner[at[-1]] = value
+            (tmp_path / "summary.json").write_text(json.dumps(facts))
+            try:
+                report.write_report(tmp_path)
+            except InputError as error:
+                refused += 1
+                assert "summary.json" in str(error) and str(at[0]) in str(error)
+    assert refused > 200
 
 
 def test_numbers_that_are_missing_are_dashes(folder: Path, tmp_path: Path) -> None:

@@ -11,13 +11,15 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
+
 from jaxform.core.writing import whole
 from jaxform.io.report import page
 from jaxform.io.report.charts import pack_charts
 from jaxform.io.report.contents import pack_parts
 from jaxform.io.report.measuring import measuring_points
 from jaxform.io.report.packing import Parcel
-from jaxform.io.report.reading import read_results
+from jaxform.io.report.reading import Results, read_results
 
 NAME = "report.html"
 _SCRIPTS = ("unpack", "chart", "part", "shaders", "view", "words", "overlay", "controls", "page")
@@ -37,6 +39,15 @@ def write_report(folder: str | Path) -> Path:
     """
     folder = Path(folder)
     results = read_results(folder)
+    with np.errstate(all="ignore"):
+        text = _page(results)
+    with whole(folder / NAME) as fresh:
+        fresh.write_text(text, encoding="utf-8")
+    return folder / NAME
+
+
+def _page(results: Results) -> str:
+    """The text of the page."""
     points = measuring_points(results.part, results.summary)
     parcel = Parcel()
     facts = pack_parts(results, parcel) | {
@@ -59,10 +70,7 @@ def write_report(folder: str | Path) -> Path:
         "parcel": parcel.text(facts),
         "scripts": "\n".join(_text(f"{name}.js") for name in _SCRIPTS),
     }
-    text = "".join(parts[piece] if place % 2 else piece for place, piece in enumerate(_text("page.html").split("@")))
-    with whole(folder / NAME) as fresh:
-        fresh.write_text(text, encoding="utf-8")
-    return folder / NAME
+    return "".join(parts[piece] if place % 2 else piece for place, piece in enumerate(_text("page.html").split("@")))
 
 
 def _text(name: str) -> str:

@@ -56,8 +56,9 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
         # Of the part with that number, in the view.
         line |= {"places": f"chart.places{number}", "part": 0 if role == "after" else 1}
         parcel.add(line["places"], curve.place[kept])
-        if curve.marked is not None and thin["thickness"] is not None and role == "after":
-            line["mark"] = [1e3 * curve.marked, 1e3 * thin["thickness"], "thinnest"]
+        marked = curve.marked
+        if role == "after" and marked is not None and np.isfinite(marked) and thin["thickness"] is not None:
+            line["mark"] = [1e3 * marked, 1e3 * thin["thickness"], "thinnest"]
         series.append(line)
     where = "arc length from the axis" if disc else "arc length along the section"
     title = "Wall along the meridian" if disc else "Wall along sections through the thinnest place"

@@ -67,8 +67,8 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
 
 def symmetry_of(results: Results) -> dict[str, float]:
     """Place [m] of the planes about which the modelled part is symmetric, by the name of their axis."""
-    found = results.summary.get("symmetry")
-    return {key: float(found[key]) for key in "xyz" if key in found} if isinstance(found, Mapping) else {}
+    found = results.summary.get("symmetry", {})
+    return {key: found[key] for key in "xyz" if key in found}
 
 
 class _Parts:

@@ -55,7 +55,7 @@ def measuring_points(part: Part, summary: Mapping[str, Any]) -> list[Point]:
         Point("thinnest", "the thinnest element", thin["thickness"], thin["formed"], thin["initial"]),
         _point("thickest", "the thickest element of those that were formed", part, thickest),
     ]
-    if mean is not None:
+    if mean:
         words = f"of the formed elements within {100 * _ALIKE:.0f} % of the mean wall, that where the wall varies least"
         points.append(_point("representative", words, part, _representative(part, formed, mean)))
     return points

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import zlib
 from collections.abc import Mapping
 from typing import Any
@@ -62,7 +63,8 @@ class Parcel:
 
     def text(self, facts: Mapping[str, Any]) -> str:
         """All in base64, with facts (plain numbers, words, lists and tables) in the header."""
-        header = json.dumps({**facts, "arrays": self.described}, separators=(",", ":"), allow_nan=False).encode()
+        described = _valid({**facts, "arrays": self.described})
+        header = json.dumps(described, separators=(",", ":"), allow_nan=False).encode()
         content = b"".join([len(header).to_bytes(4, "little"), header, *self._bytes])
         return base64.b64encode(zlib.compress(content, _LEVEL)).decode("ascii")
 
@@ -107,6 +109,15 @@ def _quantised(values: Array, most: int) -> tuple[NDArray[np.int64], float, floa
     codes = np.full(len(values), NOTHING, np.int64)
     codes[known] = np.rint((values[known] - low) / (step or 1.0)).astype(np.int64)
     return codes, low, step
+
+
+def _valid(value: Any) -> Any:
+    """The same with null for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, Mapping):
+        return {key: _valid(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_valid(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _differences(codes: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -116,7 +116,7 @@ class Page {
 
   pane(part) {
     const position = part.cornersOf(part.positions),
-      normal = cornerNormals(position, part.nodes),
+      normal = cornerNormals(position, part.nodes, this.view.planes),
       value = part.values(this.quantity).map((x) => (Number.isFinite(x) ? x : NONE)),
       wall = part.values(this.facts.quantities[0]);
     this.gaps ||= this.quantity.key === "contact_time" && value.includes(NONE);

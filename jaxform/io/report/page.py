@@ -96,8 +96,9 @@ def quality(results: Results) -> str:
         ("spread (coefficient of variation)", f"{number(wall['cv'], 100)} %"),
         ("thickest wall", f"{number(wall['max'], 1e3)} mm"),
         ("mass", mass),
-        ("formed area that touches the mold", f"{number(summary['contact_fraction'], 100)} %"),
     ]
+    if results.mold is not None:
+        rows.append(("formed area that touches the mold", f"{number(summary['contact_fraction'], 100)} %"))
     if summary.get("penetration_max"):
         where = _place(summary.get("penetration_place") or [])
         rows.append(

@@ -135,7 +135,8 @@ function lastOfCorners(values) {
 }
 
 // Normals (3 per corner): the mean of the elements around, but for those that bend away from it by more than a crease.
-function cornerNormals(corners, nodes) {
+// On a symmetry plane the image's elements are around as well.
+function cornerNormals(corners, nodes, planes) {
   const count = nodes.length / 3,
     own = new Float32Array(3 * count),
     mean = new Float32Array(3 * (1 + nodes.reduce((a, b) => Math.max(a, b), 0)));
@@ -149,6 +150,10 @@ function cornerNormals(corners, nodes) {
       for (let corner = 0; corner < 3; corner++) mean[3 * nodes[3 * k + corner] + axis] += normal[axis];
     }
   }
+  const reach = corners.reduce((most, x) => Math.max(most, Math.abs(x)), 0);
+  for (const [axis, level] of planes)
+    for (let k = 0; k < 3 * count; k++)
+      if (Math.abs(corners[3 * k + axis] - level) < 1e-5 * reach) mean[3 * nodes[k] + axis] = 0;
   const found = new Float32Array(9 * count);
   for (let k = 0; k < 3 * count; k++) {
     const [at, face] = [3 * nodes[k], 3 * ((k / 3) | 0)],

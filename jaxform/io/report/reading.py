@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,14 +14,13 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError
+from jaxform.io.report.facts import AGAIN, read_summary
 from jaxform.mesh import meshes
 
 Array = NDArray[np.float64]
 
 _NODAL = (*meshes.REFERENCE, "initial_thickness", "contact_time")
 _OF_ELEMENTS = ("thickness", "stretch_1", "stretch_2", "level")
-_FACTS = ("scene", "status", "thickness", "thinnest", "contact_fraction", "mass", "energy", "warnings")
-_AGAIN = "name the folder that `jaxform simulate` or `jaxform optimize` wrote, or run it again"
 _MOST_FRAMES, _MOST_FRAME_ELEMENTS = 60, 300_000  # that are shown, and their elements together
 
 
@@ -76,11 +74,11 @@ def read_results(folder: Path) -> Results:
     """
     for name in ("summary.json", "final.vtu"):
         if not disk.is_file(folder / name):
-            raise InputError(f"holds no {name}", _AGAIN, "DIR", str(folder))
-    summary = _facts(folder / "summary.json")
+            raise InputError(f"holds no {name}", AGAIN, "DIR", str(folder))
+    summary = read_summary(folder / "summary.json")
     part = _part(folder / "final.vtu")
     # A folder may hold more than the last command wrote there.
-    is_search = "design" in summary
+    is_search = summary.get("design") is not None
     scene = folder / ("best.toml" if is_search else "simulated.toml")
     frames, count = ([], 0) if is_search else _frames(folder, part, float(summary.get("time") or 0.0))
     return Results(
@@ -95,24 +93,11 @@ def read_results(folder: Path) -> Results:
     )
 
 
-def _facts(path: Path) -> dict[str, Any]:
-    try:
-        facts = json.loads(disk.read_text(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError("is not valid JSON", _AGAIN, file=str(path)) from None
-    missing = [key for key in _FACTS if not isinstance(facts, dict) or key not in facts]
-    if missing:
-        raise InputError("is missing, the file is of another version or damaged", _AGAIN, missing[0], file=str(path))
-    return facts
-
-
 def _mesh(path: Path) -> meshes.Mesh:
     try:
         return meshes.read_mesh(path)
     except InputError as error:
-        raise InputError(error.problem, _AGAIN, file=str(path)) from None
+        raise InputError(error.problem, AGAIN, file=str(path)) from None
 
 
 def _part(path: Path) -> Part:
@@ -120,8 +105,12 @@ def _part(path: Path) -> Part:
     for names, found in ((_NODAL, mesh.fields), (_OF_ELEMENTS, mesh.cell_fields)):
         missing = [name for name in names if name not in found]
         if missing:
-            raise InputError("is missing, the file is of another version", _AGAIN, missing[0], file=str(path))
+            raise InputError("is missing, the file is of another version", AGAIN, missing[0], file=str(path))
     reference = np.stack([mesh.fields[name] for name in meshes.REFERENCE], axis=1)
+    for name, values in (("reference", reference), ("thickness", mesh.cell_fields["thickness"])):
+        # NaN is not below it either.
+        if not np.abs(values).max() <= meshes.LARGEST:
+            raise InputError("has numbers that are not finite, or too large", AGAIN, name, file=str(path))
     nodal = {name: values for name, values in mesh.fields.items() if name not in meshes.REFERENCE}
     return Part(mesh.positions, reference, mesh.triangles, nodal, mesh.cell_fields)
 
@@ -137,7 +126,7 @@ def _frames(folder: Path, last: Part, end: float) -> tuple[list[tuple[float, Par
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError("is no list of frames", _AGAIN, file=str(listed)) from None
+        raise InputError("is no list of frames", AGAIN, file=str(listed)) from None
     earlier = [(time, name) for time, name in named if time < end]
     room = min(_MOST_FRAMES, max(_MOST_FRAME_ELEMENTS // len(last.triangles), 1))
     chosen = np.unique(np.linspace(0, len(earlier) - 1, min(room, len(earlier))).round().astype(int))
@@ -150,4 +139,4 @@ def _rows(path: Path) -> list[dict[str, str]]:
     try:
         return list(csv.DictReader(io.StringIO(disk.read_text(path), newline="")))
     except csv.Error:
-        raise InputError("is not a table", _AGAIN, file=str(path)) from None
+        raise InputError("is not a table", AGAIN, file=str(path)) from None
