@@ -7,6 +7,7 @@ import contextlib
 import io
 import json
 import os
+import select
 import shutil
 import subprocess
 import sys
@@ -119,6 +120,7 @@ class Browser:
 
     def _read(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
+            assert select.select([self._answers], [], [], _PATIENCE)[0], "the browser does not answer"
             more = os.read(self._answers, 1 << 20)
             assert more, "the browser ended"
             self._rest += more
