@@ -96,6 +96,11 @@ def _parser() -> argparse.ArgumentParser:
             words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
             sub.add_argument("--resume", action="store_true", help=words)
         sub.set_defaults(command=command)
+    words = "write report.html anew from the files in a folder of results"
+    report = commands.add_parser("report", help=words, description=words)
+    report.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
+    report.add_argument("--quiet", action="store_true", help="print errors only")
+    report.set_defaults(command=_report)
     words = "compile beforehand what common scenes need, or the scenes that are named"
     warm = commands.add_parser("warm", help=words, description=words)
     warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
@@ -154,6 +159,15 @@ def _optimize(arguments: argparse.Namespace) -> int:
     from jaxform.cli import designing
 
     return designing.optimize_study(arguments)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from jaxform.io.report import write_report
+
+    path = write_report(arguments.folder)
+    if not arguments.quiet:
+        session.say(f"report in {path}")
+    return session.DONE
 
 
 def _warm(arguments: argparse.Namespace) -> int:

@@ -83,7 +83,12 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
     folder: Path = arguments.out
     rewriting.write_scene(study.document, design.changes, folder)
     exact = reference if not _redesigned(design.changes) else None
-    session.write_part(arguments, design.scene, design.result, exact, design.amended)
+
+    def rest() -> None:
+        output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
+        session.write_report(folder)
+
+    session.write_part(arguments, design.scene, design.result, exact, design.amended, then=rest)
     plots.convergence_picture(folder / "convergence.png", design.history)
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)
     plots.design_picture(folder / "design.png", before, after, study.objective.uniform)

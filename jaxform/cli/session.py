@@ -141,18 +141,51 @@ def write_part(
     reference: dict[str, Any] | None,
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
     draw: Callable[..., None] = here,
+    then: Callable[[], object] = lambda: None,
 ) -> dict[str, Any]:
-    """Writes files and picture, the summary amended on request; warns of what was not told before."""
+    """Writes files, what is to be written `then`, and the picture; warns of what was not told before.
+
+    The summary is amended on request.
+    """
     from jaxform.io import output, plots
 
     folder, told = arguments.out, list(arguments.warned)
-    with meanwhile(lambda: output.write_result(scene, result, folder, told, amend)) as written:
+
+    def write() -> tuple[dict[str, Any], Exception | None]:
+        summary = output.write_result(scene, result, folder, told, amend)
+        return summary, None if draw is here else _failure(then)
+
+    with meanwhile(write) as written:
         draw(plots.thickness_picture, folder / "thickness.png", *drawable(scene, result), reference)
-    summary = written.result()
+    summary, failure = written.result()
+    if draw is here:
+        # To read files back, a process limits its memory; not while it draws.
+        failure = _failure(then)
     for sentence in summary["warnings"]:
         if sentence not in told:
             warn(sentence)
+    if failure is not None:
+        raise failure
     return summary
+
+
+def _failure(work: Callable[[], object]) -> Exception | None:
+    """What kept something from being written; it is told when all else is."""
+    try:
+        work()
+    except (OSError, InputError) as error:
+        return error
+    return None
+
+
+def write_report(folder: Path) -> None:
+    """Writes the report; where the results are such that it cannot be made, a warning says why."""
+    from jaxform.io import report
+
+    try:
+        report.write_report(folder)
+    except InputError as error:
+        warn(f"there is no {report.NAME}: {error}")
 
 
 def exit_status(result: Result) -> int:

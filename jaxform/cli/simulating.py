@@ -20,7 +20,7 @@ def simulate(arguments: argparse.Namespace) -> int:
     """Runs `jaxform simulate` with its arguments and returns its exit status."""
     with session.drawing(arguments) as draw:
         say, store = session.prepare(arguments)
-        from jaxform.io import files
+        from jaxform.io import files, rewriting
         from jaxform.io.output import Frames
         from jaxform.runs import loop
 
@@ -34,8 +34,13 @@ def simulate(arguments: argparse.Namespace) -> int:
         with session.meanwhile(lambda: _look_over(scene, document, arguments.warned)) as looked:
             result = _run(scene, frames, not arguments.quiet, store)
         looked.result()
-        summary = session.write_part(arguments, scene, result, reference, draw=draw)
-    frames.finish(scene, result)
+
+        def rest() -> None:
+            rewriting.keep_scene(document, arguments.out)
+            frames.finish(scene, result)
+            session.write_report(arguments.out)
+
+        summary = session.write_part(arguments, scene, result, reference, draw=draw, then=rest)
     _tell(say, summary, arguments.out)
     return session.exit_status(result)
 

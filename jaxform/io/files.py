@@ -44,12 +44,14 @@ class SceneDocument:
         folder: What its relative paths are relative to.
         data: Its tables, as they stand in the file.
         model: The same, validated, with defaults filled in.
+        path: Where it is; None of a scene that was made of tables.
     """
 
     file: str
     folder: Path
     data: dict[str, Any]
     model: schema.SceneFile
+    path: Path | None = None
 
     @property
     def name(self) -> str:
@@ -97,7 +99,7 @@ def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDoc
     """
     source = catalog.read(name_or_path, "scene", folder)
     model = validate(schema.SceneFile, source.data, source.file)
-    return SceneDocument(source.file, source.path.resolve().parent, source.data, model)
+    return SceneDocument(source.file, source.path.resolve().parent, source.data, model, source.path)
 
 
 def read_study(name_or_path: str | Path) -> StudyDocument:

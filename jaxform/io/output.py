@@ -50,7 +50,9 @@ def write_result(
     shown, part = only_used(scene, result)
     with whole(folder / "formed.stl") as fresh:
         meshes.write_stl(fresh, np.asarray(part.positions), np.asarray(shown.parison.triangles))
-    if scene.mold is not None:
+    if scene.mold is None:
+        (folder / "mold.vtu").unlink(missing_ok=True)  # of what was here before
+    else:
         with whole(folder / "mold.vtu") as fresh:
             meshes.write_vtu(fresh, np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles))
     return summary
@@ -141,7 +143,8 @@ class Frames:
     failure: OSError | InputError | None = None
 
     def begin(self, scene: Scene) -> None:
-        """Writes the sheet before the first step, where there is more than one frame."""
+        """Writes the sheet before the first step, where there is more than one frame; a list from before goes."""
+        (self.folder / "frames.pvd").unlink(missing_ok=True)
         if self.count > 1:
             write_sheet(scene, self._next(0.0))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.writing import whole
+from jaxform.io.scales import color_range, formed_elements, seen_apart
 from jaxform.io.views import draw_part
 from jaxform.model.replacing import number_at
 from jaxform.model.scene import Scene
@@ -27,10 +28,7 @@ Part = tuple[Scene, Result]
 _BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
 _DPI = 100
 MINIMUM = "#d00000"
-_FINENESS = 500  # points that the eye tells apart along a side of a diagram
 _KEPT = 5e-3  # of a limit, by which it may be broken
-_MOVED = 0.02  # of the farthest way an element went: one that went less was not formed
-_MOST = 0.98  # of the formed area, the colours tell apart; the thickest have one colour
 
 
 def thickness_picture(
@@ -204,19 +202,11 @@ def _scale(parts: Sequence[Part]) -> tuple[float, float]:
     """Range of the colours [mm], shared by all that are drawn: of what was formed, not of flanges that stayed flat."""
     walls, areas = [], []
     for scene, result in parts:
-        triangles = np.asarray(result.triangles)
-        moved = np.asarray(result.positions, float) - np.asarray(scene.parison.positions, float)
-        way = np.linalg.norm(moved[triangles].mean(1), axis=1)
-        formed = way >= _MOVED * way.max(initial=0.0)
-        formed |= not formed.any()
+        start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
+        formed = formed_elements(start, end, np.asarray(result.triangles))
         walls.append(np.asarray(result.element_thickness, float)[formed])
         areas.append(formed_areas(result)[formed])
-    wall, area = 1e3 * np.concatenate(walls), np.concatenate(areas)
-    order = np.argsort(wall)
-    share = np.cumsum(area[order]) / area.sum()
-    most = min(int(np.searchsorted(share, _MOST)), len(wall) - 1)
-    low, high = float(wall.min()), float(wall[order[most]])
-    return (low, high) if high > 1.001 * low else (0.95 * low, 1.05 * high)
+    return color_range(1e3 * np.concatenate(walls), np.concatenate(areas))
 
 
 def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> None:
@@ -232,7 +222,7 @@ def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, 
     thin = thinnest(result, scene)
     for curve, color in zip(sections.curves(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
         style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
-        shown = _seen_apart(curve.arc, curve.thickness) if disc else slice(None)
+        shown = seen_apart(curve.arc, curve.thickness) if disc else slice(None)
         axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], color=color, label=curve.label, **style)
         if curve.marked is not None:
             _mark(axes, 1e3 * curve.marked, thin)
@@ -251,15 +241,9 @@ def _mark(axes: Any, arc: float, thin: Mapping[str, Any]) -> None:
     axes.plot([arc], [wall], "o", color=MINIMUM, mec="white", mew=1.2, ms=9, zorder=5, label=label)
 
 
-def _seen_apart(across: Array, up: Array) -> NDArray[np.int64]:
-    """Which of many points (n,) are drawn: one in each place that the eye tells from others."""
-    cells = [np.round(_FINENESS * (x - x.min()) / (np.ptp(x) or 1.0)).astype(np.int64) for x in (across, up)]
-    return np.unique(cells[0] * (_FINENESS + 1) + cells[1], return_index=True)[1]
-
-
 def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any]) -> None:
     place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
-    shown = _seen_apart(place, wall)
+    shown = seen_apart(place, wall)
     place, wall = place[shown], wall[shown]
     axes.plot(place, wall, "o", color=AFTER, markersize=4, alpha=0.6, label="simulated, all nodes")
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
@@ -282,7 +266,7 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
         place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, along]
         order = np.argsort(place)
         thickness = np.asarray(scene.parison.thickness, float)[order]
-        shown = np.sort(_seen_apart(place[order], thickness))
+        shown = np.sort(seen_apart(place[order], thickness))
         line: dict[str, Any] = {"linewidth": 2} if disc else {"linestyle": "none", "marker": ".", "markersize": 4}
         axes.plot(1e3 * place[order][shown], 1e3 * thickness[shown], color=color, label=words, **line)
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
@@ -319,7 +303,7 @@ def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> N
     through = thinnest(after[1], after[0])["initial"]
     for (scene, result), color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
         for curve in sections.curves(scene, result, through)[:1]:
-            shown = _seen_apart(curve.arc, curve.thickness)
+            shown = seen_apart(curve.arc, curve.thickness)
             axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], ".", color=color, markersize=4, label=words)
     if target is not None:
         axes.axhline(1e3 * target, color=_EXACT, linestyle="--", label="target")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -37,10 +38,7 @@ def write_scene(
         The path of the scene file.
     """
     folder = Path(folder)
-    data = copy.deepcopy(document.data)
-    data.setdefault("name", document.name)
-    for key in [*_PATHS, *_field_files(data)]:
-        _rewrite_path(data, key, document.folder)
+    data = _moved(document)[0]
     for key, value in changes.items():
         part, _, number = key.partition(".")
         varies = part == "material" and isinstance(value, np.ndarray) and value.ndim > 0
@@ -52,6 +50,45 @@ def write_scene(
     with whole(path) as fresh:
         fresh.write_text(_toml(data), encoding="utf-8")
     return path
+
+
+def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulated.toml") -> Path:
+    """Writes a scene file as it is, but for its paths: it runs from its new folder, and keeps its comments.
+
+    Args:
+        document: The scene.
+        folder: Where to write.
+        name: The name of the scene file.
+
+    Returns:
+        The path of the scene file.
+    """
+    data, moved = _moved(document)
+    text = disk.read_text(document.path) if document.path is not None else ""
+    if "name" not in document.data:
+        text = f"name = {_inline(document.name)}\n{text}"
+    for old, new in moved.items():
+        text = text.replace(f'"{old}"', _inline(new)).replace(f"'{old}'", _inline(new))
+    with whole(Path(folder) / name) as fresh:
+        fresh.write_text(text if _says(text, data) else _toml(data), encoding="utf-8")
+    return Path(folder) / name
+
+
+def _says(text: str, data: Mapping[str, Any]) -> bool:
+    """Whether a text in TOML has these tables."""
+    try:
+        return tomllib.loads(text) == data
+    except ValueError:
+        return False
+
+
+def _moved(document: SceneDocument) -> tuple[dict[str, Any], dict[str, str]]:
+    """The tables of a scene with its name and with paths that hold from everywhere, and these paths by the old ones."""
+    data, moved = copy.deepcopy(document.data), {}
+    data.setdefault("name", document.name)
+    for key in [*_PATHS, *_field_files(data)]:
+        moved |= _rewrite_path(data, key, document.folder)
+    return data, moved
 
 
 def _field_files(data: Mapping[str, Any]) -> list[str]:
@@ -66,16 +103,19 @@ def _field_files(data: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> None:
+def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> dict[str, str]:
+    """Makes the paths at a dotted key hold from everywhere; returns them by the old ones."""
     *sections, last = key.split(".")
     table: Any = data
     for section in sections:
         inner = table.get(section) if isinstance(table, dict) else None
         table = table[int(section)] if isinstance(table, list) else inner
-    if isinstance(table, dict) and last in table:
-        names = table[last]
-        moved = [str(disk.located(name, folder)) for name in ([names] if isinstance(names, str) else names)]
-        table[last] = moved[0] if isinstance(names, str) else moved
+    if not isinstance(table, dict) or last not in table:
+        return {}
+    names = table[last]
+    moved = {name: str(disk.located(name, folder)) for name in ([names] if isinstance(names, str) else names)}
+    table[last] = moved[names] if isinstance(names, str) else [moved[name] for name in names]
+    return moved
 
 
 def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, path: Path) -> Any:

@@ -18,12 +18,14 @@ Array = NDArray[np.float64]
 class Curve(NamedTuple):
     """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called.
 
-    Where it was to run through a place, `marked` is the arc length there.
+    Where it was to run through a place, `marked` is the arc length there. Where its points are in the formed part,
+    `place` says (n, 3) [m].
     """
 
     arc: Array
     thickness: Array
     label: str
+    place: Array
     marked: float | None = None
 
 
@@ -77,7 +79,8 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
             radius = initial_radius(scene)
             outwards = np.argsort(radius)
             marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
-        return [Curve(arc[order], np.asarray(result.thickness, float)[order], "all nodes", marked)]
+        wall, place = np.asarray(result.thickness, float)[order], np.asarray(result.positions, float)[order]
+        return [Curve(arc[order], wall, "all nodes", place, marked)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
     longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
     found = []
@@ -86,7 +89,7 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
         pieces = cuts(scene, result, axis, level)
         if through is None:
-            found += [Curve(piece.arc, piece.thickness, name) for piece in pieces[:1]]
+            found += [Curve(piece.arc, piece.thickness, name, piece.place) for piece in pieces[:1]]
         elif pieces:
             found.append(_nearest(pieces, scene, result, np.asarray(through), name))
     return found
@@ -99,7 +102,8 @@ def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, na
     place = np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)[element]].mean(0)
     away = [np.linalg.norm(piece.place - place, axis=1) for piece in pieces]
     best = int(np.argmin([distance.min() for distance in away]))
-    return Curve(pieces[best].arc, pieces[best].thickness, name, float(pieces[best].arc[np.argmin(away[best])]))
+    arc, wall = pieces[best].arc, pieces[best].thickness
+    return Curve(arc, wall, name, pieces[best].place, float(arc[np.argmin(away[best])]))
 
 
 def symmetry_planes(scene: Scene) -> dict[int, float]:

@@ -68,11 +68,11 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "run_seconds": seconds.run,
         "thickness": wall_statistics(result),
         "thinnest": thinnest(result, scene),
+        "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         **_wrinkles(result, scene, area),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),
-        "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
         # Under its older name as well.

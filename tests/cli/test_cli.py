@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -122,6 +123,26 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     assert (out / "frames.pvd").read_text().count("<DataSet") == 3
     assert len(list((out / "frames").glob("*.vtu"))) == 3
     assert _picture_size(out / "thickness.png") == (1600, 700)
+    assert summary["symmetry_planes"] == {"x": 0.0, "y": 0.0}
+    assert (out / "simulated.toml").read_text() == scene_file.read_text()
+    page = (out / "report.html").read_text()
+    assert f"{1e3 * summary['thickness']['min']:.4g} mm" in page
+    (out / "report.html").unlink()
+    assert command.main(["report", str(out)]) == 0
+    assert capfd.readouterr().out == f"report in {out / 'report.html'}\n"
+    assert (out / "report.html").read_text() == page
+    assert f"DIR = '{tmp_path}': holds no summary.json" in _refused(capfd, "report", str(tmp_path))
+    # What an earlier run left is not taken for this one's.
+    scene_file.write_text(re.sub(r"\[mold\].*?\[solver\]", "[solver]", SCENE, flags=re.DOTALL))
+    assert command.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
+    assert not (out / "frames.pvd").exists() and not (out / "mold.vtu").exists()
+
+
+def test_results_of_which_no_report_can_be_made_are_a_warning(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    session.write_report(tmp_path)
+    assert "warning: there is no report.html: " in capfd.readouterr().err
 
 
 def test_the_box_with_an_insert_tells_where_an_element_cuts_its_edge(
@@ -191,7 +212,7 @@ def test_an_unstable_run_exits_with_3_and_keeps_what_it_has(tmp_path: Path, capf
     assert len([line for line in captured.err.splitlines() if "warning" not in line]) == 1
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"] != "ok" and "at t =" in summary["status"]
-    assert {"final.vtu", "thickness.png"} <= {path.name for path in out.iterdir()}
+    assert {"final.vtu", "thickness.png", "report.html"} <= {path.name for path in out.iterdir()}
 
 
 def test_check_runs_no_step_and_names_what_is_skipped(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -262,6 +283,8 @@ def test_optimize_writes_a_better_scene_that_runs(
     wall = np.asarray(again.element_thickness)
     np.testing.assert_allclose(wall.min(), summary["thickness"]["min"], rtol=1e-9)
     assert np.all(np.diff(np.asarray(best.pressure.value)) >= 0)
+    page = (out / "report.html").read_text()
+    assert "The search" in page and "best.toml" in page and (out / "start.vtu").exists()
     for picture in ("convergence.png", "thickness.png", "design.png"):
         assert _picture_size(out / picture)[0] >= 1200
 

@@ -1,0 +1,152 @@
+"""The diagrams of the page, packed: the wall along the part, and what a search did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.io.report.contents import symmetry_of
+from jaxform.io.report.measuring import is_disc, wall_curves
+from jaxform.io.report.packing import Parcel
+from jaxform.io.report.reading import Part, Results
+from jaxform.io.scales import seen_apart
+from jaxform.results.sections import Curve
+
+Array = NDArray[np.float64]
+Chart = dict[str, Any]
+
+_KEPT = 5e-3  # of a limit, by which it may be broken
+
+
+_DESIGNED = {
+    "initial_thickness": ("initial thickness [mm]", 1e3),
+    "temperature": ("temperature of the sheet [°C]", 1.0),
+}
+
+
+def pack_charts(results: Results, parcel: Parcel) -> list[Chart]:
+    """Packs the points of the diagrams; returns their titles, axes and lines, as plain numbers and words."""
+    charts = [_wall(results, parcel)]
+    if results.start is not None:
+        charts += _initial(results.start, results.part, is_disc(results.part, symmetry_of(results)), parcel)
+    if results.history:
+        charts += _history(results.history, parcel)
+    return [chart for chart in charts if chart["series"]]
+
+
+def _wall(results: Results, parcel: Parcel) -> Chart:
+    """The wall over arc length; of a search that of the start beside it."""
+    symmetry, thin = symmetry_of(results), results.summary["thinnest"]
+    through = np.array([np.nan if x is None else x for x in thin["initial"]], float)
+    curves = wall_curves(results.part, symmetry, through)
+    named = [(curve.label, "after", curve) for curve in curves]
+    if results.start is not None:
+        named = [("best design", "after", curve) for curve in curves[:1]]
+        named += [("start", "before", curve) for curve in wall_curves(results.start, symmetry, through)[:1]]
+    disc = any(curve.label == "all nodes" for curve in curves)
+    series = []
+    for number, (label, role, curve) in enumerate(named):
+        line = {"label": label, "role": role if number == 0 or results.start else "other", "dots": _is_cloud(curve)}
+        kept = _shown(curve.arc, curve.thickness, line["dots"])
+        line |= _packed(parcel, f"wall{number}", 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept])
+        # Of the part with that number, in the view.
+        line |= {"places": f"chart.places{number}", "part": 0 if role == "after" else 1}
+        parcel.add(line["places"], curve.place[kept])
+        marked = curve.marked
+        if role == "after" and marked is not None and np.isfinite(marked) and thin["thickness"] is not None:
+            line["mark"] = [1e3 * marked, 1e3 * thin["thickness"], "thinnest"]
+        series.append(line)
+    where = "arc length from the axis" if disc else "arc length along the section"
+    title = "Wall along the meridian" if disc else "Wall along sections through the thinnest place"
+    return _chart(title, f"{where} [mm]", "wall thickness [mm]", series, zero=True)
+
+
+def _initial(start: Part, best: Part, disc: bool, parcel: Parcel) -> list[Chart]:
+    """What the search changed in the sheet, its thickness or temperature, over the place there; none of another."""
+    changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
+    if not changed:
+        return []
+    (words, factor), name = _DESIGNED[changed[0]], changed[0]
+    along = int(np.argmax(np.ptp(best.reference, axis=0)))
+    series = []
+    for role, label, part in (("after", "best design", best), ("before", "start", start)):
+        if name not in part.nodal:
+            continue
+        place = np.hypot(*part.reference[:, :2].T) if disc else part.reference[:, along]
+        kept = _shown(place, part.nodal[name], dots=True)
+        points = _packed(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
+        series.append({"label": label, "role": role, "dots": True, **points})
+    where = "initial radius" if disc else f"initial {'xyz'[along]}"
+    return [_chart("The sheet before it is formed", f"{where} [mm]", words, series, zero=factor > 1.0)]
+
+
+def _same(one: Array | None, other: Array) -> bool:
+    return one is not None and np.array_equal(one, other)
+
+
+def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
+    spent = _column(rows, "simulations")
+    error, words = 100 * _column(rows, "thickness_rms_error"), "deviation from the target, rms [%]"
+    if not np.isfinite(error).any():
+        error, words = _column(rows, "objective"), "objective"
+    search = [
+        {"label": "each simulation", "role": "before", "dots": True, **_packed(parcel, "search.all", spent, error)},
+        _good(rows, spent, error, parcel),
+    ]
+    walls = []
+    for role, label, name in (("after", "mean wall", "wall_mean"), ("other", "thinnest wall", "wall_min")):
+        points = _packed(parcel, f"search.{name}", spent, 1e3 * _column(rows, name))
+        walls.append({"label": label, "role": role, "dots": False, **points})
+    cost = "cost in simulations"
+    return [
+        _chart("History of the search", cost, words, search, log=True),
+        _chart("The wall on the way", cost, "wall thickness [mm]", walls, zero=True),
+    ]
+
+
+def _good(rows: Sequence[dict[str, str]], spent: Array, error: Array, parcel: Parcel) -> dict[str, Any]:
+    """The simulations that keep all limits, or the best so far where there are none."""
+    if "violation" in rows[0]:
+        kept = _column(rows, "violation") <= _KEPT
+        return {"label": "limits kept", "role": "after", "dots": True} | _packed(
+            parcel, "search.kept", spent[kept], error[kept]
+        )
+    best = np.fmin.accumulate(np.where(error > 0, error, np.nan))
+    return {"label": "best so far", "role": "after", "dots": False} | _packed(parcel, "search.best", spent, best)
+
+
+def _chart(title: str, x: str, y: str, series: list[dict[str, Any]], *, zero: bool = False, log: bool = False) -> Chart:
+    return {"title": title, "x": x, "y": y, "series": series, "zero": zero, "log": log}
+
+
+def _packed(parcel: Parcel, name: str, across: Array, up: Array) -> dict[str, str]:
+    """Packs points, and says under which name."""
+    parcel.add(f"chart.{name}", np.stack([across, up], axis=1))
+    return {"points": f"chart.{name}"}
+
+
+def _is_cloud(curve: Curve) -> bool:
+    """Whether the points of a curve are those of all nodes, which make no line."""
+    return curve.label == "all nodes"
+
+
+def _shown(across: Array, up: Array, dots: bool) -> NDArray[np.int64]:
+    """Which points (n,) are drawn: all of a line, and of dots those that can be told from each other."""
+    return np.sort(seen_apart(across, up)) if dots and len(across) else np.arange(len(across))
+
+
+def _column(rows: Sequence[dict[str, str]], name: str) -> Array:
+    """A column as numbers, NaN where it is empty, infinite or no number."""
+
+    def number(text: str | None) -> float:
+        try:
+            value = float(text or "nan")
+        except ValueError:
+            return math.nan
+        return value if math.isfinite(value) else math.nan
+
+    return np.array([number(row.get(name)) for row in rows])

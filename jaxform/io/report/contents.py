@@ -1,0 +1,204 @@
+"""What the page draws, packed: meshes, parts, quantities and their colours, the mold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.io.report.packing import Parcel, by_first_use, spatial_order
+from jaxform.io.report.reading import Part, Results
+from jaxform.io.scales import color_range, formed_elements
+from jaxform.mesh.meshes import Mesh
+
+Array = NDArray[np.float64]
+
+_MOST_WALLS = 60_000  # triangles of a mold; a finer one is drawn more roughly
+_FINEST = 2048  # cells along a mold that is drawn more roughly, at first
+
+
+class Quantity(NamedTuple):
+    """Something that the part is coloured by: what is shown is `factor` times the value in the files."""
+
+    key: str
+    label: str
+    unit: str = ""
+    factor: float = 1.0
+    relative: bool = False
+
+
+_ELEMENT_QUANTITIES = (
+    Quantity("thickness", "wall thickness", "mm", 1e3, relative=True),
+    Quantity("stretch_1", "larger stretch", relative=True),
+    Quantity("stretch_2", "smaller stretch", relative=True),
+    Quantity("level", "refinement level"),
+)
+_AREA_STRETCH = Quantity("area_stretch", "area stretch")
+_NODAL_QUANTITIES = (
+    Quantity("contact_time", "time of contact", "s"),
+    Quantity("initial_thickness", "initial thickness", "mm", 1e3),
+    Quantity("temperature", "temperature of the sheet", "°C"),
+)
+_ALWAYS = ("thickness", "stretch_1", "stretch_2", "contact_time")  # others are shown where they vary
+
+
+def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
+    """Packs meshes, parts and mold; returns what the page has to know of them, as plain numbers and words."""
+    parts = _Parts(parcel)
+    search = results.start is not None
+    end = float(results.summary.get("time") or 0.0)
+    parts.add(results.part, "best design" if search else "end", end)
+    if results.start is not None:
+        parts.add(results.start, "start of the search", end)
+    for time, part in results.frames:
+        parts.add(part, "frame", time, coarse=True)
+    return {
+        "parts": parts.described,
+        "search": search,
+        "end": end,
+        "quantities": _quantities([part for part in (results.part, results.start) if part is not None]),
+        "symmetry": symmetry_of(results),
+        "hangs": _hangs(results.part),
+        "mold": None if results.mold is None else _pack_mold(results.mold, symmetry_of(results), parcel),
+    }
+
+
+def symmetry_of(results: Results) -> dict[str, float]:
+    """Place [m] of the planes about which the modelled part is symmetric, by the name of their axis."""
+    found = results.summary.get("symmetry_planes", {})
+    return {key: found[key] for key in "xyz" if key in found}
+
+
+class _Parts:
+    """Parts that are packed one after the other; those with the same mesh share it."""
+
+    def __init__(self, parcel: Parcel) -> None:
+        self.described: list[dict[str, Any]] = []
+        self._parcel = parcel
+        self._meshes: list[tuple[Part, NDArray[np.int64]]] = []
+
+    def add(self, part: Part, label: str, time: float, coarse: bool = False) -> None:
+        """Packs a part, coarsely if it is a frame: then without what it has in common with the last part."""
+        if coarse:
+            part = self._as_known(part)
+        mesh = self._mesh(part)
+        nodes, prefix = self._meshes[mesh][1], f"part{len(self.described)}"
+        nodal = {name: values[nodes] for name, values in part.nodal.items() if name != "thickness"}
+        if coarse and mesh == 0:
+            # Nothing but the way of the nodes is new: what touched, the end's times of contact tell.
+            nodal = {}
+        if "contact_time" in nodal:
+            nodal["contact_time"] = np.where(nodal["contact_time"] < 0, np.nan, nodal["contact_time"])
+        self._parcel.add(f"{prefix}.positions", part.positions[nodes], coarse=coarse)
+        for quantity in _ELEMENT_QUANTITIES:
+            if quantity.key != "level":
+                name = f"{prefix}.{quantity.key}"
+                self._parcel.add(name, part.cells[quantity.key], relative=quantity.relative, coarse=coarse)
+        for name, values in nodal.items():
+            self._parcel.add(f"{prefix}.{name}", values, coarse=coarse)
+        self.described.append({"label": label, "time": time, "mesh": mesh})
+
+    def _as_known(self, part: Part) -> Part:
+        """The same with its elements in an order that takes little room, unless its mesh is already there."""
+        if any(_same_mesh(known, part) for known, _ in self._meshes):
+            return part
+        order = spatial_order(part.reference[part.triangles].mean(1))
+        cells = {name: values[order] for name, values in part.cells.items()}
+        return part._replace(triangles=part.triangles[order], cells=cells)
+
+    def _mesh(self, part: Part) -> int:
+        """The number of the part's mesh, which is packed where it is a new one."""
+        for number, (known, _) in enumerate(self._meshes):
+            if _same_mesh(known, part):
+                return number
+        triangles, nodes = by_first_use(part.triangles)
+        self._meshes.append((part, nodes))
+        number = len(self._meshes) - 1
+        self._parcel.add_triangles(f"mesh{number}.triangles", triangles)
+        self._parcel.add(f"mesh{number}.reference", part.reference[nodes])
+        self._parcel.add(f"mesh{number}.level", part.cells["level"])
+        return number
+
+
+def _same_mesh(one: Part, other: Part) -> bool:
+    return np.array_equal(one.triangles, other.triangles) and np.array_equal(one.reference, other.reference)
+
+
+def _quantities(parts: list[Part]) -> list[dict[str, Any]]:
+    """What the parts can be coloured by, and the ranges of the colours, which they share."""
+    areas, formed = zip(*(_formed(part) for part in parts), strict=True)
+    known = {quantity.key for quantity in _NODAL_QUANTITIES} | {"thickness"}
+    others = [Quantity(name, name.replace("_", " ")) for name in parts[0].nodal if name not in known]
+    found = []
+    for of, quantities in (("elements", (*_ELEMENT_QUANTITIES, _AREA_STRETCH)), ("nodes", _NODAL_QUANTITIES)):
+        for quantity in (*quantities, *(others if of == "nodes" else [])):
+            values = [_values(part, quantity.key, of)[chosen] for part, chosen in zip(parts, formed, strict=True)]
+            joined, area = np.concatenate(values), np.concatenate(areas)
+            kept = np.isfinite(joined)
+            if not kept.any() or (quantity.key not in _ALWAYS and np.ptp(joined[kept]) == 0.0):
+                continue
+            most = {} if quantity.key == "thickness" else {"most": 1.0}
+            low, high = color_range(joined[kept], area[kept], **most)
+            shown = {"low": quantity.factor * low, "high": quantity.factor * high, "of": of}
+            found.append(quantity._asdict() | shown)
+    return found
+
+
+def _values(part: Part, key: str, of: str) -> Array:
+    """Of the elements (n_element,): of nodal values their mean, of times of contact that of the last corner."""
+    if key == "area_stretch":
+        return part.cells["stretch_1"] * part.cells["stretch_2"]
+    if of == "elements":
+        return part.cells[key]
+    if key not in part.nodal:
+        return np.full(len(part.triangles), np.nan)
+    corners = part.nodal[key][part.triangles]
+    if key == "contact_time":
+        last = corners.max(1)
+        return np.where((corners < 0).any(1) | (last <= 0), np.nan, last)
+    return corners.mean(1)
+
+
+def _formed(part: Part) -> tuple[Array, NDArray[np.bool_]]:
+    """Areas (n,) [m^2] of the elements that were formed, and which of all these are."""
+    formed = formed_elements(part.reference, part.positions, part.triangles)
+    a, b, c = np.moveaxis(part.positions[part.triangles[formed]], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1), formed
+
+
+def _hangs(part: Part) -> bool:
+    """Whether the part is drawn hanging, so that one looks into it: a sheet that rose from a plane."""
+    rise = part.positions[:, 2] - part.reference[:, 2]
+    flat = np.ptp(part.reference[:, 2]) <= 1e-6 * np.ptp(part.reference, axis=0).max()
+    return bool(flat and rise.mean() > 0)
+
+
+def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel) -> dict[str, Any]:
+    """Packs the mold; says whether it ends at a symmetry plane, so that its images are wanted."""
+    vertices, triangles = _roughened(mold.positions, mold.triangles)
+    triangles, kept = by_first_use(triangles)
+    parcel.add_triangles("mold.triangles", triangles)
+    parcel.add("mold.positions", vertices[kept])
+    tolerance = 1e-6 * float(np.ptp(mold.positions, axis=0).max())
+    crosses = [
+        (mold.positions[:, k] < symmetry["xyz"[k]] - tolerance).any()
+        and (mold.positions[:, k] > symmetry["xyz"[k]] + tolerance).any()
+        for k in range(3)
+        if "xyz"[k] in symmetry
+    ]
+    return {"mirrored": not all(crosses), "rough": len(triangles) < len(mold.triangles)}
+
+
+def _roughened(vertices: Array, triangles: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+    """Vertices (n, 3) and triangles (m, 3) of a mold with few enough triangles: those in a cell of space become one."""
+    cells, low, size = _FINEST, vertices.min(0), float(np.ptp(vertices, axis=0).max()) or 1.0
+    while len(triangles) > _MOST_WALLS and cells > 1:
+        place = np.floor((vertices - low) / size * cells).astype(np.int64)
+        first, owner = np.unique(place @ [1, 4 * _FINEST, 16 * _FINEST**2], return_index=True, return_inverse=True)[1:]
+        joined = owner.reshape(-1)[triangles]
+        whole = (joined != np.roll(joined, 1, axis=1)).all(1)
+        vertices, triangles = vertices[first], joined[whole].astype(np.int32)
+        cells //= 2
+    return vertices, triangles

@@ -1,0 +1,213 @@
+"""The parts of the page that are text and tables, as HTML; what is drawn, the page's scripts add."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from jaxform.io.report.contents import symmetry_of
+from jaxform.io.report.measuring import Point
+from jaxform.io.report.reading import Results
+
+_ENERGY = {
+    "strain": "strain energy at the end",
+    "kinetic": "kinetic energy at the end",
+    "damping_loss": "damping",
+    "contact_loss": "contact: kinetic energy of nodes that stuck",
+    "refinement_loss": "refinement: taken away by new nodes",
+    "viscous_loss": "viscous modes",
+    "friction_loss": "friction",
+    "tool_work": "work of tools",
+}
+_WHOLE = {1: "half", 2: "a quarter", 3: "an eighth"}  # of the part is modelled, by the number of symmetry planes
+_NOTHING = "\N{EN DASH}"
+
+
+def number(value: Any, factor: float = 1.0, digits: int = 4) -> str:
+    """A number in a few digits; a dash for what is no number."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return _NOTHING
+    return f"{factor * value + 0.0:.{digits}g}"
+
+
+def heading(results: Results) -> str:
+    """The name, the status, the numbers that are asked for first, and the warnings."""
+    summary = results.summary
+    status = str(summary["status"])
+    good = status == "ok"
+    kind = "search for a design" if results.start is not None or "design" in summary else "simulation"
+    counts = (
+        f"{number(summary.get('elements_final'), digits=9)} elements, {number(summary.get('steps'), digits=9)} steps"
+    )
+    badge = f'<span class="status {"good" if good else "bad"}">{"ok" if good else "problem"}</span>'
+    lines = [
+        f"<h1>{escape(str(summary['scene']))} {badge}</h1>",
+        f'<p class="quiet">{kind}, {counts}, {number(summary.get("time"))} s of the process</p>',
+        "" if good else f'<p class="alert" role="alert">{escape(status)}</p>',
+        _warnings(summary["warnings"]),
+        f'<div class="tiles">{"".join(_tiles(results))}</div>',
+    ]
+    return "\n".join(line for line in lines if line)
+
+
+def _warnings(warned: Sequence[str]) -> str:
+    if not warned:
+        return ""
+    items = "".join(f"<li>{escape(str(words))}</li>" for words in warned)
+    title = "1 warning" if len(warned) == 1 else f"{len(warned)} warnings"
+    return f'<section class="warnings" aria-label="warnings"><h2>{title}</h2><ul>{items}</ul></section>'
+
+
+def _tiles(results: Results) -> Iterable[str]:
+    summary = results.summary
+    wall = summary["thickness"]
+    first = summary["design"]["before"] if results.start is not None else {}
+    yield _tile("thinnest wall", number(wall["min"], 1e3), "mm", first.get("wall_min"), 1e3)
+    yield _tile("mean wall", number(wall["mean"], 1e3), "mm", first.get("wall_mean"), 1e3)
+    yield _tile("spread of the wall", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
+    yield _tile("mass", number(_whole_mass(results), 1e3), "g", _times(first.get("mass"), results), 1e3)
+    if results.mold is not None:
+        yield _tile("touches the mold", number(summary["contact_fraction"], 100, 3), "%")
+    yield _tile("energy missed", _small(summary["energy"].get("balance_error")), "%")
+
+
+def _tile(label: str, value: str, unit: str, before: Any = None, factor: float = 1.0) -> str:
+    was = "" if before is None else f'<span class="was">start {number(before, factor, 3)}</span>'
+    return (
+        f'<div class="tile"><span class="label">{label}</span><span class="value">{value} <small>{unit}</small></span>'
+        f"{was}</div>"
+    )
+
+
+def quality(results: Results) -> str:
+    """The table of what a part is judged by."""
+    summary = results.summary
+    wall, thin = summary["thickness"], summary["thinnest"]
+    planes = len(symmetry_of(results))
+    mass = f"{number(_whole_mass(results), 1e3)} g"
+    if planes:
+        mass += f" ({_WHOLE[planes]} of it is modelled: {number(summary['mass'], 1e3)} g)"
+    rows = [
+        ("thinnest wall", f"{number(thin['thickness'], 1e3)} mm"),
+        ("&emsp;where, in the part", _place(thin["formed"])),
+        ("&emsp;where it came from, in the sheet", _place(thin["initial"])),
+        ("mean wall, by formed area", f"{number(wall['mean'], 1e3)} mm"),
+        ("spread (coefficient of variation)", f"{number(wall['cv'], 100)} %"),
+        ("thickest wall", f"{number(wall['max'], 1e3)} mm"),
+        ("mass", mass),
+    ]
+    if results.mold is not None:
+        rows.append(("formed area that touches the mold", f"{number(summary['contact_fraction'], 100)} %"))
+    if summary.get("penetration_max"):
+        where = _place(summary.get("penetration_place") or [])
+        rows.append(
+            ("deepest cut of an element into the mold", f"{number(summary['penetration_max'], 1e3, 3)} mm, {where}")
+        )
+    body = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in rows)
+    return f"<h2>The part</h2><table>{body}</table>"
+
+
+def to_measure(points: Sequence[Point]) -> str:
+    """The table of places to measure on a first part, which can be shown in the view, and how they were chosen."""
+    rows = "".join(
+        f'<tr><td><button class="mark" data-point="{index}" aria-label="show the {point.name} place">{index + 1}'
+        f"</button></td><td>{point.name}</td><td class=number>{number(point.thickness, 1e3)}</td>"
+        f"<td>{_place(point.formed, '')}</td><td>{_place(point.initial, '')}</td></tr>"
+        for index, point in enumerate(points)
+    )
+    words = ("", "place", "wall [mm]", "in the part, x y z [mm]", "in the sheet, x y z [mm]")
+    head = "".join(f'<th scope="col">{text}</th>' for text in words)
+    chosen = "".join(f"<li>{escape(point.chosen)}</li>" for point in points)
+    return (
+        f"<h2>To measure on the first part</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        f'<p class="quiet">How they were chosen:</p><ol class="quiet">{chosen}</ol>'
+    )
+
+
+def energy(summary: Mapping[str, Any]) -> str:
+    """The energy account with a bar for each term, and how far it can be trusted."""
+    account = summary["energy"]
+    work = account.get("external_work")
+    total = abs(work) if isinstance(work, int | float) else 0.0
+    terms = [("work of the pressure", work)]
+    terms += [(words, account[key]) for key, words in _ENERGY.items() if account.get(key)]
+    rows = "".join(_energy_row(words, value, total) for words, value in terms)
+    missed, slow = _small(account.get("balance_error")), _small(account.get("quasi_static_error"))
+    note = (
+        f"The account misses {missed} % of the work. The wall is about {slow} % away "
+        "from that of the same process done slowly."
+    )
+    head = '<tr><th scope="col">term</th><th scope="col">energy [J]</th><th scope="col">share of the work</th></tr>'
+    return (
+        f"<h2>Energy account</h2><table class=energy><thead>{head}</thead><tbody>{rows}</tbody></table>"
+        f'<p class="quiet">{note} Of the modelled part.</p>'
+    )
+
+
+def _energy_row(words: str, value: Any, total: float) -> str:
+    share = abs(value) / total if isinstance(value, int | float) and total else None
+    width = 100 * min(share or 0.0, 1.0)
+    bar = f'<span class="bar"><i style="width:{width:.3g}%"></i></span>{_small(share)} %'
+    return f'<tr><th scope="row">{words}</th><td class=number>{number(value)}</td><td>{bar}</td></tr>'
+
+
+def design(summary: Mapping[str, Any]) -> str:
+    """The table of a design before and after the search; nothing for a simulation."""
+    found = summary.get("design")
+    if not found:
+        return ""
+    first, best = found["before"], found["after"]
+    rows = (
+        ("deviation from the target, rms [%]", "thickness_rms_error", 100),
+        ("objective", "objective", 1),
+        ("thinnest wall [mm]", "wall_min", 1e3),
+        ("mean wall [mm]", "wall_mean", 1e3),
+        ("spread of the wall [%]", "wall_cv", 100),
+        ("mass [g], of the modelled part", "mass", 1e3),
+    )
+    body = "".join(
+        f'<tr><th scope="row">{words}</th><td class=number>{number(first.get(key), factor)}</td>'
+        f"<td class=number>{number(best.get(key), factor)}</td></tr>"
+        for words, key, factor in rows
+        if first.get(key) is not None or best.get(key) is not None
+    )
+    head = '<tr><th scope="col"></th><th scope="col">start</th><th scope="col">best design</th></tr>'
+    cost = f"{number(found.get('evaluations'))} simulations with and without gradient, the time of "
+    cost += (
+        f"{number(found.get('simulations'), digits=3)} simulations; stopped by {escape(str(found.get('stopped_by')))}"
+    )
+    return (
+        f"<h2>The search</h2><table><thead>{head}</thead><tbody>{body}</tbody></table>"
+        f'<p class="quiet">{cost}: {escape(str(found.get("message")))}.</p>'
+    )
+
+
+def scene(results: Results) -> str:
+    """The text of the scene file; nothing where there is none."""
+    if results.scene is None:
+        return ""
+    name, text = results.scene
+    return f"<details class=card><summary>The scene: {escape(name)}</summary><pre>{escape(text)}</pre></details>"
+
+
+def _small(share: Any) -> str:
+    """A share in per cent, which below a hundredth of one is not told exactly."""
+    return "&lt; 0.01" if isinstance(share, int | float) and 0 <= share < 1e-4 else number(share, 100, 3)
+
+
+def _place(point: Sequence[Any], unit: str = " mm") -> str:
+    """A place given in [m], in mm."""
+    if len(point) != 3 or None in point:
+        return _NOTHING
+    # What is below a millionth of a mm is rounding.
+    return f"{', '.join(number(round(1e3 * x, 6)) for x in point)}{unit}"
+
+
+def _whole_mass(results: Results) -> float | None:
+    return _times(results.summary["mass"], results)
+
+
+def _times(mass: Any, results: Results) -> float | None:
+    """Of the whole part, where this is the mass of what is modelled."""
+    return mass * 2 ** len(symmetry_of(results)) if isinstance(mass, int | float) else None

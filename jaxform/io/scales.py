@@ -1,0 +1,41 @@
+"""What pictures and the report show of many numbers: ranges of colours, and points that the eye tells apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FINENESS = 500  # points that the eye tells apart along a side of a diagram
+_MOVED = 0.02  # of the farthest way an element went: one that went less was not formed
+_MOST = 0.98  # of the formed area, the colours tell apart; the thickest have one colour
+
+
+def formed_elements(start: Array, end: Array, triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Which elements (n,) were formed, and are no flange that stayed flat; all, where none moved.
+
+    Args:
+        start: Initial positions (n_node, 3) [m].
+        end: Final positions (n_node, 3) [m].
+        triangles: Node numbers of the elements (n, 3).
+    """
+    way = np.linalg.norm((end - start)[triangles].mean(1), axis=1)
+    moved = way >= _MOVED * way.max(initial=0.0)
+    return moved | (not moved.any())
+
+
+def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float, float]:
+    """Range that colours show, of values (n,) and their areas: from the least to what most of the area is below."""
+    order = np.argsort(values)
+    share = np.cumsum(area[order]) / area.sum()
+    last = min(int(np.searchsorted(share, most)), len(values) - 1)
+    low, high = float(values.min()), float(values[order[last]])
+    room = 0.05 * max(abs(low), abs(high))
+    return (low, high) if high - low > 0.02 * room else (low - room, high + room)
+
+
+def seen_apart(across: Array, up: Array) -> NDArray[np.int64]:
+    """Which of many points (n,) are drawn: one in each place that the eye tells from others."""
+    cells = [np.round(_FINENESS * (x - x.min()) / (np.ptp(x) or 1.0)).astype(np.int64) for x in (across, up)]
+    return np.unique(cells[0] * (_FINENESS + 1) + cells[1], return_index=True)[1]
