@@ -66,9 +66,9 @@ def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulat
     data, moved = _moved(document)
     text = disk.read_text(document.path) if document.path is not None else ""
     if "name" not in document.data:
-        text = f"name = {_inline(document.name)}\n{text}"
+        text = f"name = {inline(document.name)}\n{text}"
     for old, new in moved.items():
-        text = text.replace(f'"{old}"', _inline(new)).replace(f"'{old}'", _inline(new))
+        text = text.replace(f'"{old}"', inline(new)).replace(f"'{old}'", inline(new))
     with whole(Path(folder) / name) as fresh:
         fresh.write_text(text if _says(text, data) else _toml(data), encoding="utf-8")
     return Path(folder) / name

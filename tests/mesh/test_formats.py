@@ -7,6 +7,7 @@ import resource
 import struct
 import warnings
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -26,7 +27,7 @@ POINTS, FACES = CUP.vertices, CUP.triangles
 SOUP = POINTS[FACES]
 
 
-def _read(folder: Path, name: str, content: str | bytes, **options: float) -> Mesh:
+def _read(folder: Path, name: str, content: str | bytes, **options: Any) -> Mesh:
     path = folder / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return read_mesh(path, **options)
