@@ -19,6 +19,7 @@ import numpy as np
 import jaxform
 import optimize
 from benchmarks import design_page
+from benchmarks.controls import ramp, show_heaters, show_melt
 from benchmarks.pages import DOCS, Found, keep, kept
 from jaxform.io import catalog
 from jaxform.mesh.profiles import Profile
@@ -136,12 +137,6 @@ def formed_at(result: jaxform.Result) -> float:
     share = np.cumsum(area[order]) / area.sum()
     last = order[int(np.searchsorted(share, TOUCHING))]
     return float(touched[last]) if touched[last] >= 0 else float("inf")
-
-
-def ramp(scene: jaxform.Scene, kind: str, time: float, value: float) -> jaxform.Scene:
-    """The scene with a ramp of a kind to a pressure [Pa] within a time [s], at which it ends."""
-    shape = jaxform.make_pressure([0.0, time], [0.0, value], kind)
-    return jaxform.replace(replace(scene, pressure=shape), {"solver.end_time": time})
 
 
 def show_pressure(times: tuple[float, ...] = (3, 4, 5, 7, 10, 14, 20, 28, 40, 56, 80), iterations: int = 25) -> Found:
@@ -332,6 +327,8 @@ PARTS: dict[str, Callable[[], Found | None]] = {
     "mass": show_mass,
     "pressure": show_pressure,
     "bottle": show_bottle,
+    "melt": show_melt,
+    "heaters": show_heaters,
 }
 BUDGETS = {"recover": 1500, "least-mass": 1500, "pressure": 9000}  # simulations of each of the others
 
