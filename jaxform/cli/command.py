@@ -1,4 +1,4 @@
-"""The command: `jaxform scenes | simulate | optimize | check | warm`. It alone knows both jaxform and optimize.
+"""The command: `jaxform scenes | new | simulate | optimize | check | warm`. It alone knows both jaxform and optimize.
 
 Exit status: 0 done; 2 bad input, with one line on standard error; 3 the simulation stopped early, with what was
 computed written, or a search keeps not all limits; 130 interrupted. Heavy imports wait until a command needs them.
@@ -93,6 +93,15 @@ def _parser() -> argparse.ArgumentParser:
     warm.add_argument("--quiet", action="store_true", help="print errors only")
     warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
     warm.set_defaults(command=_warm)
+    words = "write a folder with a first scene for a mold, which runs as it is"
+    new = commands.add_parser("new", help=words, description=words)
+    new.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
+    new.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
+    new.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
+    new.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
+    new.add_argument("--quiet", action="store_true", help="print errors only")
+    new.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
+    new.set_defaults(command=_new)
     return parser
 
 
@@ -143,3 +152,9 @@ def _warm(arguments: argparse.Namespace) -> int:
     from jaxform.cli import warming
 
     return warming.warm(arguments)
+
+
+def _new(arguments: argparse.Namespace) -> int:
+    from jaxform.cli import starting
+
+    return starting.start(arguments)

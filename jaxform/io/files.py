@@ -257,6 +257,13 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
             elements=table.elements,
             symmetry=table.symmetry,
         )
+    if isinstance(table, schema.Outline):
+        polygon = table.polygon
+        if polygon is None:
+            raise InputError("is not there yet", "give polygon", "parison.mold_rim")
+        return shapes.outline(
+            polygon=polygon, element_size=table.element_size, elements=table.elements, planes=table.planes
+        )
     if isinstance(table, schema.BottleHalfParison):
         return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness", "temperature"}))
     size = table.element_size

@@ -112,7 +112,9 @@ def _disc(site: _Site, full: float) -> Circle | None:
     if not site.flange:
         middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
         inner = float(np.linalg.norm(middles - around.center, axis=1).min())
-        return Circle(around.center, inner) if inner >= _ROUND * around.radius and full >= 0.9 * np.pi * inner**2 else None
+        return (
+            Circle(around.center, inner) if inner >= _ROUND * around.radius and full >= 0.9 * np.pi * inner**2 else None
+        )
     for margin in _margins(site):
         disc = Circle(around.center, around.radius + margin)
         if full >= _FULL * np.pi * around.radius**2 and site.within(Planform(disc, True).polygon):
@@ -143,7 +145,7 @@ def _outline(site: _Site, found: Opening, vertices: Array, triangles: Integers) 
     rim = None if site.flange else _rim(found, vertices, triangles)
     if rim is not None:
         return rim
-    margin = max(_MARGIN * site.width / view.pixel, 2.0) if site.flange else 0.0
+    margin = max(_MARGIN * site.width / view.pixel, 2.0)
     values = np.minimum(_distance(view.inside) - 1.0, margin + 0.5 - _distance(~site.covered))
     if not _in_one(values > 0):
         hull = _mask(view, contours.hull(view.places(site.covered)))

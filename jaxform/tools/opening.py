@@ -17,8 +17,11 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Integers = NDArray[np.integer]
 
-_COARSE, _FINE = 120, 480  # pixels of the longer side, to choose a view and to look at it
-_FLAT = 0.004  # of the mold's size, what counts as one height
+FINE = 480
+"""Pixels of the longer side, to look at a mold."""
+FLAT = 0.004
+"""Of the mold's size, what counts as one height."""
+_COARSE = 120  # pixels, to choose from where to look
 _RIM = 0.8  # of the edge of what is seen, at one height: that is a rim
 _HOLLOW = 2e-3  # of the cube of the mold's size, the volume of what is a cavity
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
@@ -78,18 +81,20 @@ def find(vertices: Array, triangles: Integers) -> Opening:
     if max(best.hollow, best.proud) < _HOLLOW * size**3:
         problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
         raise InputError(problem, "write the scene by hand (docs/start.md has one to copy)")
-    view = heights.seen(vertices, triangles, best.view.turn, _FINE)
+    view = heights.seen(vertices, triangles, best.view.turn, FINE)
     look = _look(view, size)
     return _male(look, size) if male else _female(look, size)
 
 
 def _female(look: _Look, size: float) -> Opening:
     view = look.view
-    deep = view.inside & ~(view.height <= look.level + _FLAT * size)
+    flange = view.height[np.abs(view.height - look.level) <= FLAT * size]
+    deep = view.inside & ~(view.height <= look.level + FLAT * size)
     cavity = _without_specks(deep)
     bottom = view.height[cavity & np.isfinite(view.height)]
     depth = float(bottom.max() - look.level) if len(bottom) else 0.0
-    return Opening(view, look.level, look.level, cavity, False, look.share, depth)
+    # The sheet lies before all of the flange, which may be uneven.
+    return Opening(view, float(flange.min()), look.level, cavity, False, look.share, depth)
 
 
 def _male(look: _Look, size: float) -> Opening:
@@ -109,7 +114,7 @@ def _without_specks(deep: Mask) -> Mask:
 
 def _look(view: Heights, size: float) -> _Look:
     """The rim's height is the one that most of the edge has."""
-    tolerance = _FLAT * size
+    tolerance = FLAT * size
     at_edge = np.sort(view.around()[view.edge])
     many = np.searchsorted(at_edge, at_edge + 2 * tolerance, side="right") - np.arange(len(at_edge))
     first = int(np.argmax(many))

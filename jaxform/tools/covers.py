@@ -1,0 +1,174 @@
+"""Covers for what a sheet would be blown through: holes of a mold, and gaps under the edge of the sheet. On the host."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import contours, meshes, planform, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import heights
+from jaxform.tools.heights import Heights
+from jaxform.tools.opening import FINE, FLAT, Opening
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Integers = NDArray[np.integer]
+
+_SEAM = 1e-4  # of the mold's size: rims as near to each other as that are a seam, not holes
+_STEP = 4.0  # pixels, from one look under the sheet's edge to the next
+_SPECK = 1e-6  # of the square of the mold's size: less is no hole
+
+
+class Covers(NamedTuple):
+    """What closes a mold.
+
+    Attributes:
+        mesh: The covers, where the mold's file has it; None where nothing is open.
+        holes: How many holes are covered.
+        gaps: The length [m] of the sheet's edge under which there was no rim.
+    """
+
+    mesh: Mesh | None
+    holes: int
+    gaps: float
+
+
+def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
+    """Covers for the holes of a mold and the gaps under the edge of a sheet.
+
+    Args:
+        found: The opening.
+        polygon: Of the sheet, counter-clockwise, in the plane of the view (k, 2) [m].
+        mold: Welded, not turned.
+    """
+    turned = mold.positions @ found.view.turn.T
+    size = meshes.size(mold.positions)
+    fans = _fans(turned, mold.triangles, found.level + FLAT * size, size)
+    curtain, length = _curtain(found, polygon, size)
+    closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
+    patches = _patches(heights.seen(closed.positions, closed.triangles, np.eye(3), FINE), polygon)
+    parts = [*fans, *curtain, *patches]
+    if not parts:
+        return Covers(None, 0, 0.0)
+    joined = meshes.merged(parts)
+    return Covers(Mesh(joined.positions @ found.view.turn, joined.triangles), len(fans) + len(patches), length)
+
+
+def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list[Mesh]:
+    """A cover on each open rim of a shell that lies behind the clamp plane as a whole."""
+    edges = topology.boundary_edges(triangles)
+    if not len(edges):
+        return []
+    part = topology.connected(edges[:, 0], edges[:, 1], len(turned))[edges[:, 0]]
+    seam = _at_seams(turned, edges, part, _SEAM * size)
+    made = []
+    for one in np.unique(part):
+        own = edges[part == one]
+        points = turned[own]
+        if points[..., 2].min() <= level or seam[part == one].mean() > 0.5:
+            continue
+        fan = _fan(points)
+        corners = fan.positions[fan.triangles]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        if area > _SPECK * size**2:
+            made.append(fan)
+    return made
+
+
+def _at_seams(turned: Array, edges: Integers, part: Integers, near: float) -> Mask:
+    """Which rim edges (n,) run along a rim of another part."""
+    from scipy.spatial import KDTree
+
+    share = (np.arange(8) + 0.5)[:, None] / 8
+    begin, end = turned[edges[:, 0]], turned[edges[:, 1]]
+    samples = (begin[:, None] + share * (end - begin)[:, None]).reshape(-1, 3)
+    owner = np.repeat(part, 8)
+    middles = 0.5 * (begin + end)
+    reach = near + np.linalg.norm(end - begin, axis=1).max() / 8
+    found = np.zeros(len(edges), bool)
+    for edge, close in enumerate(KDTree(samples).query_ball_point(middles, reach)):
+        other = np.array(close)[owner[close] != part[edge]]
+        found[edge] = bool(len(other) and np.any(_across(samples[other], begin[edge], end[edge]) <= near))
+    return found
+
+
+def _across(points: Array, begin: Array, end: Array) -> Array:
+    """Distance (n,) [m] of points (n, 3) [m] to a line."""
+    along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-300)
+    away = points - begin
+    return np.linalg.norm(away - (away @ along)[:, None] * along, axis=1)
+
+
+def _fan(edges: Array) -> Mesh:
+    """Triangles from the middle of edges (n, 2, 3) [m] to each of them."""
+    count = len(edges)
+    points = np.concatenate([edges.reshape(-1, 3), edges.mean((0, 1))[None]])
+    number = np.arange(count)
+    fan = np.stack([2 * number, 2 * number + 1, np.full(count, 2 * count)], axis=1)
+    return Mesh(points, fan.astype(np.int32))
+
+
+def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], float]:
+    """Walls down from the sheet's edge where nothing is under it, and how long they are [m]."""
+    view = found.view
+    along = _edge_points(polygon, _STEP * view.pixel)
+    near, deep = _sampled(view.around(), view, along), _sampled(_deepest(view), view, along)
+    open_there = near > found.level + FLAT * size
+    # Each side of the polygon belongs to both of its ends; a single one is the pixels' doubt.
+    side = open_there & np.roll(open_there, -1)
+    if not side.any():
+        return [], 0.0
+    bottom = max(found.base, float(np.max(deep[open_there & np.isfinite(deep)], initial=found.base)))
+    number = np.flatnonzero(side)
+    following = (number + 1) % len(along)
+    count = len(along)
+    points = np.concatenate([np.insert(along, 2, z, axis=1) for z in (found.level, bottom)])
+    walls = [[number, following, following + count], [number, following + count, number + count]]
+    triangles = np.concatenate([np.stack(wall, axis=1) for wall in walls]).astype(np.int32)
+    length = float(np.linalg.norm(along[following] - along[number], axis=1).sum())
+    return [meshes.used(Mesh(points, triangles))], length
+
+
+def _edge_points(polygon: Array, step: float) -> Array:
+    """Points (n, 2) [m] along a closed polygon, its corners included."""
+    ends = np.roll(polygon, -1, axis=0)
+    counts = np.maximum(1, np.ceil(np.linalg.norm(ends - polygon, axis=1) / step).astype(int))
+    side = np.repeat(np.arange(len(polygon)), counts)
+    share = (np.arange(len(side)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[side]
+    return polygon[side] + share[:, None] * (ends - polygon)[side]
+
+
+def _sampled(values: Array, view: Heights, places: Array) -> Array:
+    """The values (n,) of the pixels that places (n, 2) [m] are in."""
+    column, row = np.floor((places - view.low) / view.pixel).astype(int).T
+    return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]
+
+
+def _deepest(view: Heights) -> Array:
+    from scipy import ndimage
+
+    return ndimage.maximum_filter(np.where(np.isfinite(view.height), view.height, -np.inf), size=7)
+
+
+def _patches(view: Heights, polygon: Array) -> list[Mesh]:
+    """Covers on what one sees through, at the height of what is around it."""
+    from scipy import ndimage
+
+    below = planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)
+    through = ~np.isfinite(view.height) & ndimage.binary_erosion(below, iterations=2)
+    part, count = ndimage.label(through)  # pyright: ignore[reportGeneralTypeIssues]
+    made = []
+    for one in range(1, count + 1):
+        hole = part == one
+        around = ndimage.binary_dilation(hole, iterations=2) & np.isfinite(view.height)
+        if not around.any():
+            continue
+        rim, rise = view.places(around), view.height[around]
+        corners = contours.hull(np.concatenate([rim, view.places(hole)]))
+        nearest = np.argmin(np.linalg.norm(corners[:, None] - rim, axis=2), axis=1)
+        points = np.insert(corners, 2, rise[nearest], axis=1)
+        made.append(_fan(np.stack([points, np.roll(points, -1, axis=0)], axis=1)))
+    return made
