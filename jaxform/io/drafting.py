@@ -24,10 +24,10 @@ STIFFNESS, ALPHA, DENSITY = 0.2e6, 0.1, 1000.0
 _METRES, _INCHES = 1.2, 18.0  # largest sizes of a part, as numbers, that are taken for metres and for inches
 _WELD = 1e-5  # of the size: corners as near as that are one, where openings are looked for
 _THICKNESS = 0.008  # of the sheet's width
-_ELEMENTS, _MOST = 4000, 9000  # about how many, and where pockets are small
-_ACROSS = 12  # elements across the smallest pocket
-_FILLING = 10.0  # pressure that fills a pocket, over stiffness times thickness over half its width
-_SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
+_ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
+_ACROSS = 16  # elements across the smallest pocket
+_CORNER = 1.3  # elements: the radius to which corners are filled; a mesh cannot hold what would fill finer ones
+_SLOW = 60.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
 _DAMPING = 2.0  # the same times the damping
 _FINER = 0.6  # of the element size that there is: if pockets want less, the mesh is refined
 
@@ -68,8 +68,18 @@ class Draft:
 
     @property
     def pressure(self) -> float:
-        """The pressure [Pa] that fills the pockets."""
-        return _rounded(_FILLING * STIFFNESS * self.thickness / self.pocket)
+        """The pressure [Pa] that fills the pockets: 2 T / r for corners of radius r and a tension T.
+
+        T = 2 c h (1 + alpha stretch^2) of a Mooney-Rivlin sheet at large equal stretches, which are taken twice as
+        large as those of the cavity's area on average.
+        """
+        tension = 2 * STIFFNESS * self.thickness * (1 + ALPHA * 2 * self.draw)
+        return _rounded(2 * tension / (_CORNER * self.element_size))
+
+    @property
+    def draw(self) -> float:
+        """About how many times its area the sheet gets: bottom and walls of the cavity over its opening."""
+        return 1.0 + 2 * self.found.depth / self.pocket
 
     @property
     def ramp(self) -> float:

@@ -16,6 +16,7 @@ Size = Callable[[Array], Array]
 _ROUNDS = 6  # of smoothing; more change little
 _CLEAR = 0.6  # of the size: inner points keep that far from the rim, so that its edges are edges of the mesh
 _MOST_PAIRS = 5_000_000  # of points and sides of the loops beside them, looked at together
+_FLAT = 1e-7  # of a triangle's side, its height, where it is none
 _LEVELS = 4  # times that the largest size may be halved
 
 
@@ -116,7 +117,12 @@ def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
 def _kept(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
     """The Delaunay triangles inside the loops."""
     triangles = Delaunay(points).simplices.astype(np.int64)
-    return triangles[inside(points[triangles].mean(1), loops)]
+    corners = points[triangles]
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    doubled = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+    longest = np.maximum(np.sum(one**2, axis=1), np.sum(other**2, axis=1))
+    # Along a straight side of the rim rounding makes triangles of three of its points.
+    return triangles[(doubled > _FLAT * longest) & inside(corners.mean(1), loops)]
 
 
 def _neighbours_mean(points: Array, triangles: NDArray[np.int64]) -> Array:

@@ -1,4 +1,4 @@
-"""Covers for what a sheet would be blown through: holes of a mold, and gaps under the edge of the sheet. On the host."""
+"""Covers for what a sheet would be blown through: holes of a mold, gaps under the edge of the sheet. On the host."""
 
 from __future__ import annotations
 
@@ -117,10 +117,11 @@ def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], f
     along = _edge_points(polygon, _STEP * view.pixel)
     near, deep = _sampled(view.around(), view, along), _sampled(_deepest(view), view, along)
     open_there = near > found.level + FLAT * size
-    # Each side of the polygon belongs to both of its ends; a single one is the pixels' doubt.
-    side = open_there & np.roll(open_there, -1)
-    if not side.any():
+    # A single place is the pixels' doubt; a rim is seen from a few pixels away, so walls reach beyond the gap.
+    sure = open_there & (np.roll(open_there, -1) | np.roll(open_there, 1))
+    if not sure.any():
         return [], 0.0
+    side = np.any([np.roll(sure, k) for k in (-2, -1, 0, 1)], axis=0)
     bottom = max(found.base, float(np.max(deep[open_there & np.isfinite(deep)], initial=found.base)))
     number = np.flatnonzero(side)
     following = (number + 1) % len(along)
