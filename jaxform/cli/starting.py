@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from jaxform.cli import session
 from jaxform.core import disk
 from jaxform.core.errors import InputError, warn_of
+
+if TYPE_CHECKING:
+    from jaxform.io.drafting import Draft
+
+_LEAST, _MOST = 1e-9, 1e3  # m
+_DEEP = 1.5  # times the width, above which hardly anything is thermoformed
 
 
 def start(arguments: argparse.Namespace) -> int:
@@ -22,7 +30,10 @@ def start(arguments: argparse.Namespace) -> int:
         made = drafting.draft(paths, arguments.scale, arguments.thickness)
     except InputError as error:
         raise error.within(key="--mold") from None
-    session.open_folder(arguments.folder, arguments.force)
+    try:
+        session.open_folder(arguments.folder, arguments.force)
+    except InputError as error:
+        raise replace(error, key="FOLDER") from None
     files = firstscene.write(arguments.folder, paths, made)
     _warn(made)
     for line in _lines(made):
@@ -40,19 +51,24 @@ def start(arguments: argparse.Namespace) -> int:
 
 
 def _check_positive(key: str, value: float | None) -> None:
-    if value is not None and not 0 < value < 1e6:
-        raise InputError("is not a positive number", "give metres", key, value)
+    if value is not None and not _LEAST < value < _MOST:
+        raise InputError("is no possible number of metres", f"give {_LEAST:g} to {_MOST:g}", key, value)
 
 
-def _warn(made) -> None:
+def _warn(made: Draft) -> None:
     """Of what was found and may be meant otherwise."""
+    from jaxform.tools import opening
+
     found = made.found
-    if found.rim < 0.8:
+    if found.depth > _DEEP * made.width:
+        problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
+        warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")
+    if found.rim < opening.RIM:
         problem = f"only {100 * found.rim:.0f} % of the edge around the opening is at one height"
         warn_of(problem, "look at check.png: the sheet is clamped in one plane", key="--mold")
 
 
-def _lines(made) -> Iterator[str]:
+def _lines(made: Draft) -> Iterator[str]:
     from jaxform.io import firstscene
 
     found = made.found
@@ -61,10 +77,10 @@ def _lines(made) -> Iterator[str]:
     x, y, z = found.view.turn.T[:, 2]
     what = "a plug stands out of its base" if found.male else "its opening is found"
     yield f"{what}; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
-    kind = made.planform.shape.__class__.__name__.lower().replace("circle", "disc").replace("ndarray", "outline")
     where = "on the flange" if made.planform.flange else "along the rim"
     where = "around the plug" if found.male else where
-    yield f"sheet: a {kind}, {1e3 * made.width:.3g} mm wide, clamped {where}; drawn {1e3 * found.depth:.3g} mm deep"
+    kind = firstscene.kind(made)
+    yield f"sheet: {kind}, {1e3 * made.width:.3g} mm wide, clamped {where}; drawn {1e3 * found.depth:.3g} mm deep"
     if made.covers.mesh is not None:
         yield f"{firstscene.COVERS} closes {firstscene.covered(made)}"
     yield (

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import contours, meshes
+from jaxform.mesh import contours, masks, meshes
 from jaxform.mesh.contours import Circle, Rectangle
-from jaxform.mesh.meshes import Mesh
-from jaxform.tools import covers, footprint, molds, opening
+from jaxform.tools import covers, footprint, molds, opening, rims
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.opening import Opening
@@ -22,12 +21,13 @@ Array = NDArray[np.float64]
 STIFFNESS, ALPHA, DENSITY = 0.2e6, 0.1, 1000.0
 """Of the placeholder material: c [Pa], alpha, density [kg/m^3]."""
 _METRES, _INCHES = 1.2, 18.0  # largest sizes of a part, as numbers, that are taken for metres and for inches
-_WELD = 1e-5  # of the size: corners as near as that are one, where openings are looked for
 _THICKNESS = 0.008  # of the sheet's width
 _ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
 _ACROSS = 16  # elements across the smallest pocket
 _CORNER = 1.3  # elements: the radius to which corners are filled; a mesh cannot hold what would fill finer ones
-_SLOW = 60.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
+_SPECK = 0.02  # of the cavity's area: less is no pocket
+_SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
+_SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
 _DAMPING = 2.0  # the same times the damping
 _FINER = 0.6  # of the element size that there is: if pockets want less, the mesh is refined
 
@@ -84,7 +84,9 @@ class Draft:
     @property
     def ramp(self) -> float:
         """How long the pressure rises [s]."""
-        return _rounded(_SLOW * self._time)
+        # A shallow mold is touched early, and until then the pressure has to rise as slowly.
+        shallow = min(_SHALLOW * 0.5 * self.width / max(self.found.depth, 1e-12), _LONGEST)
+        return _rounded(_SLOW * (1.0 + shallow) * self._time)
 
     @property
     def damping(self) -> float:
@@ -121,8 +123,7 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
     guessed, units = _units(float(extent.max()))
     scale = guessed if scale is None else scale
     units = units if scale == guessed else f"{scale:g} m"
-    scaled = Mesh(raw.positions * scale, raw.triangles)
-    mold, _ = meshes.drop_degenerate(meshes.weld(scaled, _WELD * meshes.size(scaled.positions)))
+    mold = rims.welded(raw.positions * scale, raw.triangles)
     found = opening.find(mold.positions, mold.triangles)
     planform = footprint.fit(found, mold.positions, mold.triangles)
     rotate, translate, polygon = _placed(found, planform)
@@ -182,16 +183,14 @@ def _width(polygon: Array, area: float) -> float:
 
 def _pocket(found: Opening) -> float:
     """Half the width [m] of the narrowest pocket, at the clamp plane or half way down."""
-    from scipy import ndimage
-
     view = found.view
     halves = [0.5 * view.pixel * min(view.inside.shape)]
-    for share in (0.0, 0.5):
+    for share in () if found.male else (0.0, 0.5):
         deep = found.cavity & ~(view.height <= found.level + share * found.depth)
-        part, count = ndimage.label(deep)  # pyright: ignore[reportGeneralTypeIssues]
-        area = ndimage.sum_labels(deep, part, np.arange(count + 1))
-        half = ndimage.maximum(ndimage.distance_transform_edt(deep), part, np.arange(count + 1))
-        halves += [view.pixel * float(h) for h, a in zip(half[1:], area[1:], strict=True) if a > 0.02 * deep.sum()]
+        part, count = masks.parts(deep)
+        area, half = np.bincount(part.ravel()), np.zeros(count + 1)
+        np.maximum.at(half, part, masks.distance(deep))
+        halves += (view.pixel * half[1:][area[1:] > _SPECK * deep.sum()]).tolist()
     return min(halves)
 
 

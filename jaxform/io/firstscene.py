@@ -100,8 +100,8 @@ def _corners(polygon: NDArray[np.float64]) -> list[str]:
 def _material() -> list[str]:
     return [
         "",
-        "# A placeholder, some soft rubber: give the law and numbers of your material. In a slow process the wall depends",
-        "# on alpha, hardly on c.",
+        "# A placeholder, some soft rubber: give the law and numbers of your material. In a slow process the wall",
+        "# depends on alpha, hardly on c.",
         "[material]",
         'model = "mooney-rivlin"',
         f"c = {_number(STIFFNESS)}",
@@ -113,8 +113,8 @@ def _material() -> list[str]:
 def _pressure(made: Draft) -> list[str]:
     return [
         "",
-        f"# Enough to fill the narrowest pocket, half of which is {_number(1e3 * made.pocket, 3)} mm wide: in proportion to c and",
-        "# thickness. It rises so slowly that inertia hardly shows, and pushes towards +z, into the mold.",
+        "# Enough to fill corners down to an element: change it in proportion to c and thickness. It rises so slowly",
+        "# that inertia hardly shows, and pushes towards +z, into the mold.",
         "[pressure]",
         f"time = [0.0, {_number(made.ramp)}]",
         f"value = [0.0, {_number(made.pressure)}]",
@@ -143,6 +143,13 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
         f"rotate = [{', '.join(_number(angle, 12) for angle in made.rotate)}]",
         f"translate = [{', '.join(_number(shift, 10) for shift in made.translate)}]",
     ]
+
+
+def kind(made: Draft) -> str:
+    """The shape of the sheet, in words."""
+    if isinstance(made.planform.shape, Circle):
+        return "a disc"
+    return "a rectangle" if isinstance(made.planform.shape, Rectangle) else "an outline"
 
 
 def covered(made: Draft) -> str:

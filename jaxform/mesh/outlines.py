@@ -42,7 +42,7 @@ def cleaned(polygon: Any, key: str = "parison.polygon") -> Array:
     if len(corners) > MOST_CORNERS:
         raise InputError(f"has {len(corners)} corners", f"give at most {MOST_CORNERS}", key)
     size = float(np.ptp(corners, axis=0).max(initial=0.0)) if len(corners) else 0.0
-    apart = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1) > _SAME * size
+    apart = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1) > _SAME * size
     corners = _without_flat(corners[apart])
     middle = corners.mean(0) if len(corners) else 0.0
     if len(corners) < 3 or np.linalg.svd(corners - middle, compute_uv=False)[1] <= _SAME * size:

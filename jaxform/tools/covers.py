@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import contours, meshes, planform, topology
+from jaxform.mesh import contours, masks, meshes, planform, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import heights
 from jaxform.tools.heights import Heights
@@ -49,7 +49,7 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     fans = _fans(turned, mold.triangles, found.level + FLAT * size, size)
     curtain, length = _curtain(found, polygon, size)
     closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
-    patches = _patches(heights.seen(closed.positions, closed.triangles, np.eye(3), FINE), polygon)
+    patches = _patches(heights.seen(heights.surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon)
     parts = [*fans, *curtain, *patches]
     if not parts:
         return Covers(None, 0, 0.0)
@@ -149,22 +149,18 @@ def _sampled(values: Array, view: Heights, places: Array) -> Array:
 
 
 def _deepest(view: Heights) -> Array:
-    from scipy import ndimage
-
-    return ndimage.maximum_filter(np.where(np.isfinite(view.height), view.height, -np.inf), size=7)
+    return -masks.least_around(np.where(np.isfinite(view.height), -view.height, np.inf), 3)
 
 
 def _patches(view: Heights, polygon: Array) -> list[Mesh]:
     """Covers on what one sees through, at the height of what is around it."""
-    from scipy import ndimage
-
     below = planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)
-    through = ~np.isfinite(view.height) & ndimage.binary_erosion(below, iterations=2)
-    part, count = ndimage.label(through)  # pyright: ignore[reportGeneralTypeIssues]
+    through = ~np.isfinite(view.height) & masks.grown(below, -2)
+    part, count = masks.parts(through)
     made = []
     for one in range(1, count + 1):
         hole = part == one
-        around = ndimage.binary_dilation(hole, iterations=2) & np.isfinite(view.height)
+        around = masks.grown(hole, 2) & np.isfinite(view.height)
         if not around.any():
             continue
         rim, rise = view.places(around), view.height[around]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import contours, outlines, planform, topology
+from jaxform.mesh import contours, masks, outlines, planform, topology
 from jaxform.mesh.contours import Circle, Rectangle
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import Opening
@@ -79,21 +79,35 @@ def fit(found: Opening, vertices: Array, triangles: Integers) -> Planform:
         InputError: The opening has no outline that a sheet can have.
     """
     site = _site(found, vertices)
-    full = _closed(site.covered, _BRIDGE * site.width / found.view.pixel).sum() * found.view.pixel**2
+    full = masks.closed(site.covered, _BRIDGE * site.width / found.view.pixel).sum() * found.view.pixel**2
     for shape in (_disc(site, full), _rectangle(site, full)):
         if shape is not None:
             return Planform(shape, site.flange)
     return Planform(_outline(site, found, vertices, triangles), site.flange)
 
 
+def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
+    """The outline of an opening (k, 2) [m], whatever its shape, counter-clockwise in the plane of the view.
+
+    Args:
+        found: The opening.
+        vertices: The mold's (n, 3) [m], not turned.
+        triangles: Vertex numbers (m, 3).
+
+    Raises:
+        InputError: The opening has no outline that a sheet can have.
+    """
+    return _outline(_site(found, vertices), found, vertices, triangles)
+
+
 def _site(found: Opening, vertices: Array) -> _Site:
     view = found.view
-    clear = _distance(view.inside)[found.cavity].min()
+    clear = masks.distance(view.inside)[found.cavity].min()
     turned = vertices @ view.turn.T
     # Where the mesh has corners on the opening's edge, they say better than pixels where it is.
     level = turned[np.abs(turned[:, 2] - found.base) <= 2 * view.pixel, :2]
     column, row = np.clip((level - view.low) / view.pixel, 0, np.array(view.inside.shape[::-1]) - 1).astype(int).T
-    exact = level[_distance(~found.cavity)[row, column] <= 2]
+    exact = level[masks.distance(~found.cavity)[row, column] <= 2]
     points = view.places(found.cavity)
     if len(exact) >= 3 and _hull_area(exact) > 0.97 * _hull_area(points):
         points = exact
@@ -146,10 +160,10 @@ def _outline(site: _Site, found: Opening, vertices: Array, triangles: Integers) 
     if rim is not None:
         return rim
     margin = max(_MARGIN * site.width / view.pixel, 2.0)
-    values = np.minimum(_distance(view.inside) - 1.0, margin + 0.5 - _distance(~site.covered))
+    values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~site.covered))
     if not _in_one(values > 0):
         hull = _mask(view, contours.hull(view.places(site.covered)))
-        values = np.minimum(_distance(view.inside) - 1.0, margin + 0.5 - _distance(~hull))
+        values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
     polygon = contours.contour(values, view.low, view.pixel)
     return _simpler(polygon, _SIMPLER * view.pixel)
 
@@ -160,9 +174,7 @@ def _simpler(polygon: Array, tolerance: float) -> Array:
 
 
 def _in_one(mask: Mask) -> bool:
-    from scipy import ndimage
-
-    return int(ndimage.label(mask)[1]) == 1  # pyright: ignore[reportGeneralTypeIssues]
+    return masks.parts(mask)[1] == 1
 
 
 def _rim(found: Opening, vertices: Array, triangles: Integers) -> Array | None:
@@ -203,17 +215,3 @@ def _loops(edges: Integers) -> list[Integers]:
 def _mask(view: Heights, polygon: Array) -> Mask:
     """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""
     return planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)
-
-
-def _distance(mask: Mask) -> Array:
-    """Distance [pixels] of each pixel of a mask to the nearest that is not in it; 0 of those."""
-    from scipy import ndimage
-
-    return np.asarray(ndimage.distance_transform_edt(mask))
-
-
-def _closed(mask: Mask, reach: float) -> Mask:
-    """A mask with all gaps filled that are up to twice so many pixels wide."""
-    wide = int(reach) + 1
-    near = _distance(~np.pad(mask, wide)) <= reach
-    return (_distance(near) > reach)[wide:-wide, wide:-wide] | mask

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import raster, topology
+from jaxform.mesh import masks, raster, topology
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,9 +37,7 @@ class Heights:
     @property
     def edge(self) -> Mask:
         """Pixels of what is inside that are next to the outside."""
-        from scipy import ndimage
-
-        return self.inside & ~ndimage.binary_erosion(self.inside)
+        return self.inside & ~masks.grown(self.inside, -1)
 
     def places(self, pixels: Mask) -> Array:
         """Middles (n, 2) [m] of pixels."""
@@ -48,38 +46,52 @@ class Heights:
 
     def around(self) -> Array:
         """The smallest height (ny, nx) [m] in a few pixels around each."""
-        from scipy import ndimage
-
-        return ndimage.minimum_filter(self.height, size=2 * _RIM + 1, mode="constant", cval=np.inf)
+        return masks.least_around(self.height, _RIM)
 
 
-def seen(vertices: Array, triangles: NDArray[np.integer], turn: Array, pixels: int) -> Heights:
+@dataclass(frozen=True)
+class Surface:
+    """A surface to look at.
+
+    Attributes:
+        vertices: Positions (n, 3) [m].
+        triangles: Vertex numbers (m, 3).
+        edges: Its rims and sharp edges (k, 2, 3) [m].
+    """
+
+    vertices: Array
+    triangles: NDArray[np.integer]
+    edges: Array
+
+
+def surface(vertices: Array, triangles: NDArray[np.integer]) -> Surface:
+    """A surface (n, 3) [m], (m, 3), with its edges."""
+    return Surface(vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64))
+
+
+def seen(looked_at: Surface, turn: Array, pixels: int) -> Heights:
     """The heights of a surface that is turned first.
 
     Args:
-        vertices: Positions (n, 3) [m].
-        triangles: Vertex numbers (m, 3).
+        looked_at: The surface.
         turn: Matrix (3, 3).
         pixels: Along the longer side.
     """
-    from scipy import ndimage
-
-    turned = vertices @ turn.T
+    turned = looked_at.vertices @ turn.T
     low, high = turned.min(0), turned.max(0)
     pixel = float((high - low)[:2].max()) / pixels
     first = low[:2] - 2.5 * pixel
     width, height = (int(np.ceil(extent / pixel)) + 5 for extent in (high - low)[:2])
     nearest = np.full(width * height, np.inf)
-    corners = turned[triangles]
+    corners = turned[looked_at.triangles]
     for found in raster.hits((corners[..., :2] - first) / pixel, width, height):
         np.minimum.at(nearest, found.pixel, np.einsum("nc,nc->n", found.weight, corners[found.triangle, :, 2]))
     # Walls that stand upright, and rims, are in no pixel's middle.
-    points = _along(topology.feature_edges(turned, np.asarray(triangles), _ABRUPT), pixel)
+    points = _along(looked_at.edges @ turn.T, pixel)
     column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T
     np.minimum.at(nearest, row * width + column, points[:, 2])
     seen_there = nearest.reshape(height, width)
-    inside = np.asarray(ndimage.binary_fill_holes(np.isfinite(seen_there)))
-    return Heights(turn, first, pixel, seen_there, inside)
+    return Heights(turn, first, pixel, seen_there, masks.filled(np.isfinite(seen_there)))
 
 
 def _along(edges: Array, step: float) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import meshes, topology
+from jaxform.mesh import masks, meshes, topology
 from jaxform.tools import heights
 from jaxform.tools.heights import Heights
 
@@ -19,11 +19,12 @@ Integers = NDArray[np.integer]
 
 FINE = 480
 """Pixels of the longer side, to look at a mold."""
-FLAT = 0.004
+FLAT = 0.002
 """Of the mold's size, what counts as one height."""
 _COARSE = 120  # pixels, to choose from where to look
-_RIM = 0.8  # of the edge of what is seen, at one height: that is a rim
-_HOLLOW = 2e-3  # of the cube of the mold's size, the volume of what is a cavity
+RIM = 0.8
+"""Of the edge of what is seen, what is at one height: that is a rim."""
+_HOLLOW = 5e-4  # of the cube of the mold's size, the volume of what is a cavity
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
 _FEW = 6  # directions of flat faces that are tried beside the axes
 _SPECK = 0.005  # of a cavity's area: less is a hole for a bolt
@@ -73,15 +74,16 @@ def find(vertices: Array, triangles: Integers) -> Opening:
         InputError: The mold is neither hollow from any side nor does anything stand out of it.
     """
     size = meshes.size(vertices)
-    looks = [_look(heights.seen(vertices, triangles, turn, _COARSE), size) for turn in _turns(vertices, triangles)]
-    rimmed = [look for look in looks if look.share >= _RIM] or looks
+    surface = heights.surface(vertices, triangles)
+    looks = [_look(heights.seen(surface, turn, _COARSE), size) for turn in _turns(vertices, triangles)]
+    rimmed = [look for look in looks if look.share >= RIM] or looks
     hollow, proud = max(rimmed, key=lambda look: look.hollow), max(rimmed, key=lambda look: look.proud)
     male = proud.proud > _FAVOUR * hollow.hollow
     best = proud if male else hollow
     if max(best.hollow, best.proud) < _HOLLOW * size**3:
         problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
         raise InputError(problem, "write the scene by hand (docs/start.md has one to copy)")
-    view = heights.seen(vertices, triangles, best.view.turn, FINE)
+    view = heights.seen(surface, best.view.turn, FINE)
     look = _look(view, size)
     return _male(look, size) if male else _female(look, size)
 
@@ -104,9 +106,7 @@ def _male(look: _Look, size: float) -> Opening:
 
 
 def _without_specks(deep: Mask) -> Mask:
-    from scipy import ndimage
-
-    part, count = ndimage.label(deep)  # pyright: ignore[reportGeneralTypeIssues]
+    part, count = masks.parts(deep)
     area = np.bincount(part.ravel(), minlength=count + 1)
     area[0] = 0
     return (area >= _SPECK * area.max())[part] & deep
