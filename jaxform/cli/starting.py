@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxform.io.drafting import Draft
 
 _LEAST, _MOST = 1e-9, 1e3  # m
+_LARGE = 3.0  # of a part in metres, which may be one of a few inches
 _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
 
 
@@ -57,9 +58,13 @@ def _check_positive(key: str, value: float | None) -> None:
 
 def _warn(made: Draft) -> None:
     """Of what was found and may be meant otherwise."""
+    from jaxform.io import drafting
     from jaxform.tools import opening
 
-    found = made.found
+    found, largest = made.found, float(made.size.max())
+    if made.guessed and drafting.METRES < largest <= _LARGE:
+        problem = f"its box is {largest:.4g} units long: taken for {made.units}"
+        warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
     if found.depth > _DEEP * made.width:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
         warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")

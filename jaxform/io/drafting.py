@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 
 STIFFNESS, ALPHA, DENSITY = 0.2e6, 0.1, 1000.0
 """Of the placeholder material: c [Pa], alpha, density [kg/m^3]."""
-_METRES, _INCHES = 1.2, 18.0  # largest sizes of a part, as numbers, that are taken for metres and for inches
+METRES, INCHES = 1.2, 18.0
+"""Largest sizes of a part, as numbers, that are taken for metres and for inches."""
 _THICKNESS = 0.008  # of the sheet's width
 _ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
 _ACROSS = 16  # elements across the smallest pocket
@@ -39,6 +40,7 @@ class Draft:
     Attributes:
         scale: Metres per unit of the mold's file.
         units: The same in words.
+        guessed: Whether the scale was.
         size: Box of the mold as it is in the file (3,).
         rotate: Of the mold [degrees] (3,).
         translate: Of the mold [m] (3,).
@@ -54,6 +56,7 @@ class Draft:
 
     scale: float
     units: str
+    guessed: bool
     size: Array
     rotate: Array
     translate: Array
@@ -120,9 +123,9 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
     parts = [meshes.read_mesh(path) for path in paths]
     raw = parts[0] if len(parts) == 1 else meshes.merged(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
-    guessed, units = _units(float(extent.max()))
-    scale = guessed if scale is None else scale
-    units = units if scale == guessed else f"{scale:g} m"
+    usual, units = _units(float(extent.max()))
+    guessed, scale = scale is None, scale or usual
+    units = units if scale == usual else f"units of {scale:g} m"
     mold = rims.welded(raw.positions * scale, raw.triangles)
     found = opening.find(mold.positions, mold.triangles)
     planform = footprint.fit(found, mold.positions, mold.triangles)
@@ -134,6 +137,7 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
     return Draft(
         scale=scale,
         units=units,
+        guessed=guessed,
         size=extent,
         rotate=rotate,
         translate=translate,
@@ -150,9 +154,9 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
 
 def _units(size: float) -> tuple[float, str]:
     """Metres per unit, from a part's largest size, and the unit in words."""
-    if size <= _METRES:
+    if size <= METRES:
         return 1.0, "metres"
-    return (0.0254, "inches") if size <= _INCHES else (0.001, "millimetres")
+    return (0.0254, "inches") if size <= INCHES else (0.001, "millimetres")
 
 
 def _placed(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:

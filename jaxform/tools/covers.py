@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 Integers = NDArray[np.integer]
 
 _SEAM = 1e-4  # of the mold's size: rims as near to each other as that are a seam, not holes
+_CHORDS = 0.1  # of the edge's length, that a seam may be open besides
 _STEP = 4.0  # pixels, from one look under the sheet's edge to the next
 _SPECK = 1e-6  # of the square of the mold's size: less is no hole
 
@@ -63,7 +64,7 @@ def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list
     if not len(edges):
         return []
     part = topology.connected(edges[:, 0], edges[:, 1], len(turned))[edges[:, 0]]
-    seam = _at_seams(turned, edges, part, _SEAM * size)
+    seam = _at_seams(turned, edges, _SEAM * size)
     made = []
     for one in np.unique(part):
         own = edges[part == one]
@@ -78,28 +79,25 @@ def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list
     return made
 
 
-def _at_seams(turned: Array, edges: Integers, part: Integers, near: float) -> Mask:
-    """Which rim edges (n,) run along a rim of another part."""
+def _at_seams(turned: Array, edges: Integers, near: float) -> Mask:
+    """Along which rim edges (n,) another one runs, beside their middles."""
     from scipy.spatial import KDTree
 
     share = (np.arange(8) + 0.5)[:, None] / 8
-    begin, end = turned[edges[:, 0]], turned[edges[:, 1]]
-    samples = (begin[:, None] + share * (end - begin)[:, None]).reshape(-1, 3)
-    owner = np.repeat(part, 8)
-    middles = 0.5 * (begin + end)
-    reach = near + np.linalg.norm(end - begin, axis=1).max() / 8
+    begin, side = turned[edges[:, 0]], turned[edges[:, 1]] - turned[edges[:, 0]]
+    length = np.linalg.norm(side, axis=1)
+    # Along a curved seam the chords of one piece are not those of the other.
+    apart = near + _CHORDS * length
+    samples = (begin[:, None] + share * side[:, None]).reshape(-1, 3)
+    pairs = KDTree(begin + 0.5 * side).query_ball_tree(KDTree(samples), float((apart + length / 2).max()))
     found = np.zeros(len(edges), bool)
-    for edge, close in enumerate(KDTree(samples).query_ball_point(middles, reach)):
-        other = np.array(close)[owner[close] != part[edge]]
-        found[edge] = bool(len(other) and np.any(_across(samples[other], begin[edge], end[edge]) <= near))
+    for edge, close in enumerate(pairs):
+        other = np.array(close)[np.array(close) // 8 != edge]
+        away = samples[other] - begin[edge]
+        along = away @ side[edge] / length[edge] ** 2
+        off = np.linalg.norm(away - along[:, None] * side[edge], axis=1)
+        found[edge] = bool(np.any((np.abs(along - 0.5) < 0.25) & (off <= apart[edge])))
     return found
-
-
-def _across(points: Array, begin: Array, end: Array) -> Array:
-    """Distance (n,) [m] of points (n, 3) [m] to a line."""
-    along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-300)
-    away = points - begin
-    return np.linalg.norm(away - (away @ along)[:, None] * along, axis=1)
 
 
 def _fan(edges: Array) -> Mesh:
