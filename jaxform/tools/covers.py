@@ -64,14 +64,13 @@ def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list
     if not len(edges):
         return []
     part = topology.connected(edges[:, 0], edges[:, 1], len(turned))[edges[:, 0]]
-    seam = _at_seams(turned, edges, _SEAM * size)
+    _, part, count = np.unique(part, return_inverse=True, return_counts=True)
+    in_seams = np.bincount(part, _at_seams(turned, edges, _SEAM * size)) > 0.5 * count
+    nearest = np.full(len(count), np.inf)
+    np.minimum.at(nearest, part, turned[edges][..., 2].min(1))
     made = []
-    for one in np.unique(part):
-        own = edges[part == one]
-        points = turned[own]
-        if points[..., 2].min() <= level or seam[part == one].mean() > 0.5:
-            continue
-        fan = _fan(points)
+    for one in np.flatnonzero(~in_seams & (nearest > level)):
+        fan = _fan(turned[edges[part == one]])
         corners = fan.positions[fan.triangles]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
         if area > _SPECK * size**2:
@@ -83,20 +82,24 @@ def _at_seams(turned: Array, edges: Integers, near: float) -> Mask:
     """Along which rim edges (n,) another one runs, beside their middles."""
     from scipy.spatial import KDTree
 
-    share = (np.arange(8) + 0.5)[:, None] / 8
     begin, side = turned[edges[:, 0]], turned[edges[:, 1]] - turned[edges[:, 0]]
     length = np.linalg.norm(side, axis=1)
+    usual = float(np.median(length))
     # Along a curved seam the chords of one piece are not those of the other.
-    apart = near + _CHORDS * length
-    samples = (begin[:, None] + share * side[:, None]).reshape(-1, 3)
-    pairs = KDTree(begin + 0.5 * side).query_ball_tree(KDTree(samples), float((apart + length / 2).max()))
+    apart = near + _CHORDS * np.minimum(length, 3 * usual)
+    count = np.ceil(4 * length / usual).astype(int)
+    owner = np.repeat(np.arange(len(edges)), count)
+    share = (np.arange(len(owner)) - (np.cumsum(count) - count)[owner] + 0.5) / count[owner]
+    samples = begin[owner] + share[:, None] * side[owner]
+    close = KDTree(samples).query_ball_point(begin + 0.5 * side, apart + 0.25 * usual)
+    edge = np.repeat(np.arange(len(edges)), [len(some) for some in close])
+    other = np.concatenate([np.array(some, np.int64) for some in close])
+    edge, other = edge[owner[other] != edge], other[owner[other] != edge]
+    away = samples[other] - begin[edge]
+    along = np.einsum("ij,ij->i", away, side[edge]) / length[edge] ** 2
+    off = np.linalg.norm(away - along[:, None] * side[edge], axis=1)
     found = np.zeros(len(edges), bool)
-    for edge, close in enumerate(pairs):
-        other = np.array(close)[np.array(close) // 8 != edge]
-        away = samples[other] - begin[edge]
-        along = away @ side[edge] / length[edge] ** 2
-        off = np.linalg.norm(away - along[:, None] * side[edge], axis=1)
-        found[edge] = bool(np.any((np.abs(along - 0.5) < 0.25) & (off <= apart[edge])))
+    found[edge[(np.abs(along - 0.5) < 0.25) & (off <= apart[edge])]] = True
     return found
 
 
