@@ -25,7 +25,10 @@ METRES, INCHES = 1.2, 18.0
 _THICKNESS = 0.008  # of the sheet's width
 _ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
 _ACROSS = 16  # elements across the smallest pocket
-_CORNER = 1.3  # elements: the radius to which corners are filled; a mesh cannot hold what would fill finer ones
+_CORNER = 0.5  # elements: the radius to which corners are filled, so that stiffer materials fill them too
+_RE_ENTRANT = (
+    1.3  # the same of an outline, over whose re-entrant edges a sheet folds, and blows up where it is not held
+)
 _SPECK = 0.02  # of the cavity's area: less is no pocket
 _SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
 _SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
@@ -77,7 +80,8 @@ class Draft:
         large as those of the cavity's area on average.
         """
         tension = 2 * STIFFNESS * self.thickness * (1 + ALPHA * 2 * self.draw)
-        return _rounded(2 * tension / (_CORNER * self.element_size))
+        folds = isinstance(self.planform.shape, np.ndarray)
+        return _rounded(2 * tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size))
 
     @property
     def draw(self) -> float:
@@ -100,9 +104,10 @@ class Draft:
     def levels(self) -> int:
         """How often elements near bends of the mold are bisected: 0 where the mesh is fine enough."""
         wanted = 2 * self.pocket / _ACROSS
-        return (
-            0 if wanted > _FINER * self.element_size else min(6, 2 * round(np.log2(self.element_size / wanted) + 0.5))
-        )
+        if wanted > _FINER * self.element_size:
+            return 0
+        # Two bisections halve an element's sides.
+        return min(6, 2 * round(np.log2(self.element_size / wanted) + 0.5))
 
     @property
     def _time(self) -> float:
