@@ -24,16 +24,15 @@ METRES, INCHES = 1.2, 18.0
 """Largest sizes of a part, as numbers, that are taken for metres and for inches."""
 _THICKNESS = 0.008  # of the sheet's width
 _ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
-_ACROSS = 16  # elements across the smallest pocket
+_ACROSS, _FEWEST = 16, 6  # elements across the smallest pocket; with fewer the mesh is refined
 _CORNER = 0.5  # elements: the radius to which corners are filled, so that stiffer materials fill them too
 _RE_ENTRANT = (
     1.3  # the same of an outline, over whose re-entrant edges a sheet folds, and blows up where it is not held
 )
-_SPECK = 0.02  # of the cavity's area: less is no pocket
+_SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
 _SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
 _SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
 _DAMPING = 2.0  # the same times the damping
-_FINER = 0.6  # of the element size that there is: if pockets want less, the mesh is refined
 
 
 @dataclass(frozen=True)
@@ -103,11 +102,8 @@ class Draft:
     @property
     def levels(self) -> int:
         """How often elements near bends of the mold are bisected: 0 where the mesh is fine enough."""
-        wanted = 2 * self.pocket / _ACROSS
-        if wanted > _FINER * self.element_size:
-            return 0
         # Two bisections halve an element's sides.
-        return min(6, 2 * round(np.log2(self.element_size / wanted) + 0.5))
+        return 2 if self.element_size > 2 * self.pocket / _FEWEST else 0
 
     @property
     def _time(self) -> float:
@@ -191,7 +187,7 @@ def _width(polygon: Array, area: float) -> float:
 
 
 def _pocket(found: Opening) -> float:
-    """Half the width [m] of the narrowest pocket, at the clamp plane or half way down."""
+    """Half the width [m] of the narrowest pockets, at the clamp plane or half way down."""
     view = found.view
     halves = [0.5 * view.pixel * min(view.inside.shape)]
     for share in () if found.male else (0.0, 0.5):
@@ -199,7 +195,9 @@ def _pocket(found: Opening) -> float:
         part, count = masks.parts(deep)
         area, half = np.bincount(part.ravel()), np.zeros(count + 1)
         np.maximum.at(half, part, masks.distance(deep))
-        halves += (view.pixel * half[1:][area[1:] > _SPECK * deep.sum()]).tolist()
+        smallest = np.argsort(half[1:])
+        counts = np.cumsum(area[1:][smallest]) > _SPECK * deep.sum()
+        halves += (view.pixel * half[1:][smallest][counts]).tolist()
     return min(halves)
 
 
