@@ -118,8 +118,10 @@ def filled(corners: Array, size: float, forced: NDArray[np.bool_] | None = None)
     forced = np.zeros(len(corners), bool) if forced is None else forced
     corners, forced = outlines.blunted(corners, _TIP * size, forced)
     curve = Curve.along(corners)
-    graded, narrow = Graded(curve, size), None
+    narrow = None
     for flat in _FLATTER:
+        # Teeth that the rim does not follow are no necks.
+        graded = Graded(_plain(curve, flat * size, forced), size)
         way = _rim(curve, graded, flat, forced)
         loop = curve.at(way)
         narrow = outlines.crossing(loop) if outlines.area(loop) > 0 else loop[0]
@@ -127,6 +129,13 @@ def filled(corners: Array, size: float, forced: NDArray[np.bool_] | None = None)
             return _checked(*_halved_chords(*_followed(curve, way, graded)), size)
     assert narrow is not None
     raise _too_narrow(narrow, size)
+
+
+def _plain(curve: Curve, tolerance: float, forced: NDArray[np.bool_]) -> Curve:
+    """The curve with fewer corners, where it then does not cross itself."""
+    kept = outlines.essential(curve.corners, np.full(len(curve.corners), tolerance), forced)
+    corners = curve.corners[kept]
+    return curve if outlines.crossing(corners) is not None else Curve.along(corners)
 
 
 def _checked(points: Array, triangles: NDArray[np.int32], size: float) -> tuple[Array, NDArray[np.int32]]:
