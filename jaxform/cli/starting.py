@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -39,13 +40,13 @@ def start(arguments: argparse.Namespace) -> int:
     _warn(made)
     for line in _lines(made):
         say(line)
-    scene, study = files[:2]
+    scene, study = (shlex.quote(str(path)) for path in files[:2])
     say(f"wrote {', '.join(path.name for path in files)} into {arguments.folder}")
     say("next:")
     for line in (
-        f"jaxform check {scene} --out {arguments.folder / 'check'}",
-        f"jaxform simulate {scene} --out {arguments.folder / 'formed'}",
-        f"jaxform optimize {study} --out {arguments.folder / 'design'}",
+        f"jaxform check {scene} --out {shlex.quote(str(arguments.folder / 'check'))}",
+        f"jaxform simulate {scene} --out {shlex.quote(str(arguments.folder / 'formed'))}",
+        f"jaxform optimize {study} --out {shlex.quote(str(arguments.folder / 'design'))}",
     ):
         say(f"    {line}")
     return session.DONE

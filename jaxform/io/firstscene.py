@@ -47,7 +47,8 @@ def _names(paths: Sequence[Path]) -> list[str]:
     """File names for the copies, each once."""
     names: list[str] = []
     for path in paths:
-        name, count = path.name, 1
+        # A name on disk may be no text.
+        name, count = path.name.encode("utf-8", "replace").decode(), 1
         while name in names or name == COVERS:
             count += 1
             name = f"{path.stem}-{count}{path.suffix}"
@@ -60,6 +61,7 @@ def scene_text(made: Draft, names: Sequence[str]) -> str:
     return "\n".join(
         [
             "# Written by `jaxform new`. SI units everywhere: m, s, kg, Pa.",
+            f"name = {_text(Path(names[0]).stem)}",
             *_parison(made),
             *_material(),
             *_pressure(made),
@@ -130,7 +132,7 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
             f"# {COVERS} closes what the sheet would be blown through ({covered(made)}).",
             "# Leave it out if it should be.",
         ]
-    path = json.dumps(files if len(files) > 1 else files[0], ensure_ascii=False)
+    path = f"[{', '.join(map(_text, files))}]" if len(files) > 1 else _text(files[0])
     box = " x ".join(_number(side, 4) for side in made.size)
     return [
         "",
@@ -209,6 +211,11 @@ def study_text(made: Draft) -> str:
             "",
         ]
     )
+
+
+def _text(text: str) -> str:
+    """The text in TOML's quotes: JSON's escapes and one more."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _number(value: float, digits: int = 7) -> str:
