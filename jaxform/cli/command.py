@@ -115,6 +115,15 @@ def _parser() -> argparse.ArgumentParser:
     fit = commands.add_parser("fit", help=words, description=words)
     fitting.add_arguments(fit)
     fit.set_defaults(command=fitting.fit)
+    words = "write a folder with a first scene for a mold, which runs as it is"
+    new = commands.add_parser("new", help=words, description=words)
+    new.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
+    new.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
+    new.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
+    new.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
+    new.add_argument("--quiet", action="store_true", help="print errors only")
+    new.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
+    new.set_defaults(command=_new)
     return parser
 
 
@@ -174,3 +183,9 @@ def _warm(arguments: argparse.Namespace) -> int:
     from jaxform.cli import warming
 
     return warming.warm(arguments)
+
+
+def _new(arguments: argparse.Namespace) -> int:
+    from jaxform.cli import starting
+
+    return starting.start(arguments)

@@ -29,7 +29,7 @@ from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
 from jaxform.prepare.building import build_scene
 from jaxform.prepare.growing import grown_parison
-from jaxform.tools import molds
+from jaxform.tools import molds, rims
 from jaxform.tools.mold import Mold, make_mold
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
@@ -261,6 +261,14 @@ def _sheet(document: SceneDocument) -> shapes.Sheet:
             elements=table.elements,
             symmetry=table.symmetry,
         )
+    if isinstance(table, schema.Outline):
+        size = {"element_size": table.element_size, "elements": table.elements}
+        if table.polygon is not None:
+            return shapes.outline(polygon=table.polygon, planes=table.planes, **size)
+        mold = _mold(document)
+        if mold is None:
+            raise InputError("there is no mold", "add [mold], or give polygon", "parison.mold_rim", True)
+        return rims.over_opening(np.asarray(mold.vertices, float), np.asarray(mold.triangles), **size)
     if isinstance(table, schema.BottleHalfParison):
         return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness", "temperature"}))
     size = table.element_size

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.io import raster
+from jaxform.mesh import raster
 from jaxform.model.scene import Scene
 from jaxform.model.seams import place, warn_of_joints
 from jaxform.results import sections

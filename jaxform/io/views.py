@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io import raster
-from jaxform.mesh import topology
+from jaxform.mesh import raster, topology
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.result import Result

@@ -15,7 +15,8 @@ Size = Callable[[Array], Array]
 
 _ROUNDS = 6  # of smoothing; more change little
 _CLEAR = 0.6  # of the size: inner points keep that far from the rim, so that its edges are edges of the mesh
-_MOST_PAIRS = 1_000_000  # of points and sides of the loops looked at together
+_MOST_PAIRS = 5_000_000  # of points and sides of the loops beside them, looked at together
+_FLAT = 1e-7  # of a triangle's side, its height, where it is none
 _LEVELS = 4  # times that the largest size may be halved
 
 
@@ -41,6 +42,14 @@ def triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.i
     Raises:
         ValueError: The curves are too close to each other, or too coarse, for the mesh to follow them.
     """
+    points, triangles, missing = attempted(loops, size)
+    if len(missing):
+        raise ValueError("the triangles do not follow the curves")
+    return points, triangles.astype(np.int32)
+
+
+def attempted(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """As `triangulate`, and the rim's edges (k,) that are no triangle's, by their first point; it raises nothing."""
     rim = np.concatenate(loops)
     inner = _lattice(rim, size)
     inner = inner[_free(inner, loops, _CLEAR * size(inner))]
@@ -51,8 +60,7 @@ def triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.i
         inner = np.where(stays[:, None], moved, inner)
     points = np.concatenate([rim, inner])
     triangles = _kept(points, loops)
-    _check_rim(triangles, loops)
-    return points, triangles.astype(np.int32)
+    return points, triangles, _missing(triangles, loops)
 
 
 def _lattice(rim: Array, size: Size) -> Array:
@@ -75,20 +83,28 @@ _ROW = np.sqrt(0.75)  # distance of a hexagonal lattice's rows
 
 def _free(points: Array, loops: Sequence[Array], clearance: Array) -> NDArray[np.bool_]:
     """Whether points are inside the loops and that far from them."""
-    return _inside(points, loops) & (_rim_distance(points, loops) > clearance)
+    return inside(points, loops) & (_rim_distance(points, loops) > clearance)
 
 
-def _inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
-    """Whether a line from each point to the right crosses the loops an odd number of times."""
+def inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
+    """Whether points (n, 2) are inside the loops: a line to the right crosses these an odd number of times."""
     begin = np.concatenate(loops)
     end = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
     slope = (end[:, 0] - begin[:, 0]) / np.where(begin[:, 1] == end[:, 1], 1.0, end[:, 1] - begin[:, 1])
-    inside = []
-    for part in np.array_split(points, 1 + len(points) * len(begin) // _MOST_PAIRS):
-        x, y = part[:, :1], part[:, 1:]
-        spans = (begin[:, 1] > y) != (end[:, 1] > y)
-        inside.append(np.sum(spans & (x < begin[:, 0] + (y - begin[:, 1]) * slope), axis=1) % 2 == 1)
-    return np.concatenate(inside)
+    # In the order of y the points beside a side of the loops are next to each other.
+    order = np.argsort(points[:, 1])
+    x, y = points[order].T
+    first = np.searchsorted(y, np.minimum(begin[:, 1], end[:, 1]))
+    count = np.searchsorted(y, np.maximum(begin[:, 1], end[:, 1])) - first
+    crossings = np.zeros(len(points), np.int64)
+    for part in np.array_split(np.arange(len(begin)), 1 + int(count.sum()) // _MOST_PAIRS):
+        side = np.repeat(part, count[part])
+        point = np.arange(len(side)) - np.repeat(np.cumsum(count[part]) - count[part], count[part]) + first[side]
+        left = x[point] < begin[side, 0] + (y[point] - begin[side, 1]) * slope[side]
+        crossings += np.bincount(point[left], minlength=len(points))
+    found = np.zeros(len(points), bool)
+    found[order] = crossings % 2 == 1
+    return found
 
 
 def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
@@ -101,7 +117,12 @@ def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
 def _kept(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
     """The Delaunay triangles inside the loops."""
     triangles = Delaunay(points).simplices.astype(np.int64)
-    return triangles[_inside(points[triangles].mean(1), loops)]
+    corners = points[triangles]
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    doubled = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+    longest = np.maximum(np.sum(one**2, axis=1), np.sum(other**2, axis=1))
+    # Along a straight side of the rim rounding makes triangles of three of its points.
+    return triangles[(doubled > _FLAT * longest) & inside(corners.mean(1), loops)]
 
 
 def _neighbours_mean(points: Array, triangles: NDArray[np.int64]) -> Array:
@@ -113,16 +134,14 @@ def _neighbours_mean(points: Array, triangles: NDArray[np.int64]) -> Array:
     return total / np.maximum(count, 1.0)[:, None]
 
 
-def _check_rim(triangles: NDArray[np.int64], loops: Sequence[Array]) -> None:
+def _missing(triangles: NDArray[np.int64], loops: Sequence[Array]) -> NDArray[np.int64]:
+    """The edges of the loops that are not edges of triangles, by the number of their first point."""
     sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    present = set(map(tuple, sides.tolist()))
-    start = 0
-    for loop in loops:
-        number = start + np.arange(len(loop))
-        wanted = np.sort(np.stack([number, np.roll(number, -1)], axis=1), axis=1)
-        if not all(tuple(edge) in present for edge in wanted.tolist()):
-            raise ValueError("the triangles do not follow the curves")
-        start += len(loop)
+    start = np.cumsum([0, *map(len, loops)])
+    following = [np.roll(np.arange(len(loop)) + at, -1) for at, loop in zip(start, loops, strict=False)]
+    wanted = np.sort(np.stack([np.arange(start[-1]), np.concatenate(following)], axis=1), axis=1)
+    base = int(max(sides.max(initial=0), start[-1])) + 1
+    return np.flatnonzero(~np.isin(wanted @ [base, 1], sides @ [base, 1]))
 
 
 def interpolator(points: Array, values: Array) -> Callable[[Array], Array]:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import grids, meshes, topology, volumes
+from jaxform.mesh import filling, grids, meshes, outlines, topology, volumes
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
@@ -279,6 +279,39 @@ def _sheet(
     return Sheet(positions, triangles.astype(np.int32), clamped, fixed)
 
 
+def outline(
+    *,
+    polygon: ArrayLike,
+    element_size: float | None = None,
+    elements: int | None = None,
+    planes: Sequence[str] = (),
+) -> Sheet:
+    """A sheet of any planform in z = 0 with normals +z, clamped along its edge, off the symmetry planes.
+
+    Args:
+        polygon: Corners x, y [m] in either order, shape (k, 2).
+        element_size: Length of the edges [m], less where the planform is narrow; or
+        elements: About how many triangles.
+        planes: 'x' means that the polygon is cut at x = 0, and the rest is its image.
+
+    Returns:
+        The sheet. New nodes of a refined rim go to the polygon.
+
+    Raises:
+        InputError: A number is out of range, or the polygon crosses itself, has no area, or is too narrow.
+    """
+    corners = outlines.cleaned(polygon)
+    check_resolution(element_size, elements, largest=float(np.ptp(corners, axis=0).min()))
+    area = outlines.area(corners)
+    size = element_size if element_size else math.sqrt(4 / math.sqrt(3) * area / (elements or 1))
+    check_count(4 / math.sqrt(3) * area / size**2, element_size)
+    snapped_corners, fixed = snapped(np.insert(corners, 2, 0.0, axis=1), planes)
+    at_cut_ends = (fixed != np.roll(fixed, 1, axis=0)).any(1) | (fixed != np.roll(fixed, -1, axis=0)).any(1)
+    points, triangles = filling.filled(snapped_corners[:, :2], size, at_cut_ends)
+    sheet = from_mesh(Mesh(np.insert(points, 2, 0.0, axis=1), triangles), planes=planes)
+    return replace(sheet, snap=filling.to_polygon(corners))
+
+
 def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()) -> Sheet:
     """A user's mesh as a sheet: welded and checked.
 
@@ -314,14 +347,4 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     if clamped.all():
         raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)
     triangles = mesh.triangles[:, [0, 2, 1]] if flip else mesh.triangles
-    return Sheet(positions, triangles, clamped, fixed, _own_fields(mesh))
-
-
-def _own_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
-    """The mesh's fields at its nodes; of a positive one that its triangles have too, with the triangles' volume."""
-    found = meshes.nodal_fields(mesh)
-    for name in mesh.fields.keys() & mesh.cell_fields.keys():
-        nodal, elements = mesh.fields[name], mesh.cell_fields[name]
-        if nodal.min() > 0 and elements.min() > 0:
-            found[name] = volumes.conserving(mesh.positions, mesh.triangles, nodal, elements)
-    return found
+    return Sheet(positions, triangles, clamped, fixed, volumes.nodal_fields(mesh))

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh import meshes
+from jaxform.mesh.meshes import Mesh
+
 Array = NDArray[np.float64]
 Index = NDArray[np.integer]
 
@@ -28,3 +31,13 @@ def conserving(positions: Array, triangles: Index, nodal: Array, elements: Array
     # A node that no triangle with an area uses has no volume.
     share = np.bincount(corner, np.repeat(area * ratio, 3), count) / np.where(around > 0, around, 1.0)
     return nodal * np.where(around > 0, share, 1.0)
+
+
+def nodal_fields(mesh: Mesh) -> dict[str, Array]:
+    """The mesh's fields at its nodes; of a positive one that its triangles have too, with the triangles' volume."""
+    found = meshes.nodal_fields(mesh)
+    for name in mesh.fields.keys() & mesh.cell_fields.keys():
+        nodal, elements = mesh.fields[name], mesh.cell_fields[name]
+        if nodal.min() > 0 and elements.min() > 0:
+            found[name] = conserving(mesh.positions, mesh.triangles, nodal, elements)
+    return found

@@ -186,7 +186,7 @@ def from_mesh(mesh: Mesh, *, translate: Sequence[float] = (0, 0, 0), rotate: Seq
     if not len(clean.triangles):
         problem = f"no triangle with an area is left of {len(mesh.triangles)}"
         raise InputError(problem, "check the file and the scale", key="mold.path")
-    return MoldShape(clean.positions @ _rotation(turn).T + shift, clean.triangles, dropped)
+    return MoldShape(clean.positions @ rotation(turn).T + shift, clean.triangles, dropped)
 
 
 def _profile_points(profile: ArrayLike) -> NDArray[np.float64]:
@@ -240,8 +240,19 @@ def _triple(key: str, values: Sequence[float], unit: str) -> NDArray[np.float64]
     return array
 
 
-def _rotation(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The matrix that turns about x, then y, then z, quarter turns exact: (3, 3)."""
+def angles(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles [degrees] about x, then y, then z (3,) that make a rotation (3, 3): the inverse of `rotation`."""
+    flat = np.hypot(matrix[0, 0], matrix[1, 0])
+    if flat > 1e-9:
+        about_x, about_z = np.arctan2(matrix[2, 1], matrix[2, 2]), np.arctan2(matrix[1, 0], matrix[0, 0])
+    else:
+        # Where y is turned by a quarter, turning about x or z is the same.
+        about_x, about_z = np.arctan2(-matrix[1, 2], matrix[1, 1]), 0.0
+    return np.degrees([about_x, np.arctan2(-matrix[2, 0], flat), about_z])
+
+
+def rotation(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix that turns about x, then y, then z [degrees], quarter turns exact: (3, 3)."""
     matrix = np.eye(3)
     for axis, angle in enumerate(np.radians(degrees)):
         i, j = (axis + 1) % 3, (axis + 2) % 3

@@ -16,8 +16,8 @@ import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
 from jaxform.dynamics import initial
-from jaxform.io import plots, raster, views
-from jaxform.mesh import topology
+from jaxform.io import plots, views
+from jaxform.mesh import raster, topology
 from jaxform.results import sections
 from jaxform.results.result import Result, make_result
 from jaxform.sheet import discretization, state

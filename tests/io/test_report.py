@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from jaxform import molds, shapes
 from jaxform.core.errors import InputError
-from jaxform.io import files, raster, report, rewriting
+from jaxform.io import files, report, rewriting
 from jaxform.io.report import contents, measuring, packing, reading
-from jaxform.mesh import meshes
+from jaxform.mesh import meshes, raster
 from tests import browser, scenes
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ from jaxform.io.schema.objectives import (
     Uniform,
     Wanted,
 )
-from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Parison, Rectangle, Sphere
+from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Outline, Parison, Rectangle, Sphere
 from jaxform.io.schema.quantities import (
     ElementSize,
     FieldReference,
@@ -70,6 +70,7 @@ __all__ = [
     "Objective",
     "Objectives",
     "Ogden",
+    "Outline",
     "Output",
     "Parison",
     "Pressure",

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, Tag, field_validator
+from pydantic import AfterValidator, Field, Tag, field_validator, model_validator
 
 from jaxform.core.errors import InputError
-from jaxform.io.schema.quantities import Count, ElementSize, Profile, Temperature, Thickness
+from jaxform.io.schema.quantities import Count, ElementSize, Point, Profile, Temperature, Thickness
 from jaxform.io.validation import Length, Positive, Table, choice, wrong
 from jaxform.mesh.surfaces import plane_of
+
+
+def _given_elsewhere(given: Any) -> Any:
+    if isinstance(given, str):
+        problem = "only a parison from a file has fields of its own"
+        raise wrong(problem, "give {file, field}, a number or a profile", value=given)
+    return given
 
 
 class _BuiltIn(Table):
@@ -27,13 +34,7 @@ class _BuiltIn(Table):
     thickness: Thickness
     temperature: Temperature | None = None
 
-    @field_validator("thickness", "temperature")
-    @classmethod
-    def _no_own_field(cls, given: Any) -> Any:
-        if isinstance(given, str):
-            problem = "only a parison from a file has fields of its own"
-            raise wrong(problem, "give {file, field}, a number or a profile", value=given)
-        return given
+    _no_own_field = field_validator("thickness", "temperature")(_given_elsewhere)
 
 
 class Disc(_BuiltIn):
@@ -116,6 +117,41 @@ class BottleHalfParison(Table):
     temperature: Temperature | None = None
 
 
+class Outline(Table):
+    """A sheet of any planform, clamped along its edge.
+
+    Attributes:
+        shape: The kind of sheet.
+        polygon: Its corners x, y [m] in z = 0, in either order; or
+        mold_rim: Whether it is the opening of the mold, in the plane of its rim.
+        element_size: Side of a triangle [m], less where the planform is narrow; or
+        elements: About how many triangles.
+        planes: Symmetry planes: `x` where the polygon is cut at x = 0.
+        thickness: Initial thickness [m].
+        temperature: Of the sheet [degC], where the law has a shift.
+    """
+
+    shape: Literal["outline"]
+    polygon: Annotated[list[Point], Field(min_length=3)] | None = None
+    mold_rim: bool = False
+    element_size: Length | None = None
+    elements: Count | None = None
+    planes: list[Literal["x", "y"]] = Field(default_factory=list)
+    thickness: Thickness
+    temperature: Temperature | None = None
+
+    _no_own_field = field_validator("thickness", "temperature")(_given_elsewhere)
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Outline:
+        if (self.polygon is not None) == self.mold_rim:
+            problem = "is given together with mold_rim" if self.mold_rim else "nothing says what the planform is"
+            raise wrong(problem, "give polygon = [[x, y], ...] or mold_rim = true, one of them", "polygon")
+        if self.mold_rim and self.planes:
+            raise wrong("is not possible with mold_rim", "give a polygon that is cut there", "planes", self.planes)
+        return self
+
+
 def _plane(text: str) -> str:
     try:
         plane_of(text)
@@ -154,6 +190,7 @@ Parison = Annotated[
     | Annotated[Rectangle, Tag("<rectangle>")]
     | Annotated[Sphere, Tag("<sphere>")]
     | Annotated[BottleHalfParison, Tag("<bottle-half>")]
+    | Annotated[Outline, Tag("<outline>")]
     | Annotated[FileParison, Tag("<file>")],
-    *choice("shape", ["disc", "rectangle", "sphere", "bottle-half", "file"], later=["tube"]),
+    *choice("shape", ["disc", "rectangle", "sphere", "bottle-half", "outline", "file"], later=["tube"]),
 ]

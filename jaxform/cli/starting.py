@@ -1,0 +1,95 @@
+"""`jaxform new`: a folder with a first scene for a mold."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from jaxform.cli import session
+from jaxform.core import disk
+from jaxform.core.errors import InputError, warn_of
+
+if TYPE_CHECKING:
+    from jaxform.io.drafting import Draft
+
+_LEAST, _MOST = 1e-9, 1e3  # m
+_LARGE = 3.0  # of a part in metres, which may be one of a few inches
+_DEEP = 1.5  # times the width, above which hardly anything is thermoformed
+
+
+def start(arguments: argparse.Namespace) -> int:
+    """Writes the folder, says what was found and what to run next; returns the exit status."""
+    say = (lambda _: None) if arguments.quiet else session.say
+    for key in ("scale", "thickness"):
+        _check_positive(f"--{key}", getattr(arguments, key))
+    from jaxform.io import drafting, firstscene
+
+    paths = [disk.located(name) for name in arguments.mold]
+    try:
+        made = drafting.draft(paths, arguments.scale, arguments.thickness)
+    except InputError as error:
+        raise error.within(key="--mold") from None
+    try:
+        session.open_folder(arguments.folder, arguments.force)
+    except InputError as error:
+        raise replace(error, key="FOLDER") from None
+    files = firstscene.write(arguments.folder, paths, made)
+    _warn(made)
+    for line in _lines(made):
+        say(line)
+    scene, study = (shlex.quote(str(path)) for path in files[:2])
+    say(f"wrote {', '.join(path.name for path in files)} into {arguments.folder}")
+    say("next:")
+    for line in (
+        f"jaxform check {scene} --out {shlex.quote(str(arguments.folder / 'check'))}",
+        f"jaxform simulate {scene} --out {shlex.quote(str(arguments.folder / 'formed'))}",
+        f"jaxform optimize {study} --out {shlex.quote(str(arguments.folder / 'design'))}",
+    ):
+        say(f"    {line}")
+    return session.DONE
+
+
+def _check_positive(key: str, value: float | None) -> None:
+    if value is not None and not _LEAST < value < _MOST:
+        raise InputError("is no possible number of metres", f"give {_LEAST:g} to {_MOST:g}", key, value)
+
+
+def _warn(made: Draft) -> None:
+    """Of what was found and may be meant otherwise."""
+    from jaxform.io import drafting
+    from jaxform.tools import opening
+
+    found, largest = made.found, float(made.size.max())
+    if made.guessed and drafting.METRES < largest <= _LARGE:
+        problem = f"its box is {largest:.4g} units long: taken for {made.units}"
+        warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
+    if found.depth > _DEEP * made.width:
+        problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
+        warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")
+    if found.rim < opening.RIM:
+        problem = f"only {100 * found.rim:.0f} % of the edge around the opening is at one height"
+        warn_of(problem, "look at check.png: the sheet is clamped in one plane", key="--mold")
+
+
+def _lines(made: Draft) -> Iterator[str]:
+    from jaxform.io import firstscene
+
+    found = made.found
+    box = " x ".join(f"{side:.4g}" for side in made.size)
+    yield f"the mold's box is {box} in its file's units, taken for {made.units} (--scale says otherwise)"
+    x, y, z = found.view.turn.T[:, 2]
+    what = "a plug stands out of its base" if found.male else "its opening is found"
+    yield f"{what}; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
+    where = "on the flange" if made.planform.flange else "along the rim"
+    where = "around the plug" if found.male else where
+    kind = firstscene.kind(made)
+    yield f"sheet: {kind}, {1e3 * made.width:.3g} mm wide, clamped {where}; drawn {1e3 * found.depth:.3g} mm deep"
+    if made.covers.mesh is not None:
+        yield f"{firstscene.COVERS} closes {firstscene.covered(made)}"
+    yield (
+        f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
+        "the material is a placeholder"
+    )

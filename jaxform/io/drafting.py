@@ -1,0 +1,210 @@
+"""A first scene for a mold: its units, where the sheet lies, how fine and thick it is, what fills it slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import contours, masks, meshes
+from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.tools import covers, footprint, molds, opening, rims
+from jaxform.tools.covers import Covers
+from jaxform.tools.footprint import Planform
+from jaxform.tools.opening import Opening
+
+Array = NDArray[np.float64]
+
+STIFFNESS, ALPHA, DENSITY = 0.2e6, 0.1, 1000.0
+"""Of the placeholder material: c [Pa], alpha, density [kg/m^3]."""
+METRES, INCHES = 1.2, 18.0
+"""Largest sizes of a part, as numbers, that are taken for metres and for inches."""
+_THICKNESS = 0.008  # of the sheet's width
+_ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
+_ACROSS, _FEWEST = 16, 6  # elements across the smallest pocket; with fewer the mesh is refined
+_CORNER = 0.5  # elements: the radius to which corners are filled, so that stiffer materials fill them too
+_RE_ENTRANT = (
+    1.3  # the same of an outline, over whose re-entrant edges a sheet folds, and blows up where it is not held
+)
+_SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
+_SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
+_SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
+_DAMPING = 2.0  # the same times the damping
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What a first scene is made of.
+
+    Attributes:
+        scale: Metres per unit of the mold's file.
+        units: The same in words.
+        guessed: Whether the scale was.
+        size: Box of the mold as it is in the file (3,).
+        rotate: Of the mold [degrees] (3,).
+        translate: Of the mold [m] (3,).
+        found: The opening.
+        planform: Of the sheet, where the mold is in the view.
+        polygon: Of the sheet (k, 2) [m] where the scene has it.
+        covers: What closes the mold, as its file has it [m].
+        width: Of the sheet [m], the shorter way.
+        pocket: Half the width of the smallest pocket [m].
+        thickness: Of the sheet [m].
+        element_size: [m]
+    """
+
+    scale: float
+    units: str
+    guessed: bool
+    size: Array
+    rotate: Array
+    translate: Array
+    found: Opening
+    planform: Planform
+    polygon: Array
+    covers: Covers
+    width: float
+    pocket: float
+    thickness: float
+    element_size: float
+
+    @property
+    def pressure(self) -> float:
+        """The pressure [Pa] that fills the pockets: 2 T / r for corners of radius r and a tension T.
+
+        T = 2 c h (1 + alpha stretch^2) of a Mooney-Rivlin sheet at large equal stretches, which are taken twice as
+        large as those of the cavity's area on average.
+        """
+        tension = 2 * STIFFNESS * self.thickness * (1 + ALPHA * 2 * self.draw)
+        folds = isinstance(self.planform.shape, np.ndarray)
+        return _rounded(2 * tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size))
+
+    @property
+    def draw(self) -> float:
+        """About how many times its area the sheet gets: bottom and walls of the cavity over its opening."""
+        return 1.0 + 2 * self.found.depth / self.pocket
+
+    @property
+    def ramp(self) -> float:
+        """How long the pressure rises [s]."""
+        # A shallow mold is touched early, and until then the pressure has to rise as slowly.
+        shallow = min(_SHALLOW * 0.5 * self.width / max(self.found.depth, 1e-12), _LONGEST)
+        return _rounded(_SLOW * (1.0 + shallow) * self._time)
+
+    @property
+    def damping(self) -> float:
+        """Of the solver [1/s]."""
+        return _rounded(_DAMPING / self._time)
+
+    @property
+    def levels(self) -> int:
+        """How often elements near bends of the mold are bisected: 0 where the mesh is fine enough."""
+        # Two bisections halve an element's sides.
+        return 2 if self.element_size > 2 * self.pocket / _FEWEST else 0
+
+    @property
+    def _time(self) -> float:
+        return 0.5 * self.width * float(np.sqrt(DENSITY / STIFFNESS))
+
+
+def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | None = None) -> Draft:
+    """A first scene for a mold.
+
+    Args:
+        paths: The mesh files that are the mold.
+        scale: Metres per unit of the files; by default guessed from the mold's size.
+        thickness: Of the sheet [m]; by default in proportion to its width.
+
+    Raises:
+        InputError: A file cannot be read, or the mold has no opening.
+    """
+    parts = [meshes.read_mesh(path) for path in paths]
+    raw = parts[0] if len(parts) == 1 else meshes.merged(parts)
+    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
+    usual, units = _units(float(extent.max()))
+    guessed, scale = scale is None, scale or usual
+    units = units if scale == usual else f"units of {scale:g} m"
+    mold = rims.welded(raw.positions * scale, raw.triangles)
+    found = opening.find(mold.positions, mold.triangles)
+    planform = footprint.fit(found, mold.positions, mold.triangles)
+    rotate, translate, polygon = _placed(found, planform)
+    area = abs(contours.outlines.area(polygon))
+    width = _width(polygon, area)
+    pocket = min(_pocket(found), 0.5 * width)
+    fine = max(2 * pocket / _ACROSS, _side(area, _MOST))
+    return Draft(
+        scale=scale,
+        units=units,
+        guessed=guessed,
+        size=extent,
+        rotate=rotate,
+        translate=translate,
+        found=found,
+        planform=planform,
+        polygon=polygon,
+        covers=covers.cover(found, planform.polygon, mold),
+        width=width,
+        pocket=pocket,
+        thickness=thickness or _rounded(_THICKNESS * width),
+        element_size=_rounded(min(fine, _side(area, _ELEMENTS))),
+    )
+
+
+def _units(size: float) -> tuple[float, str]:
+    """Metres per unit, from a part's largest size, and the unit in words."""
+    if size <= METRES:
+        return 1.0, "metres"
+    return (0.0254, "inches") if size <= INCHES else (0.001, "millimetres")
+
+
+def _placed(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
+    """How the mold is turned [degrees] and moved [m], and the sheet's polygon (k, 2) [m] where it then is."""
+    shape = planform.shape
+    axes = shape.axes if isinstance(shape, Rectangle) else np.eye(2)
+    turn = np.eye(3)
+    turn[:2, :2] = axes
+    rotate = np.round(molds.angles(turn @ found.view.turn), 9) + 0.0
+    exact = molds.rotation(rotate)
+    # In the plane of the view, then as the mold is turned in the scene.
+    if isinstance(shape, Circle):
+        origin = shape.center
+    elif isinstance(shape, Rectangle):
+        origin = shape.corner
+    else:
+        origin = 0.5 * (shape.min(0) + shape.max(0))
+    at = exact @ found.view.turn.T @ np.append(origin, found.level)
+    polygon = (planform.polygon - origin) @ axes.T
+    return rotate, np.round(-at, 9) + 0.0, polygon
+
+
+def _width(polygon: Array, area: float) -> float:
+    """Of a planform [m]: the shorter side of the rectangle round it, less where it fills that badly."""
+    sides = contours.smallest_rectangle(contours.hull(polygon)).sides
+    return float(min(sides.min(), area / sides.max() * 1.2))
+
+
+def _pocket(found: Opening) -> float:
+    """Half the width [m] of the narrowest pockets, at the clamp plane or half way down."""
+    view = found.view
+    halves = [0.5 * view.pixel * min(view.inside.shape)]
+    for share in () if found.male else (0.0, 0.5):
+        deep = found.cavity & ~(view.height <= found.level + share * found.depth)
+        part, count = masks.parts(deep)
+        area, half = np.bincount(part.ravel()), np.zeros(count + 1)
+        np.maximum.at(half, part, masks.distance(deep))
+        smallest = np.argsort(half[1:])
+        counts = np.cumsum(area[1:][smallest]) > _SPECK * deep.sum()
+        halves += (view.pixel * half[1:][smallest][counts]).tolist()
+    return min(halves)
+
+
+def _side(area: float, elements: int) -> float:
+    """The side [m] of so many equilateral triangles of an area [m^2] together."""
+    return float(np.sqrt(4 / np.sqrt(3) * area / elements))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.2g}")

@@ -1,0 +1,224 @@
+"""The files of a first scene: scene.toml with a comment on each choice, study.toml, the mold and its covers."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.writing import whole
+from jaxform.io.drafting import ALPHA, DENSITY, STIFFNESS, Draft
+from jaxform.mesh import meshes
+from jaxform.mesh.contours import Circle, Rectangle
+
+COVERS = "covers.stl"
+
+
+def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
+    """Writes a first scene into a folder that is there; returns its files, scene.toml first.
+
+    The mold is copied beside the scene: the folder then runs wherever it is put, and a part that is exported again
+    does not change a scene whose numbers were made for the one before.
+
+    Raises:
+        InputError: A file cannot be written.
+    """
+    names = _names(paths)
+    for path, name in zip(paths, names, strict=True):
+        if path.resolve() != (folder / name).resolve():
+            with whole(folder / name) as fresh:
+                shutil.copyfile(path, fresh)
+    if made.covers.mesh is not None:
+        with whole(folder / COVERS) as fresh:
+            meshes.write_stl(fresh, made.covers.mesh.positions / made.scale, made.covers.mesh.triangles)
+    files = {"scene.toml": scene_text(made, names), "study.toml": study_text(made)}
+    for name, text in files.items():
+        with whole(folder / name) as fresh:
+            fresh.write_text(text, encoding="utf-8")
+    covers = [] if made.covers.mesh is None else [COVERS]
+    return [folder / name for name in [*files, *names, *covers]]
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """File names for the copies, each once."""
+    names: list[str] = []
+    for path in paths:
+        # A name on disk may be no text.
+        name, count = path.name.encode("utf-8", "replace").decode(), 1
+        while name in names or name == COVERS:
+            count += 1
+            name = f"{path.stem}-{count}{path.suffix}"
+        names.append(name)
+    return names
+
+
+def scene_text(made: Draft, names: Sequence[str]) -> str:
+    """The scene file, for molds of these names beside it."""
+    return "\n".join(
+        [
+            "# Written by `jaxform new`. SI units everywhere: m, s, kg, Pa.",
+            f"name = {_text(Path(names[0]).stem)}",
+            *_parison(made),
+            *_material(),
+            *_pressure(made),
+            *_mold(made, names),
+            *_refinement(made),
+            *_solver(made),
+            "",
+        ]
+    )
+
+
+def _parison(made: Draft) -> list[str]:
+    shape = made.planform.shape
+    where = "on the flange" if made.planform.flange else "along the rim"
+    if made.found.male:
+        where = "in the plane of the plug's top, over the edge of its base"
+    if isinstance(shape, Circle):
+        own = ['shape = "disc"', f"radius = {_number(shape.radius)}"]
+    elif isinstance(shape, Rectangle):
+        own = ['shape = "rectangle"', f"size = [{', '.join(map(_number, shape.sides))}]"]
+    else:
+        own = ['shape = "outline"', "polygon = [", *_corners(made.polygon), "]"]
+    return [
+        "",
+        f"# The sheet lies in z = 0, clamped {where}.",
+        "[parison]",
+        *own,
+        f"element_size = {_number(made.element_size)}",
+        f"thickness = {_number(made.thickness)}  # a guess from the width of the sheet: give yours",
+    ]
+
+
+def _corners(polygon: NDArray[np.float64]) -> list[str]:
+    pairs = [f"[{_number(x)}, {_number(y)}]" for x, y in polygon]
+    return [f"    {', '.join(pairs[k : k + 5])}," for k in range(0, len(pairs), 5)]
+
+
+def _material() -> list[str]:
+    return [
+        "",
+        "# A placeholder, some soft rubber: give the law and numbers of your material. In a slow process the wall",
+        "# depends on alpha, hardly on c.",
+        "[material]",
+        'model = "mooney-rivlin"',
+        f"c = {_number(STIFFNESS)}",
+        f"alpha = {_number(ALPHA)}",
+        f"density = {_number(DENSITY)}",
+    ]
+
+
+def _pressure(made: Draft) -> list[str]:
+    return [
+        "",
+        "# Enough to fill corners down to an element: change it in proportion to c and thickness. It rises so slowly",
+        "# that inertia hardly shows, and pushes towards +z, into the mold.",
+        "[pressure]",
+        f"time = [0.0, {_number(made.ramp)}]",
+        f"value = [0.0, {_number(made.pressure)}]",
+        'interpolation = "cubic-ramp"',
+    ]
+
+
+def _mold(made: Draft, names: Sequence[str]) -> list[str]:
+    files, lines = list(names), []
+    if made.covers.mesh is not None:
+        files.append(COVERS)
+        lines = [
+            f"# {COVERS} closes what the sheet would be blown through ({covered(made)}).",
+            "# Leave it out if it should be.",
+        ]
+    path = f"[{', '.join(map(_text, files))}]" if len(files) > 1 else _text(files[0])
+    box = " x ".join(_number(side, 4) for side in made.size)
+    return [
+        "",
+        f"# The file's box is {box}: taken for {made.units}. Turned and moved so that the opening is in z = 0.",
+        *lines,
+        "[mold]",
+        'shape = "file"',
+        f"path = {path}",
+        f"scale = {_number(made.scale)}",
+        f"rotate = [{', '.join(_number(angle, 12) for angle in made.rotate)}]",
+        f"translate = [{', '.join(_number(shift, 10) for shift in made.translate)}]",
+    ]
+
+
+def kind(made: Draft) -> str:
+    """The shape of the sheet, in words."""
+    if isinstance(made.planform.shape, Circle):
+        return "a disc"
+    return "a rectangle" if isinstance(made.planform.shape, Rectangle) else "an outline"
+
+
+def covered(made: Draft) -> str:
+    """What the covers close, in words."""
+    holes, gaps = made.covers.holes, made.covers.gaps
+    some = [f"{holes} hole{'s' if holes > 1 else ''}"] if holes else []
+    if gaps:
+        some.append(f"{_number(1e3 * gaps, 3)} mm of the sheet's edge with no rim under it")
+    return " and ".join(some)
+
+
+def _refinement(made: Draft) -> list[str]:
+    if not made.levels:
+        return []
+    return [
+        "",
+        "# Some pockets are small beside the sheet: elements near the mold's edges are halved before they touch.",
+        "[refinement]",
+        f"max_level = {made.levels}",
+        f"base_level = {made.levels}",
+    ]
+
+
+def _solver(made: Draft) -> list[str]:
+    return [
+        "",
+        "[solver]",
+        f"end_time = {_number(1.2 * made.ramp, 3)}",
+        f"damping = {_number(made.damping)}",
+        "quasi_static = true  # the run says so if inertia or damping shows in the wall",
+    ]
+
+
+def study_text(made: Draft) -> str:
+    """A study of the scene: the sheet that makes an even wall."""
+    if isinstance(made.planform.shape, Circle):
+        kind = ['kind = "thickness-profile"', 'along = "radius"', "knots = 8"]
+    else:
+        kind = ['kind = "thickness-field"', f"smoothness = {_number(0.15 * made.width, 2)}  # m"]
+    low, high = 0.5 * made.thickness, 2.5 * made.thickness
+    return "\n".join(
+        [
+            "# Written by `jaxform new`: how thick the sheet has to be where, for a wall that is as even as it can be.",
+            'scene = "scene.toml"',
+            "",
+            "[[variable]]",
+            *kind,
+            f"bounds = [{_number(low, 3)}, {_number(high, 3)}]  # m",
+            "",
+            "[objective]",
+            'kind = "uniform"',
+            "",
+            "[solver]",
+            'method = "lbfgs"',
+            "warm_start = 3",
+            "iterations = 10",
+            "",
+        ]
+    )
+
+
+def _text(text: str) -> str:
+    """The text in TOML's quotes: JSON's escapes and one more."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _number(value: float, digits: int = 7) -> str:
+    """The number as TOML's float, in few digits."""
+    text = f"{float(value) + 0.0:.{digits}g}"
+    return text if any(mark in text for mark in ".en") else f"{text}.0"

@@ -1,0 +1,55 @@
+"""Masks over pixels: parts, distances, gaps. SciPy's, with types; it takes a while to import, so when needed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def parts(mask: Mask) -> tuple[NDArray[np.int64], int]:
+    """The number of the connected part that each pixel is in, from 1, 0 outside; and how many there are."""
+    from scipy import ndimage
+
+    found: Any = ndimage.label(mask)
+    return found[0].astype(np.int64), int(found[1])
+
+
+def distance(mask: Mask) -> Array:
+    """Distance [pixels] of each pixel of a mask to the nearest that is not in it; 0 of those."""
+    from scipy import ndimage
+
+    return np.asarray(ndimage.distance_transform_edt(mask))
+
+
+def closed(mask: Mask, reach: float) -> Mask:
+    """A mask with all gaps filled that are up to twice so many pixels wide."""
+    wide = int(reach) + 1
+    near = distance(~np.pad(mask, wide)) <= reach
+    return (distance(near) > reach)[wide:-wide, wide:-wide] | mask
+
+
+def filled(mask: Mask) -> Mask:
+    """A mask with what it surrounds."""
+    from scipy import ndimage
+
+    return np.asarray(ndimage.binary_fill_holes(mask), bool)
+
+
+def grown(mask: Mask, pixels: int) -> Mask:
+    """A mask with what is so many steps from it; below 0 without its outermost so many."""
+    from scipy import ndimage
+
+    change = ndimage.binary_dilation if pixels > 0 else ndimage.binary_erosion
+    return np.asarray(change(mask, iterations=abs(pixels)), bool)
+
+
+def least_around(values: Array, pixels: int) -> Array:
+    """The least value up to so many pixels away, along rows and columns."""
+    from scipy import ndimage
+
+    return np.asarray(ndimage.minimum_filter(values, size=2 * pixels + 1, mode="constant", cval=np.inf))

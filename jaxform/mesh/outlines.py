@@ -1,0 +1,161 @@
+"""Polygons of a user's own: cleaned, refused where they cross themselves, with fewer corners, blunt. On the host."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MOST_CORNERS = 20_000
+_SAME = 1e-9  # of the polygon's size: corners as near as that are one
+_SHARP = 30.0  # degrees, below which a corner is blunted
+_CHUNK = 4_000_000  # pairs of sides looked at together
+
+
+def area(corners: Array) -> float:
+    """Area [m^2] of a polygon (n, 2) [m], below 0 where it runs clockwise."""
+    # About a corner of its own: far from the origin the products are large and their differences rounded.
+    x, y = (corners - corners[0]).T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def cleaned(polygon: Any, key: str = "parison.polygon") -> Array:
+    """The corners (k, 2) [m] of a simple polygon, counter-clockwise, repeated ones left out.
+
+    Args:
+        polygon: Corners (n, 2) [m] in either order; the last may repeat the first.
+        key: What to call it in messages.
+
+    Raises:
+        InputError: Fewer than three corners or too many, numbers that are not finite, no area, or sides that cross or
+            touch each other.
+    """
+    corners = np.asarray(polygon, np.float64)
+    if corners.ndim != 2 or corners.shape[-1] != 2 or not np.isfinite(corners).all():
+        raise InputError("is not a list of points", "give [[x, y], ...] in m", key, polygon)
+    if len(corners) > MOST_CORNERS:
+        raise InputError(f"has {len(corners)} corners", f"give at most {MOST_CORNERS}", key)
+    size = float(np.ptp(corners, axis=0).max(initial=0.0)) if len(corners) else 0.0
+    apart = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1) > _SAME * size
+    corners = _without_flat(corners[apart])
+    middle = corners.mean(0) if len(corners) else 0.0
+    if len(corners) < 3 or np.linalg.svd(corners - middle, compute_uv=False)[1] <= _SAME * size:
+        raise InputError("encloses no area", "give three corners or more, not on one line", key, polygon)
+    place = crossing(corners)
+    if place is not None:
+        where = f"({place[0]:.6g}, {place[1]:.6g}) m"
+        raise InputError(f"crosses or touches itself at {where}", "move the corners apart there", key)
+    return corners if area(corners) > 0 else corners[::-1].copy()
+
+
+def _without_flat(corners: Array) -> Array:
+    """Without the corners that lie on the line between those beside them."""
+    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    turn = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
+    onwards = np.einsum("ij,ij->i", before, after) > 0
+    flat = onwards & (turn <= 1e-14 * np.linalg.norm(before, axis=1) * np.linalg.norm(after, axis=1))
+    return corners[~flat]
+
+
+def crossing(corners: Array) -> Array | None:
+    """A place (2,) [m] where two sides that are not neighbours meet, or neighbours lie on each other; None if none."""
+    begin, end, count = corners, np.roll(corners, -1, axis=0), len(corners)
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    order = np.argsort(low[:, 0], kind="stable")
+    last = np.searchsorted(low[order, 0], high[order, 0], side="right")
+    beside = last - np.arange(count) - 1
+    for part in np.array_split(np.arange(count), 1 + int(beside.sum()) // _CHUNK):
+        one = np.repeat(part, beside[part])
+        other = np.arange(len(one)) - np.repeat(np.cumsum(beside[part]) - beside[part], beside[part]) + one + 1
+        one, other = order[one], order[other]
+        near = (low[one, 1] <= high[other, 1]) & (low[other, 1] <= high[one, 1])
+        one, other = one[near], other[near]
+        met = _meet(begin[one], end[one], begin[other], end[other])
+        step = (other - one) % count
+        joined = (step == 1) | (step == count - 1)
+        met[joined] = _folded(begin, end, one[joined], other[joined])
+        if met.any():
+            return _meeting(*(side[index[met][0]] for index in (one, other) for side in (begin, end)))
+    return None
+
+
+def _meet(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.bool_]:
+    """Whether sides from a to b and from c to d (n, 2) cross or touch, where their boxes do."""
+    one, other = _turn(a, b, c) * _turn(a, b, d), _turn(c, d, a) * _turn(c, d, b)
+    return (one <= 0) & (other <= 0)
+
+
+def _folded(begin: Array, end: Array, one: Index, other: Index) -> NDArray[np.bool_]:
+    """Whether sides that share a corner lie on each other: the second goes straight back."""
+    flat = np.abs(_turn(begin[one], end[one], begin[other]) + _turn(begin[one], end[one], end[other]))
+    ahead, back = end[one] - begin[one], end[other] - begin[other]
+    length = np.linalg.norm(ahead, axis=1) * np.linalg.norm(back, axis=1)
+    return (flat <= 1e-12 * length) & (np.einsum("ij,ij->i", ahead, back) < 0)
+
+
+def _meeting(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """Where two sides meet, or the middle of what they share."""
+    along, across = b - a, d - c
+    turned = along[0] * across[1] - along[1] * across[0]
+    if turned == 0:
+        ends = np.stack([a, b, c, d])
+        return ends[np.argsort(ends @ along)][1:3].mean(0)
+    return a + along * ((c - a)[0] * across[1] - (c - a)[1] * across[0]) / turned
+
+
+def _turn(a: Array, b: Array, c: Array) -> Array:
+    return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
+
+
+def blunted(corners: Array, width: float, kept: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+    """The polygon with its sharp corners cut off where it is so wide [m], and which corners (k,) were kept before."""
+    before, after = np.roll(corners, 1, axis=0) - corners, np.roll(corners, -1, axis=0) - corners
+    lengths = np.stack([np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)])
+    cosine = np.einsum("ij,ij->i", before, after) / np.prod(lengths, axis=0)
+    convex = _turn(np.roll(corners, 1, axis=0), corners, np.roll(corners, -1, axis=0)) > 0
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    back = 0.5 * width / np.sin(0.5 * np.maximum(angle, 1e-9))
+    sharp = convex & ~kept & (angle < np.radians(_SHARP)) & (2 * back < lengths.min(0))
+    cut = [side * (back / length)[:, None] for side, length in zip((before, after), lengths, strict=True)]
+    made = np.stack([corners + np.where(sharp[:, None], side, 0.0) for side in cut], axis=1).reshape(-1, 2)
+    there = np.stack([np.ones_like(sharp), sharp], axis=1).ravel()
+    return made[there], np.repeat(kept, 2)[there]
+
+
+def essential(corners: Array, tolerance: Array, forced: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The corners (k,) without which the polygon would be off by more than the tolerance (k,) [m]."""
+    count = len(corners)
+    kept = forced.copy()
+    kept[np.argmax(np.linalg.norm(corners - corners.mean(0), axis=1))] = True
+    first = int(np.flatnonzero(kept)[0])
+    kept[np.argmax(np.linalg.norm(corners - corners[first], axis=1))] = True
+    ends = np.flatnonzero(kept)
+    spans = list(zip(ends, np.append(ends[1:], ends[0] + count), strict=True))
+    while spans:
+        begin, end = spans.pop()
+        between = np.arange(begin + 1, end) % count
+        if not len(between):
+            continue
+        off = _off(corners[between], corners[begin % count], corners[end % count]) / tolerance[between]
+        worst = int(np.argmax(off))
+        if off[worst] > 1:
+            kept[between[worst]] = True
+            spans += [(begin, begin + 1 + worst), (begin + 1 + worst, end)]
+    # Three corners enclose an area where two do not.
+    if kept.sum() < 3:
+        one, other = np.flatnonzero(kept)
+        kept[np.argmax(np.abs(_turn(corners[one], corners[other], corners)))] = True
+    return kept
+
+
+def _off(points: Array, begin: Array, end: Array) -> Array:
+    """Distance (n,) [m] of points (n, 2) to a side."""
+    side = end - begin
+    share = np.clip((points - begin) @ side / max(float(side @ side), 1e-300), 0.0, 1.0)
+    return np.linalg.norm(points - begin - share[:, None] * side, axis=1)

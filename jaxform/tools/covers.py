@@ -1,0 +1,172 @@
+"""Covers for what a sheet would be blown through: holes of a mold, gaps under the edge of the sheet. On the host."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import contours, masks, meshes, planform, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import heights
+from jaxform.tools.heights import Heights
+from jaxform.tools.opening import FINE, FLAT, Opening
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Integers = NDArray[np.integer]
+
+_SEAM = 1e-4  # of the mold's size: rims as near to each other as that are a seam, not holes
+_CHORDS = 0.1  # of the edge's length, that a seam may be open besides
+_STEP = 4.0  # pixels, from one look under the sheet's edge to the next
+_SPECK = 1e-6  # of the square of the mold's size: less is no hole
+
+
+class Covers(NamedTuple):
+    """What closes a mold.
+
+    Attributes:
+        mesh: The covers, where the mold's file has it; None where nothing is open.
+        holes: How many holes are covered.
+        gaps: The length [m] of the sheet's edge under which there was no rim.
+    """
+
+    mesh: Mesh | None
+    holes: int
+    gaps: float
+
+
+def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
+    """Covers for the holes of a mold and the gaps under the edge of a sheet.
+
+    Args:
+        found: The opening.
+        polygon: Of the sheet, counter-clockwise, in the plane of the view (k, 2) [m].
+        mold: Welded, not turned.
+    """
+    turned = mold.positions @ found.view.turn.T
+    size = meshes.size(mold.positions)
+    fans = _fans(turned, mold.triangles, found.level + FLAT * size, size)
+    curtain, length = _curtain(found, polygon, size)
+    closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
+    patches = _patches(heights.seen(heights.surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon)
+    parts = [*fans, *curtain, *patches]
+    if not parts:
+        return Covers(None, 0, 0.0)
+    joined = meshes.merged(parts)
+    return Covers(Mesh(joined.positions @ found.view.turn, joined.triangles), len(fans) + len(patches), length)
+
+
+def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list[Mesh]:
+    """A cover on each open rim of a shell that lies behind the clamp plane as a whole."""
+    edges = topology.boundary_edges(triangles)
+    if not len(edges):
+        return []
+    part = topology.connected(edges[:, 0], edges[:, 1], len(turned))[edges[:, 0]]
+    _, part, count = np.unique(part, return_inverse=True, return_counts=True)
+    in_seams = np.bincount(part, _at_seams(turned, edges, _SEAM * size)) > 0.5 * count
+    nearest = np.full(len(count), np.inf)
+    np.minimum.at(nearest, part, turned[edges][..., 2].min(1))
+    made = []
+    for one in np.flatnonzero(~in_seams & (nearest > level)):
+        fan = _fan(turned[edges[part == one]])
+        corners = fan.positions[fan.triangles]
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        if area > _SPECK * size**2:
+            made.append(fan)
+    return made
+
+
+def _at_seams(turned: Array, edges: Integers, near: float) -> Mask:
+    """Along which rim edges (n,) another one runs, beside their middles."""
+    from scipy.spatial import KDTree
+
+    begin, side = turned[edges[:, 0]], turned[edges[:, 1]] - turned[edges[:, 0]]
+    length = np.linalg.norm(side, axis=1)
+    usual = float(np.median(length))
+    # Along a curved seam the chords of one piece are not those of the other.
+    apart = near + _CHORDS * np.minimum(length, 3 * usual)
+    count = np.ceil(4 * length / usual).astype(int)
+    owner = np.repeat(np.arange(len(edges)), count)
+    share = (np.arange(len(owner)) - (np.cumsum(count) - count)[owner] + 0.5) / count[owner]
+    samples = begin[owner] + share[:, None] * side[owner]
+    close = KDTree(samples).query_ball_point(begin + 0.5 * side, apart + 0.25 * usual)
+    edge = np.repeat(np.arange(len(edges)), [len(some) for some in close])
+    other = np.concatenate([np.array(some, np.int64) for some in close])
+    edge, other = edge[owner[other] != edge], other[owner[other] != edge]
+    away = samples[other] - begin[edge]
+    along = np.einsum("ij,ij->i", away, side[edge]) / length[edge] ** 2
+    off = np.linalg.norm(away - along[:, None] * side[edge], axis=1)
+    found = np.zeros(len(edges), bool)
+    found[edge[(np.abs(along - 0.5) < 0.25) & (off <= apart[edge])]] = True
+    return found
+
+
+def _fan(edges: Array) -> Mesh:
+    """Triangles from the middle of edges (n, 2, 3) [m] to each of them."""
+    count = len(edges)
+    points = np.concatenate([edges.reshape(-1, 3), edges.mean((0, 1))[None]])
+    number = np.arange(count)
+    fan = np.stack([2 * number, 2 * number + 1, np.full(count, 2 * count)], axis=1)
+    return Mesh(points, fan.astype(np.int32))
+
+
+def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], float]:
+    """Walls down from the sheet's edge where nothing is under it, and how long they are [m]."""
+    view = found.view
+    along = _edge_points(polygon, _STEP * view.pixel)
+    near, deep = _sampled(view.around(), view, along), _sampled(_deepest(view), view, along)
+    open_there = near > found.level + FLAT * size
+    # A single place is the pixels' doubt; a rim is seen from a few pixels away, so walls reach beyond the gap.
+    sure = open_there & (np.roll(open_there, -1) | np.roll(open_there, 1))
+    if not sure.any():
+        return [], 0.0
+    side = np.any([np.roll(sure, k) for k in (-2, -1, 0, 1)], axis=0)
+    bottom = max(found.base, float(np.max(deep[open_there & np.isfinite(deep)], initial=found.base)))
+    number = np.flatnonzero(side)
+    following = (number + 1) % len(along)
+    count = len(along)
+    points = np.concatenate([np.insert(along, 2, z, axis=1) for z in (found.level, bottom)])
+    walls = [[number, following, following + count], [number, following + count, number + count]]
+    triangles = np.concatenate([np.stack(wall, axis=1) for wall in walls]).astype(np.int32)
+    length = float(np.linalg.norm(along[following] - along[number], axis=1).sum())
+    return [meshes.used(Mesh(points, triangles))], length
+
+
+def _edge_points(polygon: Array, step: float) -> Array:
+    """Points (n, 2) [m] along a closed polygon, its corners included."""
+    ends = np.roll(polygon, -1, axis=0)
+    counts = np.maximum(1, np.ceil(np.linalg.norm(ends - polygon, axis=1) / step).astype(int))
+    side = np.repeat(np.arange(len(polygon)), counts)
+    share = (np.arange(len(side)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[side]
+    return polygon[side] + share[:, None] * (ends - polygon)[side]
+
+
+def _sampled(values: Array, view: Heights, places: Array) -> Array:
+    """The values (n,) of the pixels that places (n, 2) [m] are in."""
+    column, row = np.floor((places - view.low) / view.pixel).astype(int).T
+    return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]
+
+
+def _deepest(view: Heights) -> Array:
+    return -masks.least_around(np.where(np.isfinite(view.height), -view.height, np.inf), 3)
+
+
+def _patches(view: Heights, polygon: Array) -> list[Mesh]:
+    """Covers on what one sees through, at the height of what is around it."""
+    below = planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)
+    through = ~np.isfinite(view.height) & masks.grown(below, -2)
+    part, count = masks.parts(through)
+    made = []
+    for one in range(1, count + 1):
+        hole = part == one
+        around = masks.grown(hole, 2) & np.isfinite(view.height)
+        if not around.any():
+            continue
+        rim, rise = view.places(around), view.height[around]
+        corners = contours.hull(np.concatenate([rim, view.places(hole)]))
+        nearest = np.argmin(np.linalg.norm(corners[:, None] - rim, axis=2), axis=1)
+        points = np.insert(corners, 2, rise[nearest], axis=1)
+        made.append(_fan(np.stack([points, np.roll(points, -1, axis=0)], axis=1)))
+    return made

@@ -1,0 +1,217 @@
+"""The planform of the sheet over a mold's opening: a disc, a rectangle, or the opening's own outline. On the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import contours, masks, outlines, planform, topology
+from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.tools.heights import Heights
+from jaxform.tools.opening import Opening
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Integers = NDArray[np.integer]
+
+_MARGIN = 0.03  # of the opening's width, that the sheet reaches over its edge, where there is a flange
+_BARE = 2.5  # pixels: a flange that is narrower is none
+_FULL = 0.75  # of a disc or rectangle, that must be opening
+_ROUND, _SQUARE = 0.95, 0.998  # the same where there is no flange to lie on
+_WITHIN = 0.998  # of a disc or rectangle, that must lie on the mold
+_BRIDGE = 0.06  # of the opening's width, half of what parts two pockets of one opening
+_SIMPLER = 0.5  # pixels, that an outline may be off
+_ALIKE = 0.03  # of the area, by which a rim's polygon may differ from what is seen
+
+
+class Planform(NamedTuple):
+    """A sheet's planform in the plane of the view: one of them [m].
+
+    Attributes:
+        shape: What it is.
+        flange: Whether it lies on the mold all round, beyond the opening.
+    """
+
+    shape: Circle | Rectangle | Array
+    flange: bool
+
+    @property
+    def polygon(self) -> Array:
+        """Its corners (k, 2) [m], counter-clockwise."""
+        if isinstance(self.shape, Circle):
+            angle = 2 * np.pi * np.arange(180) / 180
+            return self.shape.center + self.shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        if isinstance(self.shape, Rectangle):
+            share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+            return self.shape.corner + share * self.shape.sides @ self.shape.axes
+        return self.shape
+
+
+@dataclass(frozen=True)
+class _Site:
+    """What the fits look at: the view, what is to be covered, its points (n, 2) [m], and whether a flange is there."""
+
+    view: Heights
+    covered: Mask
+    points: Array
+    flange: bool
+    width: float
+
+    def within(self, polygon: Array) -> bool:
+        """Whether a polygon lies on the mold."""
+        wanted = _mask(self.view, polygon)
+        return bool(wanted.sum() and (wanted & self.view.inside).sum() >= _WITHIN * wanted.sum())
+
+
+def fit(found: Opening, vertices: Array, triangles: Integers) -> Planform:
+    """The planform of a sheet that covers an opening: a disc or rectangle where one fits, else an outline.
+
+    Args:
+        found: The opening.
+        vertices: The mold's (n, 3) [m], not turned.
+        triangles: Vertex numbers (m, 3).
+
+    Raises:
+        InputError: The opening has no outline that a sheet can have.
+    """
+    site = _site(found, vertices)
+    full = masks.closed(site.covered, _BRIDGE * site.width / found.view.pixel).sum() * found.view.pixel**2
+    for shape in (_disc(site, full), _rectangle(site, full)):
+        if shape is not None:
+            return Planform(shape, site.flange)
+    return Planform(_outline(site, found, vertices, triangles), site.flange)
+
+
+def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
+    """The outline of an opening (k, 2) [m], whatever its shape, counter-clockwise in the plane of the view.
+
+    Args:
+        found: The opening.
+        vertices: The mold's (n, 3) [m], not turned.
+        triangles: Vertex numbers (m, 3).
+
+    Raises:
+        InputError: The opening has no outline that a sheet can have.
+    """
+    return _outline(_site(found, vertices), found, vertices, triangles)
+
+
+def _site(found: Opening, vertices: Array) -> _Site:
+    view = found.view
+    clear = masks.distance(view.inside)[found.cavity].min()
+    turned = vertices @ view.turn.T
+    # Where the mesh has corners on the opening's edge, they say better than pixels where it is.
+    level = turned[np.abs(turned[:, 2] - found.base) <= 2 * view.pixel, :2]
+    column, row = np.clip((level - view.low) / view.pixel, 0, np.array(view.inside.shape[::-1]) - 1).astype(int).T
+    exact = level[masks.distance(~found.cavity)[row, column] <= 2]
+    points = view.places(found.cavity)
+    if len(exact) >= 3 and _hull_area(exact) > 0.97 * _hull_area(points):
+        points = exact
+    low, high = points.min(0), points.max(0)
+    return _Site(view, found.cavity, points, not found.male and bool(clear > _BARE), float((high - low).min()))
+
+
+def _hull_area(points: Array) -> float:
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return outlines.area(contours.hull(points)) if spread[1] > 1e-9 * spread[0] else 0.0
+
+
+def _disc(site: _Site, full: float) -> Circle | None:
+    corners = contours.hull(site.points)
+    around = contours.smallest_circle(corners)
+    if not site.flange:
+        middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
+        inner = float(np.linalg.norm(middles - around.center, axis=1).min())
+        return (
+            Circle(around.center, inner) if inner >= _ROUND * around.radius and full >= 0.9 * np.pi * inner**2 else None
+        )
+    for margin in _margins(site):
+        disc = Circle(around.center, around.radius + margin)
+        if full >= _FULL * np.pi * around.radius**2 and site.within(Planform(disc, True).polygon):
+            return disc
+    return None
+
+
+def _rectangle(site: _Site, full: float) -> Rectangle | None:
+    corners = contours.hull(site.points)
+    around = contours.smallest_rectangle(corners)
+    area = float(np.prod(around.sides))
+    if not site.flange:
+        square = outlines.area(corners) >= _SQUARE * area and full >= 0.97 * area
+        return around if square else None
+    for margin in _margins(site):
+        if full >= _FULL * area and site.within(Planform(around.grown(margin), True).polygon):
+            return around.grown(margin)
+    return None
+
+
+def _margins(site: _Site) -> list[float]:
+    most = max(_MARGIN * site.width, 2 * site.view.pixel)
+    return [most, 0.5 * most, 0.25 * most]
+
+
+def _outline(site: _Site, found: Opening, vertices: Array, triangles: Integers) -> Array:
+    view = site.view
+    rim = None if site.flange else _rim(found, vertices, triangles)
+    if rim is not None:
+        return rim
+    margin = max(_MARGIN * site.width / view.pixel, 2.0)
+    values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~site.covered))
+    if not _in_one(values > 0):
+        hull = _mask(view, contours.hull(view.places(site.covered)))
+        values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
+    polygon = contours.contour(values, view.low, view.pixel)
+    return _simpler(polygon, _SIMPLER * view.pixel)
+
+
+def _simpler(polygon: Array, tolerance: float) -> Array:
+    kept = outlines.essential(polygon, np.full(len(polygon), tolerance), np.zeros(len(polygon), bool))
+    return outlines.cleaned(polygon[kept])
+
+
+def _in_one(mask: Mask) -> bool:
+    return masks.parts(mask)[1] == 1
+
+
+def _rim(found: Opening, vertices: Array, triangles: Integers) -> Array | None:
+    """The open rim that surrounds what is seen of a shell, or None where there is none."""
+    view = found.view
+    turned = vertices @ view.turn.T
+    edges = topology.boundary_edges(triangles)
+    wanted = view.inside.sum() * view.pixel**2
+    for loop in _loops(edges):
+        polygon = turned[loop][:, :2]
+        if abs(abs(outlines.area(polygon)) - wanted) > _ALIKE * wanted:
+            continue
+        try:
+            return _simpler(outlines.cleaned(polygon), 0.1 * _SIMPLER * view.pixel)
+        except InputError:
+            continue
+    return None
+
+
+def _loops(edges: Integers) -> list[Integers]:
+    """The closed lines (k,) of nodes that edges (n, 2) make, where two of them meet in each node."""
+    neighbours: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    loops = []
+    while neighbours:
+        start = next(iter(neighbours))
+        way, at = [start], neighbours.pop(start)[0]
+        while at in neighbours:
+            way.append(at)
+            ahead = [node for node in neighbours.pop(at) if node in neighbours]
+            at = ahead[0] if ahead else start
+        loops.append(np.array(way))
+    return loops
+
+
+def _mask(view: Heights, polygon: Array) -> Mask:
+    """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""
+    return planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)

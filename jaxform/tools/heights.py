@@ -1,0 +1,102 @@
+"""What is seen of a surface from a side: the nearest height in each pixel, holes and rims included. On the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import masks, raster, topology
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_RIM = 2  # pixels beside the surface in which its rim is looked for
+_ABRUPT = 20.0  # degrees, from which a bend of the surface is an edge that may be thinner than a pixel
+
+
+@dataclass(frozen=True)
+class Heights:
+    """A surface seen along +z, from below, in square pixels.
+
+    Attributes:
+        turn: Turns the surface (3, 3), so that what looks along +z sees it.
+        low: Place of the first pixel's outer corner (2,) [m], after turning.
+        pixel: Side of a pixel [m].
+        height: The smallest z (ny, nx) [m] in each, after turning; infinite where there is nothing.
+        inside: Pixels (ny, nx) that the surface covers or surrounds.
+    """
+
+    turn: Array
+    low: Array
+    pixel: float
+    height: Array
+    inside: Mask
+
+    @property
+    def edge(self) -> Mask:
+        """Pixels of what is inside that are next to the outside."""
+        return self.inside & ~masks.grown(self.inside, -1)
+
+    def places(self, pixels: Mask) -> Array:
+        """Middles (n, 2) [m] of pixels."""
+        row, column = np.nonzero(pixels)
+        return self.low + self.pixel * (np.stack([column, row], axis=1) + 0.5)
+
+    def around(self) -> Array:
+        """The smallest height (ny, nx) [m] in a few pixels around each."""
+        return masks.least_around(self.height, _RIM)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A surface to look at.
+
+    Attributes:
+        vertices: Positions (n, 3) [m].
+        triangles: Vertex numbers (m, 3).
+        edges: Its rims and sharp edges (k, 2, 3) [m].
+    """
+
+    vertices: Array
+    triangles: NDArray[np.integer]
+    edges: Array
+
+
+def surface(vertices: Array, triangles: NDArray[np.integer]) -> Surface:
+    """A surface (n, 3) [m], (m, 3), with its edges."""
+    return Surface(vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64))
+
+
+def seen(looked_at: Surface, turn: Array, pixels: int) -> Heights:
+    """The heights of a surface that is turned first.
+
+    Args:
+        looked_at: The surface.
+        turn: Matrix (3, 3).
+        pixels: Along the longer side.
+    """
+    turned = looked_at.vertices @ turn.T
+    low, high = turned.min(0), turned.max(0)
+    pixel = float((high - low)[:2].max()) / pixels
+    first = low[:2] - 2.5 * pixel
+    width, height = (int(np.ceil(extent / pixel)) + 5 for extent in (high - low)[:2])
+    nearest = np.full(width * height, np.inf)
+    corners = turned[looked_at.triangles]
+    for found in raster.hits((corners[..., :2] - first) / pixel, width, height):
+        np.minimum.at(nearest, found.pixel, np.einsum("nc,nc->n", found.weight, corners[found.triangle, :, 2]))
+    # Walls that stand upright, and rims, are in no pixel's middle.
+    points = _along(looked_at.edges @ turn.T, pixel)
+    column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T
+    np.minimum.at(nearest, row * width + column, points[:, 2])
+    seen_there = nearest.reshape(height, width)
+    return Heights(turn, first, pixel, seen_there, masks.filled(np.isfinite(seen_there)))
+
+
+def _along(edges: Array, step: float) -> Array:
+    """Points (k, 3) [m] along edges (n, 2, 3) [m], two in a step or more."""
+    count = np.ceil(2 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / step).astype(int) + 1
+    owner = np.repeat(np.arange(len(edges)), count)
+    share = ((np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / (count[owner] - 1))[:, None]
+    return (1 - share) * edges[owner, 0] + share * edges[owner, 1]

@@ -1,0 +1,180 @@
+"""Where a sheet is clamped on a mold: from which side the mold is hollow, or what stands out of it. On the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import masks, meshes, topology
+from jaxform.tools import heights
+from jaxform.tools.heights import Heights
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Integers = NDArray[np.integer]
+
+FINE = 480
+"""Pixels of the longer side, to look at a mold."""
+FLAT = 0.002
+"""Of the mold's size, what counts as one height."""
+_COARSE = 120  # pixels, to choose from where to look
+RIM = 0.8
+"""Of the edge of what is seen, what is at one height: that is a rim."""
+_HOLLOW = 5e-4  # of the cube of the mold's size, the volume of what is a cavity
+_FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
+_FEW = 6  # directions of flat faces that are tried beside the axes
+_SPECK = 0.005  # of a cavity's area: less is a hole for a bolt
+
+
+class _Look(NamedTuple):
+    """A view, the height of its rim [m], and the volumes [m^3] behind the rim and before it."""
+
+    view: Heights
+    level: float
+    share: float
+    hollow: float
+    proud: float
+
+
+@dataclass(frozen=True)
+class Opening:
+    """Where the sheet goes.
+
+    Attributes:
+        view: The mold as the sheet sees it: turned so that pressure pushes to +z.
+        level: Height of the clamp plane [m], after turning.
+        base: Height [m] of the rim or of the base plate.
+        cavity: Pixels (ny, nx) behind the clamp plane that are to be formed.
+        male: Whether the sheet is formed over what stands out, not into what is hollow.
+        rim: Share of the edge that is at the height of the rim.
+        depth: Of what is formed [m].
+    """
+
+    view: Heights
+    level: float
+    base: float
+    cavity: Mask
+    male: bool
+    rim: float
+    depth: float
+
+
+def find(vertices: Array, triangles: Integers) -> Opening:
+    """The opening of a mold, or what stands out of its base.
+
+    Args:
+        vertices: Positions (n, 3) [m], welded.
+        triangles: Vertex numbers (m, 3).
+
+    Raises:
+        InputError: The mold is neither hollow from any side nor does anything stand out of it.
+    """
+    size = meshes.size(vertices)
+    surface = heights.surface(vertices, triangles)
+    looks = [_look(heights.seen(surface, turn, _COARSE), size) for turn in _turns(vertices, triangles)]
+    rimmed = [look for look in looks if look.share >= RIM] or looks
+    hollow, proud = max(rimmed, key=lambda look: look.hollow), max(rimmed, key=lambda look: look.proud)
+    male = proud.proud > _FAVOUR * hollow.hollow
+    best = proud if male else hollow
+    if max(best.hollow, best.proud) < _HOLLOW * size**3:
+        problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
+        raise InputError(problem, "write the scene by hand (docs/start.md has one to copy)")
+    view = heights.seen(surface, best.view.turn, FINE)
+    look = _look(view, size)
+    return _male(look, size) if male else _female(look, size)
+
+
+def _female(look: _Look, size: float) -> Opening:
+    view = look.view
+    flange = view.height[np.abs(view.height - look.level) <= FLAT * size]
+    deep = view.inside & ~(view.height <= look.level + FLAT * size)
+    cavity = _without_specks(deep)
+    bottom = view.height[cavity & np.isfinite(view.height)]
+    depth = float(bottom.max() - look.level) if len(bottom) else 0.0
+    # The sheet lies before all of the flange, which may be uneven.
+    return Opening(view, float(flange.min()), look.level, cavity, False, look.share, depth)
+
+
+def _male(look: _Look, size: float) -> Opening:
+    view = look.view
+    top = float(view.height.min())
+    return Opening(view, top, look.level, view.inside, True, look.share, look.level - top)
+
+
+def _without_specks(deep: Mask) -> Mask:
+    part, count = masks.parts(deep)
+    area = np.bincount(part.ravel(), minlength=count + 1)
+    area[0] = 0
+    return (area >= _SPECK * area.max())[part] & deep
+
+
+def _look(view: Heights, size: float) -> _Look:
+    """The rim's height is the one that most of the edge has."""
+    tolerance = FLAT * size
+    at_edge = np.sort(view.around()[view.edge])
+    many = np.searchsorted(at_edge, at_edge + 2 * tolerance, side="right") - np.arange(len(at_edge))
+    first = int(np.argmax(many))
+    level = float(np.median(at_edge[first : first + many[first]]))
+    rise = view.height[view.inside & np.isfinite(view.height)] - level
+    cell = view.pixel**2
+    hollow, proud = float(rise[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
+    # A rim with a few pins is one, and so is a base in which there are holes.
+    return _Look(view, level, many[first] / len(at_edge), max(0.0, hollow - 4 * proud) * cell, proud * cell)
+
+
+def _turns(vertices: Array, triangles: Integers) -> list[Array]:
+    """Rotations (3, 3) that turn each side from which a mold may be meant to be seen towards -z."""
+    axes = np.concatenate([np.eye(3)[::-1], -np.eye(3)[::-1]])
+    chosen: list[Array] = list(axes)
+    for direction in [*_flat(vertices, triangles), *_loops(vertices, triangles)]:
+        for signed in (direction, -direction):
+            if max(float(signed @ other) for other in chosen) < 1 - 1e-6:
+                chosen.append(signed)
+    return [turned_up(direction) for direction in chosen]
+
+
+def _flat(vertices: Array, triangles: Integers) -> list[Array]:
+    """Normals (3,) that most of the area has."""
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    unit = normal / area[:, None]
+    unit *= np.where(unit[np.arange(len(unit)), np.argmax(np.abs(unit), axis=1)] < 0, -1.0, 1.0)[:, None]
+    key, index = np.unique(np.round(unit, 2), axis=0, return_inverse=True)
+    total = np.bincount(index.ravel(), area, len(key))
+    found = []
+    for one in np.argsort(-total)[:_FEW]:
+        mean = (normal * np.sign(normal @ key[one])[:, None])[index.ravel() == one].sum(0)
+        found.append(mean / np.linalg.norm(mean))
+    return found
+
+
+def _loops(vertices: Array, triangles: Integers) -> list[Array]:
+    """Normals (3,) of the planes in which the longest open rims lie."""
+    edges = topology.boundary_edges(triangles)
+    if not len(edges):
+        return []
+    part = topology.connected(edges[:, 0], edges[:, 1], len(vertices))[edges[:, 0]]
+    length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
+    longest = np.argsort(-np.bincount(part, length))[:2]
+    found = []
+    for one in longest:
+        points = vertices[np.unique(edges[part == one])]
+        if len(points) >= 3:
+            found.append(np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2])
+    return found
+
+
+def turned_up(direction: Array) -> Array:
+    """The rotation (3, 3) by the smallest angle that turns a unit vector (3,) to +z."""
+    x, y, z = (float(component) for component in direction)
+    if z < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    turn = np.eye(3) + cross + cross @ cross / (1 + z)
+    turn[np.abs(turn) < 1e-12] = 0.0
+    return turn

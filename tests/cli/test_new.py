@@ -1,0 +1,169 @@
+"""`jaxform new`: its folder is a scene with the sheet over the opening of the mold, whatever the pose of the mold."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxform.cli import command, session
+from jaxform.core.errors import InputError
+from jaxform.io import files
+from jaxform.io.survey import survey
+from jaxform.mesh import meshes
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import molds
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_cache() -> Iterator[None]:
+    """The command keeps compiled programs; the tests keep theirs to themselves."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "cache_folder", lambda: None)
+        yield
+
+
+def write(path: Path, mold: Mesh, unit: float, degrees: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Path:
+    """An STL file in a unit [m], turned, and far from the origin."""
+    moved = mold.positions @ molds.rotation(np.array(degrees)).T + [0.5, -0.3, 0.2]
+    meshes.write_stl(path, moved / unit, mold.triangles)
+    return path
+
+
+def dish(*, hole: bool = False) -> Mesh:
+    """Open at z = 0, to a radius of 0.08 within a flange to 0.1, 0.03 deep, perhaps with a hole in its bottom."""
+    profile = [[0.01 if hole else 0.0, 0.03], [0.06, 0.03], [0.08, 0.0], [0.1, 0.0]]
+    shape = molds.revolved(profile=profile, segments=60)
+    return Mesh(shape.vertices, shape.triangles)
+
+
+@pytest.mark.parametrize(
+    ("unit", "degrees", "words"),
+    [
+        (0.001, (0.0, 0.0, 0.0), "millimetres"),
+        (0.0254, (180.0, 0.0, 0.0), "inches"),
+        (1.0, (20.0, 100.0, -40.0), "metres"),
+    ],
+)
+def test_the_opening_is_in_z_0_and_the_mold_behind_it(tmp_path, capfd, unit, degrees, words):
+    mold = write(tmp_path / "dish.stl", dish(), unit, degrees)
+    folder = tmp_path / "scene"
+    assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
+    said = capfd.readouterr()
+    assert said.err == "" and f"taken for {words}" in said.out and f"jaxform check {folder / 'scene.toml'}" in said.out
+    assert sorted(path.name for path in folder.iterdir()) == ["dish.stl", "scene.toml", "study.toml"]
+    assert (folder / "dish.stl").read_bytes() == mold.read_bytes()
+    scene = files.load(folder / "scene.toml")
+    assert scene.mold is not None
+    walls = np.asarray(scene.mold.vertices)
+    radius = np.linalg.norm(walls[:, :2], axis=1)
+    np.testing.assert_allclose(
+        np.interp(radius, [0.0, 0.06, 0.08, 0.1], [0.03, 0.03, 0.0, 0.0]), walls[:, 2], atol=2e-4
+    )
+    seen = survey(scene)
+    assert 0.081 < seen.sheet.high[0] < 0.09 and seen.direction == "towards +z" and seen.behind == 0.0
+    assert seen.overlap is not None and seen.overlap > 0.999
+    study = files.read_study(folder / "study.toml")
+    assert study.scene.data == tomllib.loads((folder / "scene.toml").read_text())
+
+
+def test_a_hole_is_closed_and_what_is_given_counts(tmp_path, capfd):
+    mold = write(tmp_path / "dish.stl", dish(hole=True), 0.001)
+    folder = tmp_path / "scene"
+    assert command.main(["new", str(folder), "--mold", str(mold), "--scale", "0.002", "--thickness", "0.0015"]) == 0
+    assert "covers.stl closes 1 hole\n" in capfd.readouterr().out
+    document = files.read_scene(folder / "scene.toml")
+    assert document.data["parison"]["thickness"] == 0.0015 and document.data["mold"]["scale"] == 0.002
+    scene = files.build(document)
+    assert scene.mold is not None
+    corner = np.asarray(scene.mold.vertices)[np.asarray(scene.mold.triangles)]
+    lid = corner[np.linalg.norm(corner[..., :2], axis=2).max(1) < 0.0201]
+    area = 0.5 * np.linalg.norm(np.cross(lid[:, 1] - lid[:, 0], lid[:, 2] - lid[:, 0]), axis=1).sum()
+    np.testing.assert_allclose(area, 30 * 0.02**2 * np.sin(2 * np.pi / 60), rtol=1e-4)
+    np.testing.assert_allclose(lid[..., 2], 0.06, atol=1e-6)
+
+
+def test_a_folder_with_files_is_kept(tmp_path, capfd):
+    mold = write(tmp_path / "dish.stl", dish(), 0.001)
+    assert command.main(["new", str(tmp_path), "--mold", str(mold)]) == 2
+    assert f"FOLDER = '{tmp_path}': exists and is not empty" in capfd.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["dish.stl"]
+    before = mold.read_bytes()
+    # The mold that is there already is the scene's.
+    assert command.main(["new", str(tmp_path), "--mold", str(mold), "--force", "--quiet"]) == 0
+    assert mold.read_bytes() == before and capfd.readouterr().out == ""
+
+
+def test_bad_input_is_told_in_one_line(tmp_path, capfd):
+    flat = tmp_path / "flat.stl"
+    meshes.write_stl(flat, np.array([[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]], float), [[0, 1, 2], [0, 2, 3]])
+    for given, words in (
+        (["--mold", str(flat)], "no opening was found"),
+        (["--mold", str(tmp_path / "none.stl")], "does not exist"),
+        (["--mold", str(flat), "--scale", "0"], "--scale = 0.0"),
+        (["--mold", str(flat), "--thickness", "nan"], "--thickness = nan"),
+        ([], "--mold"),
+    ):
+        assert command.main(["new", str(tmp_path / "scene"), *given]) == 2
+        error = capfd.readouterr().err
+        assert words in error and error.count("\n") == 1
+    assert not (tmp_path / "scene").exists()
+
+
+SCENE = """
+[parison]
+shape = "outline"
+thickness = 1.0e-3
+elements = 60
+{}
+[material]
+model = "neo-hookean"
+c = 0.2e6
+density = 1000.0
+[pressure]
+time = [0.0]
+value = [1.0e4]
+[mold]
+shape = "revolved"
+profile = [[0.0, 0.06], [0.06, 0.06], [0.08, 0.02]]
+segments = 24
+[solver]
+end_time = 0.1
+"""
+
+
+def outline(tmp_path: Path, lines: str) -> files.SceneDocument:
+    (tmp_path / "scene.toml").write_text(SCENE.format(lines))
+    return files.read_scene(tmp_path / "scene.toml")
+
+
+def test_an_outline_in_a_scene_file(tmp_path):
+    scene = files.build(outline(tmp_path, "polygon = [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]"))
+    positions = np.asarray(scene.parison.positions)
+    np.testing.assert_array_equal(positions[:, 2], 0.0)
+    np.testing.assert_array_equal(scene.parison.clamped, np.isclose(abs(positions).max(1), 0.05))
+    scene = files.build(outline(tmp_path, "mold_rim = true"))
+    positions, clamped = np.asarray(scene.parison.positions), np.asarray(scene.parison.clamped)
+    np.testing.assert_allclose(positions[:, 2], 0.02, atol=1e-9)
+    # On the rim's 24 sides, or on their chords where an element is longer than a side.
+    radius = np.linalg.norm(positions[clamped, :2], axis=1)
+    assert radius.max() < 0.08 * (1 + 1e-9) and radius.min() > 0.08 * np.cos(np.pi / 24) * 0.999
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("", "parison.polygon: nothing says what the planform is"),
+        ("polygon = [[0, 0], [1, 0], [0, 1]]\nmold_rim = true", "parison.polygon: is given together with mold_rim"),
+        ("polygon = [[0.0, 0.0], [1.0, 0.0]]", "parison.polygon = [[0.0, 0.0], [1.0, 0.0]]: is too short"),
+        ('mold_rim = true\nplanes = ["x"]', "parison.planes = ['x']: is not possible with mold_rim"),
+        ("polygon = [[0.0, 0.0], [0.1, 0.1], [0.1, 0.0], [0.0, 0.1]]", "crosses or touches itself at (0.05, 0.05) m"),
+    ],
+)
+def test_wrong_outlines_in_a_scene_file(tmp_path, lines, words):
+    with pytest.raises(InputError) as told:
+        files.build(outline(tmp_path, lines))
+    assert words in str(told.value) and "scene.toml" in str(told.value)
