@@ -1,4 +1,4 @@
-"""What the process' own controls can do: the pressure's history of a melt, and the zones of a heater."""
+"""Designs of the process' own controls: the pressure's history of a melt, and the zones of a heater."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def show_melt(times: tuple[float, ...] = (0.1, 0.2, 0.42, 1.0, 2.1, 4.2)) -> Fou
             parts = [jaxform.run(ramp(slow, kind, end, pressure)) for pressure in _PRESSURES]
             full = [part for part in parts if float(jaxform.summarize(part, slow)["contact_fraction"]) > 0.99]
             errors = [float(target.error(slow, part)) for part in full]
-            rows.append({"end": end, "error": min(errors, default=float("nan"))})
+            rows.append({"end": end, "error": min(errors, default=None)})
         ramps[kind] = rows
     design = optimize.solve(study)
     return {

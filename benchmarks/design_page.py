@@ -117,8 +117,10 @@ def _melt(found: Found, folder: Path) -> str:
         f"| by hand: held where it creeps, then up | {found['time'][-1]:.3g} | {_percent(found['by_hand_error'])} |",
     ]
     for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
-        lines += [f"| {words} | {row['end']:.3g} | {_percent(row['error'])} |" for row in found["ramps"][kind]]
-    best = min(row["error"] for rows in found["ramps"].values() for row in rows if row["end"] <= found["time"][-1])
+        rows = [(row["end"], row["error"]) for row in found["ramps"][kind]]
+        lines += [f"| {words} | {end:.3g} | {'not filled' if e is None else _percent(e)} |" for end, e in rows]
+    filled = [row for rows in found["ramps"].values() for row in rows if row["error"] is not None]
+    best = min(row["error"] for row in filled if row["end"] <= found["time"][-1])
     facts = found["facts"]
     lines.append(
         f"\nThe design comes **{100 * (1 - found['error'] / best):.0f} % nearer** than the best ramp of its length. "
@@ -280,7 +282,7 @@ def _draw_melt(found: Found, path: Path) -> None:
     right.plot([end], [100 * found["error"]], "*", markersize=14, label="designed")
     right.plot([end], [100 * found["by_hand_error"]], "d", label="by hand")
     for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
-        rows = [row for row in found["ramps"][kind] if row["error"] > 0]
+        rows = [row for row in found["ramps"][kind] if row["error"]]
         right.plot([row["end"] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
     right.set(xscale="log", xlabel="ends at [s]", ylabel="deviation from the slow wall, rms [%]", ylim=(0, None))
     right.set_xticks([0.1, 0.2, 0.42, 1.0, 2.1, 4.2], ["0.1", "0.2", "0.42", "1", "2.1", "4.2"])

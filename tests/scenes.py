@@ -45,6 +45,14 @@ damping = 100.0
 """
 
 
+def assert_same(actual: Any, expected: Any) -> None:
+    """To the last bit on the CPU; elsewhere, where sums are in any order, to rounding."""
+    if jax.default_backend() == "cpu":
+        np.testing.assert_array_equal(actual, expected)
+    else:
+        np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-13)
+
+
 def real(value: float) -> jnp.ndarray:
     return jnp.asarray(value, float)
 

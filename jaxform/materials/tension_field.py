@@ -49,7 +49,7 @@ class Taut(NamedTuple):
 
 
 def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
-    """What a strain (n,) is relaxed to, from l1^2 + l2^2, (l1 l2)^2 and ((l1^2 - l2^2) / 2)^2."""
+    """Relaxed strain (n,), of l1^2 + l2^2, (l1 l2)^2 and ((l1^2 - l2^2) / 2)^2."""
     mean = 0.5 * trace
     # Equal stretches have no derivative of their difference; where they are slack nothing is pulled.
     unequal = square > 0.0

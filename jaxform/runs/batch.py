@@ -41,7 +41,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
         raise InputError("must be a positive whole number", "leave it out for one per core", "workers", workers)
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if not on_cpu():
-        return _side_by_side(scene, rows)
+        return _side_by_side(scene, {path: jnp.asarray(values) for path, values in rows.items()})
     rooms = [on_rungs(design, recorded=True) for design in designs]
     whole = IN_MEMORY.program(whole_run, rooms[0].scene)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
@@ -65,5 +65,7 @@ def _row_count(rows: Mapping[str, np.ndarray]) -> int:
     return next(iter(counts.values()))
 
 
-def _side_by_side(scene: Scene, rows: Mapping[str, ArrayLike]) -> Result:
-    return jax.jit(jax.vmap(lambda rows: whole_run(replace(scene, rows))))(dict(rows))
+@jax.jit
+def _side_by_side(scene: Scene, rows: dict[str, jax.Array]) -> Result:
+    """All designs in one program, which serves every batch of as many designs of such a scene."""
+    return jax.vmap(lambda row: whole_run(replace(scene, row)))(rows)
