@@ -88,7 +88,7 @@ class Law(_Dense):
     @property
     def stiffest(self) -> Self:
         """What bounds the stable step: a slack sheet may be taut before the window's end."""
-        return dataclasses.replace(self, held_taut=True) if self.tension_field else self
+        return dataclasses.replace(self, tension_field=False, held_taut=True) if self.tension_field else self
 
     @property
     def zones(self) -> dict[str, jax.Array]:
