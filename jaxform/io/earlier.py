@@ -1,4 +1,4 @@
-"""What an earlier run left in its folder, as far as later ones need it."""
+"""Results that an earlier run left in its folder, as far as later ones need them."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ FARTHEST = 0.05
 _ON_RIM = 1e-6  # of the part's size: as far as that beyond an open rim a place is still on it
 _FINEST, _MOST = 300, 100_000  # samples along the part's size, and about how many there are
 _CHUNK = 50_000  # places looked for together
-_NOTHING, _LITTLE = 0.01, 0.005  # shares of the mesh's area: what lies on the part, or does not
-_OTHER, _TWICE = 0.05, 0.5  # by which areas differ: of another surface, and of one with two sides
+_LEAST_SHARE, _MISSING_SHARE = 0.01, 0.005  # shares of the mesh's area: what lies on the part, or does not
+_AREA_DIFFERS, _TWO_SIDED = 0.05, 0.5  # by which areas differ: of another surface, and of one with two sides
 _ALIKE = 10.0  # times as large as the part, or as small, a mesh may be
 
 
@@ -56,9 +56,9 @@ class Coverage(NamedTuple):
     def __str__(self) -> str:
         """The same in words."""
         return (
-            f"{100 * self.mesh:.4g} % of the mesh lies on the part, at most {1e3 * self.farthest:.3g} mm away, and "
-            f"{100 * self.part:.4g} % of the part's volume has a place on it; the thickness was scaled by "
-            f"{self.scaled:.5g} to keep {self.volume:.6g} m3"
+            f"{100 * self.mesh:.4g} % of the mesh lies on the part, its farthest place about "
+            f"{1e3 * self.farthest:.3g} mm away, and {100 * self.part:.4g} % of the part's volume has a place on it; "
+            f"the thickness was scaled by {self.scaled:.5g} to keep {self.volume:.6g} m3"
         )
 
 
@@ -117,7 +117,7 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
     here, there = _sampled(target, part, reach, size), _sampled(part, target, reach, size)
     on, used = here.covered(reach, size), there.covered(reach, size)
     share = float(here.area[on].sum() / here.area.sum())
-    if share < _NOTHING or not used.any():
+    if share < _LEAST_SHARE or not used.any():
         raise InputError(_nowhere(wall, mesh, reach), "move or scale the mesh to where the part is", "--onto", name)
     mapped = _carried(wall, mesh, here, reach)
     volumes = there.area * _at(wall.thickness, wall.triangles, there.triangle, there.weight)
@@ -174,7 +174,7 @@ def _at(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64
 
 
 def _carried(wall: Wall, mesh: Mesh, samples: _Samples, reach: float) -> Wall:
-    """The wall with the mesh's nodes, each triangle as thick as its samples are in the mean."""
+    """The wall with the mesh's nodes, each triangle as thick as its samples are on average."""
     part = Surface(wall.positions, wall.triangles)
     nodes = _nearest(part, mesh.positions, reach)
     weight = _weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
@@ -213,10 +213,12 @@ def _nowhere(wall: Wall, mesh: Mesh, reach: float) -> str:
 
 
 def _look_over(coverage: Coverage, ratio: float, wall: Wall, reach: float, name: str) -> None:
-    if ratio > 1 + _TWICE or ratio < 1 - _TWICE:
+    if ratio > 1 + _TWO_SIDED or ratio < 1 - _TWO_SIDED:
         problem = f"where it lies on the part its area is {ratio:.3g} times the part's"
-        raise InputError(problem, "give one side of the wall alone, not both of a solid", "--onto", name)
-    if coverage.mesh < 1 - _LITTLE:
+        less = "give a surface that follows all of the part: this one leaves out ribs, folds or a side"
+        remedy = "give one side of the wall alone, not both of a solid" if ratio > 1 else less
+        raise InputError(problem, remedy, "--onto", name)
+    if coverage.mesh < 1 - _MISSING_SHARE:
         cut_at = " ".join(f"{'xyz'[axis]}={level:g}" for axis, level in wall.planes.items())
         remedy = f"the part is cut: --mirror {cut_at} makes it whole; " if cut_at else ""
         warn_of(
@@ -226,7 +228,7 @@ def _look_over(coverage: Coverage, ratio: float, wall: Wall, reach: float, name:
             key="--onto",
             value=name,
         )
-    if abs(ratio - 1) > _OTHER:
+    if abs(ratio - 1) > _AREA_DIFFERS:
         problem = f"where it lies on the part its area is {ratio:.4g} times the part's"
         remedy = f"the thickness was scaled by {coverage.scaled:.4g} to keep the volume; is it the same surface?"
         warn_of(problem, remedy, key="--onto", value=name)

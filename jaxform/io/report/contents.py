@@ -1,4 +1,4 @@
-"""What the page draws, packed: meshes, parts, quantities and their colours, the mold."""
+"""Contents that the page draws, packed: meshes, parts, quantities and their colours, the mold."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _same_mesh(one: Part, other: Part) -> bool:
 
 
 def _quantities(parts: list[Part]) -> list[dict[str, Any]]:
-    """What the parts can be coloured by, and the ranges of the colours, which they share."""
+    """Quantities that the parts can be coloured by, and the ranges of the colours, which they share."""
     areas, formed = zip(*(_formed(part) for part in parts), strict=True)
     known = {quantity.key for quantity in _NODAL_QUANTITIES} | {"thickness"}
     others = [Quantity(name, name.replace("_", " ")) for name in parts[0].nodal if name not in known]

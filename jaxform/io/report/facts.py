@@ -1,4 +1,4 @@
-"""What the report takes from summary.json, checked: the file may be of another version, or written by somebody else."""
+"""Facts that the report takes from summary.json, checked: the file may be of another version, or written by somebody else."""
 
 from __future__ import annotations
 

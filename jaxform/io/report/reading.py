@@ -19,7 +19,7 @@ from jaxform.mesh import meshes
 
 Array = NDArray[np.float64]
 
-_NODAL = (*meshes.REFERENCE, "initial_thickness", "contact_time")
+_NODAL = (*meshes.REFERENCE, "thickness", "initial_thickness", "contact_time")
 _OF_ELEMENTS = ("thickness", "stretch_1", "stretch_2", "level")
 _MOST_FRAMES, _MOST_FRAME_ELEMENTS = 60, 300_000  # that are shown, and their elements together
 
@@ -43,7 +43,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Results:
-    """What a command left in a folder.
+    """Results that a command left in a folder.
 
     Attributes:
         summary: Of summary.json.
