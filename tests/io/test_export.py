@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from jaxform import shapes
 from jaxform.cli import command, exporting
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.io import export
+from jaxform.io import earlier, export
 from jaxform.io.export import Wall, mapping
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
@@ -398,6 +398,12 @@ def test_a_run_that_stopped_is_warned_of(results: Path, capfd: pytest.CaptureFix
     (results / "summary.json").write_text(json.dumps({"scene": "bowl", "status": "unstable at 0.1 s"}))
     assert command.main(["export", str(results), "--to", "csv"]) == 0
     assert "unstable at 0.1 s" in capfd.readouterr().err
+
+
+def test_planes_that_are_nowhere_are_none() -> None:
+    """JSON may have an integer that is too large for a float, and infinity."""
+    planes = {"x": 10**400, "y": np.inf, "z": 0.25, "w": 1.0}
+    assert earlier.symmetry_planes({"symmetry_planes": planes}) == {2: 0.25}
 
 
 def test_the_command_knows_all_formats() -> None:

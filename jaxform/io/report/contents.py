@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.io import earlier
 from jaxform.io.report.packing import Parcel, by_first_use, spatial_order
 from jaxform.io.report.reading import Part, Results
 from jaxform.io.scales import color_range, formed_elements
@@ -67,8 +68,7 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
 
 def symmetry_of(results: Results) -> dict[str, float]:
     """Place [m] of the planes about which the modelled part is symmetric, by the name of their axis."""
-    found = results.summary.get("symmetry_planes", {})
-    return {key: found[key] for key in "xyz" if key in found}
+    return {"xyz"[axis]: level for axis, level in earlier.symmetry_planes(results.summary).items()}
 
 
 class _Parts:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError
-from jaxform.io.report.facts import AGAIN, read_summary
+from jaxform.io.earlier import AGAIN
+from jaxform.io.report.facts import read_summary
 from jaxform.mesh import meshes
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ def read_results(folder: Path) -> Results:
     for name in ("summary.json", "final.vtu"):
         if not disk.is_file(folder / name):
             raise InputError(f"holds no {name}", AGAIN, "DIR", str(folder))
-    summary = read_summary(folder / "summary.json")
+    summary = read_summary(folder)
     part = _part(folder / "final.vtu")
     # A folder may hold more than the last command wrote there.
     is_search = summary.get("design") is not None
