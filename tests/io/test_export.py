@@ -197,8 +197,8 @@ def test_an_input_file_says_what_the_wall_is(tmp_path: Path, name: str) -> None:
     assert len(mesh.point_sets["MIN_Y"]) == sides + 1
     np.testing.assert_array_equal(mesh.points[mesh.point_sets["MAX_X"], 0], 0.1)
     assert len(mesh.point_sets["RIM"]) == 2 * sides + 2 * (4 if name == "calculix" else 2)
-    between = " and 27 in the middles of sides" if name == "calculix" else ""
-    assert f"** 18 nodes{between}, 20 triangles" in text and len(mesh.points) == (45 if between else 18)
+    between = " and 37 in the middles of sides" if name == "calculix" else ""
+    assert f"** 18 nodes{between}, 20 triangles" in text and len(mesh.points) == (55 if between else 18)
     if name == "calculix":
         middle = mesh.points[mesh.cells[0].data[:, 3:]]
         expected = 0.5 * (mesh.points[corners] + mesh.points[np.roll(corners, -1, axis=1)])
