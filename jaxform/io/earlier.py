@@ -1,4 +1,4 @@
-"""What an earlier run left in its folder, as far as later ones need it."""
+"""Results that an earlier run left in its folder, as far as later ones need them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from typing import Any
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError, warn_of
+from jaxform.mesh.meshes import LARGEST
 from jaxform.mesh.surfaces import plane_of
 
-_PART, _SUMMARY = "final.vtu", "summary.json"
+AGAIN = "name the folder that `jaxform simulate` or `jaxform optimize` wrote, or run it again"
+"""Remedy of results that are missing or damaged."""
+SUMMARY = "summary.json"
+"""The file's name in a folder of results."""
+_PART = "final.vtu"
 _SAME = 1e-6  # m: planes as near as that are one
 
 
@@ -19,17 +24,18 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """The summary in a folder of results; empty where there is none.
 
     Raises:
-        InputError: It is damaged.
+        InputError: It cannot be read, or is no JSON table.
     """
-    path = folder / _SUMMARY
+    path = folder / SUMMARY
     if not disk.is_file(path):
         return {}
+    text = disk.read_text(path)
     try:
-        found = json.loads(disk.read_text(path))
+        found = json.loads(text)
     except (ValueError, RecursionError):
-        found = None
+        raise InputError("is not valid JSON", AGAIN, file=str(path)) from None
     if not isinstance(found, dict):
-        raise InputError("is not the summary of a run", "run the scene again", file=str(path))
+        raise InputError("is no table", AGAIN, file=str(path))
     return found
 
 
@@ -40,7 +46,8 @@ def symmetry_planes(summary: Mapping[str, Any]) -> dict[int, float]:
     return {
         "xyz".index(axis): float(level)
         for axis, level in known
-        if axis in ("x", "y", "z") and isinstance(level, float | int)
+        # JSON may have integers that no float can hold, and numbers that are not finite.
+        if axis in ("x", "y", "z") and isinstance(level, float | int) and abs(level) <= LARGEST
     }
 
 
@@ -66,6 +73,6 @@ def look_at_planes(path: Path, scale: float, planes: Sequence[str]) -> None:
     if wanted.keys() == given.keys() and all(abs(given[axis] - wanted[axis]) <= _SAME for axis in wanted):
         return
     names = ", ".join(f'"{"xyz"[axis]}={level:.9g}"' for axis, level in wanted.items())
-    problem = f"the part of that run is cut at planes = [{names}] (its {_SUMMARY})"
+    problem = f"the part of that run is cut at planes = [{names}] (its {SUMMARY})"
     remedy = "name the same planes: otherwise its cuts are clamped, or its rim is free"
     warn_of(problem, remedy, key="parison.planes", value=list(planes))

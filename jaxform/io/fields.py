@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
+from jaxform.tools.distances import Distances, Triangulation, interpolated, weights
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,6 @@ SAME_PLACE = 1e-9
 """Distance up to which two nodes are at the same place, relative to the size of the field's mesh."""
 FARTHEST = 0.05
 """Distance from the field's mesh beyond which nothing is known, relative to its size."""
-_CANDIDATES = 16  # triangles, those with the nearest centres, among which the nearest is looked for
 
 
 def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") -> Array:
@@ -71,20 +71,24 @@ def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
     """Nodal values (n_node,) of a mesh at other places (n, 3) [m], as `nodal_field` carries them over.
 
     Raises:
-        InputError: The mesh is not at those places.
+        InputError: The mesh is not at those places, or nothing of it has an area.
     """
     size = meshes.size(mesh.positions)
     apart, node = _tree(mesh.positions).query(positions)
     result = values[node]
     elsewhere = np.flatnonzero(apart > SAME_PLACE * size)
     if len(elsewhere):
-        triangle, weight, distance = _nearest(mesh, positions[elsewhere])
-        worst = int(np.argmax(distance))
-        if distance[worst] > FARTHEST * size:
+        triangles = mesh.triangles[~meshes.degenerate(mesh.positions, mesh.triangles)]
+        if not len(triangles):
+            raise InputError("has no triangle with an area", "give a mesh of the initial sheet, in metres")
+        found = Distances(Triangulation(mesh.positions, triangles), FARTHEST * size).nearest(positions[elsewhere])
+        worst = int(np.argmax(found.distance))
+        if found.distance[worst] > FARTHEST * size:
             place = ", ".join(f"{x:.4g}" for x in positions[elsewhere[worst]])
-            problem = f"has nothing at ({place}) m: its mesh is {distance[worst]:.3g} m away"
+            problem = f"has nothing at ({place}) m: its mesh is {found.distance[worst]:.3g} m away"
             raise InputError(problem, "give a mesh of the initial sheet, in metres")
-        result[elsewhere] = np.einsum("nk,nk->n", weight, values[mesh.triangles[triangle]])
+        weight = weights(found.place, mesh.positions[triangles[found.triangle]])
+        result[elsewhere] = interpolated(values, triangles, found.triangle, weight)
     return result
 
 
@@ -92,47 +96,3 @@ def _tree(points: Array) -> Any:
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
     return KDTree(points)
-
-
-def _nearest(mesh: Mesh, points: Array) -> tuple[NDArray[np.int64], Array, Array]:
-    """The nearest triangle of each point, the weights of its corners at the nearest place, and the distance."""
-    corners = mesh.positions[mesh.triangles]
-    count = min(_CANDIDATES, len(corners))
-    candidates = np.asarray(_tree(corners.mean(1)).query(points, k=count)[1]).reshape(len(points), count)
-    weight = _weights(points[:, None], corners[candidates])
-    place = np.einsum("nck,ncki->nci", weight, corners[candidates])
-    distance = np.linalg.norm(place - points[:, None], axis=2)
-    best = np.argmin(distance, axis=1)
-    row = np.arange(len(points))
-    return candidates[row, best], weight[row, best], distance[row, best]
-
-
-def _weights(points: Array, corners: Array) -> Array:
-    """Barycentric coordinates (..., 3) of the places in triangles (..., 3, 3) nearest to points (..., 3)."""
-    options = [_inside(points, corners)]
-    for k in range(3):
-        begin, end = corners[..., k, :], corners[..., (k + 1) % 3, :]
-        along = end - begin
-        square = np.einsum("...i,...i", along, along)
-        t = np.einsum("...i,...i", points - begin, along) / np.where(square > 0, square, 1.0)
-        t = np.clip(t, 0.0, 1.0)
-        option = np.zeros((*t.shape, 3))
-        option[..., k], option[..., (k + 1) % 3] = 1.0 - t, t
-        options.append(option)
-    stacked = np.stack(options)
-    places = np.einsum("o...k,...ki->o...i", stacked, corners)
-    best = np.argmin(np.linalg.norm(places - points, axis=-1), axis=0)
-    return np.take_along_axis(stacked, best[None, ..., None], axis=0)[0]
-
-
-def _inside(points: Array, corners: Array) -> Array:
-    """Coordinates of the foot of the perpendicular; those of the first corner where it is outside."""
-    edge1, edge2 = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
-    away, normal = points - corners[..., 0, :], np.cross(edge1, edge2)
-    square = np.einsum("...i,...i", normal, normal)
-    square = np.where(square > 0, square, np.inf)
-    second = np.einsum("...i,...i", np.cross(away, edge2), normal) / square
-    third = np.einsum("...i,...i", np.cross(edge1, away), normal) / square
-    inside = (second >= 0) & (third >= 0) & (second + third <= 1)
-    second, third = np.where(inside, second, 0.0), np.where(inside, third, 0.0)
-    return np.stack([1.0 - second - third, second, third], axis=-1)

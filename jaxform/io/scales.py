@@ -1,4 +1,4 @@
-"""What pictures and the report show of many numbers: ranges of colours, and points that the eye tells apart."""
+"""Ranges of colours for many numbers, and the points that the eye tells apart, for pictures and the report."""
 
 from __future__ import annotations
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.errors import InputError, warn_of
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.integer]
+
+_MOST_FOLDED = 0.99  # of an element, that may lie in folds: no wall is more than a hundred times as thick
+_WORTH_TELLING = 1e-3  # the same share, from which it is warned of
 
 
 def areas(positions: Array, triangles: Index) -> Array:
@@ -33,11 +37,40 @@ def conserving(positions: Array, triangles: Index, nodal: Array, elements: Array
     return nodal * np.where(around > 0, share, 1.0)
 
 
+def with_folds(mesh: Mesh, thickness: Array, file: str = "") -> Array:
+    """The elements' thickness (m,) [m] such that with their area it has the volume of their folds too.
+
+    Where a sheet has wrinkled the thickness is that of its material, which has a larger area than the elements: the
+    mesh's cell field `wrinkled` is the share of it that lies in folds.
+
+    Raises:
+        InputError: That share is not finite.
+
+    Warns:
+        InputWarning: Some of the mesh lies in folds.
+    """
+    folds = mesh.cell_fields.get("wrinkled")
+    if folds is None:
+        return thickness
+    if not np.isfinite(folds).all():
+        raise InputError("is not finite everywhere", "run the scene again", "wrinkled", file=file)
+    worst = float(folds.max())
+    if worst > _WORTH_TELLING:
+        problem = f"the sheet has wrinkled, up to {100 * worst:.3g} % of an element lies in folds"
+        remedy = "the wall there is as thick as its folds together, which keeps the volume, but is one flat layer"
+        warn_of(problem, remedy, key="wrinkled", file=file)
+    return thickness / (1.0 - np.clip(folds, 0.0, _MOST_FOLDED))
+
+
 def nodal_fields(mesh: Mesh) -> dict[str, Array]:
-    """The mesh's fields at its nodes; of a positive one that its triangles have too, with the triangles' volume."""
+    """The mesh's fields at its nodes; of a positive one that its triangles have too, with the triangles' volume.
+
+    The volume of `thickness` is that of what lies in folds too, as `with_folds` says, which raises and warns.
+    """
     found = meshes.nodal_fields(mesh)
     for name in mesh.fields.keys() & mesh.cell_fields.keys():
         nodal, elements = mesh.fields[name], mesh.cell_fields[name]
         if nodal.min() > 0 and elements.min() > 0:
+            elements = with_folds(mesh, elements) if name == "thickness" else elements
             found[name] = conserving(mesh.positions, mesh.triangles, nodal, elements)
     return found

@@ -30,6 +30,13 @@ class Surface(Protocol):
         """Numbers of vertices."""
 
 
+class Triangulation(NamedTuple):
+    """A surface of `vertices` (n, 3) [m] and `triangles` with an area, their numbers (m, 3)."""
+
+    vertices: Array
+    triangles: NDArray[np.integer]
+
+
 class Nearest(NamedTuple):
     """The places of a surface that are nearest to points.
 
@@ -181,3 +188,17 @@ def nearest_places(points: Array, corners: Array) -> Array:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     height = np.einsum("ij,ij->i", points - corners[:, 0], normal) / np.einsum("ij,ij->i", normal, normal)
     return np.where((side < 0)[:, None], points - height[:, None] * normal, begin + share[:, None] * (end - begin))
+
+
+def weights(places: Array, corners: Array) -> Array:
+    """Barycentric coordinates (n, 3) of places (n, 3) in triangles (n, 3, 3), pair by pair."""
+    opposite = np.cross(corners[:, [1, 2, 0]] - places[:, None], corners[:, [2, 0, 1]] - places[:, None])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weight = np.einsum("nki,ni->nk", opposite, normal) / np.einsum("ni,ni->n", normal, normal)[:, None]
+    weight = np.maximum(weight, 0.0)
+    return weight / weight.sum(1, keepdims=True)
+
+
+def interpolated(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64], weight: Array) -> Array:
+    """Nodal values (n, ...) at places (m, ...), in which triangle each is (m,), with which `weights` (m, 3)."""
+    return np.einsum("mk,mk...->m...", weight, nodal[triangles[triangle]])

@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 import subprocess
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 from jaxform import shapes
 from jaxform.cli import command, exporting
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.io import export
+from jaxform.io import earlier, export
 from jaxform.io.export import Wall, mapping
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.volumes import areas, conserving
+from jaxform.mesh.volumes import areas, conserving, nodal_fields
 
 Array = NDArray[np.float64]
 
@@ -155,6 +156,14 @@ def test_a_mesh_that_is_no_wall_of_this_part_is_refused(change: Callable[[Mesh],
         mapping.onto(_formed(200), change(_bowl(200)), "mesh")
 
 
+def test_a_mesh_of_less_surface_than_the_part_has_is_told_so() -> None:
+    mesh = _bowl(200)
+    part = meshes.merged([mesh, _moved(mesh, 1e-4), _moved(mesh, 2e-4)])
+    with pytest.raises(InputError, match="follows all of the part: this one leaves out") as told:
+        mapping.onto(_wall(part, _thickness(part.positions)), mesh, "mesh")
+    assert "both" not in str(told.value)
+
+
 def _strip(many: tuple[int, int]) -> Wall:
     """100 mm by 20 mm, from 1 to 2 mm thick; clamped at x = 0."""
     mesh = Mesh(*_grid(many, lambda u, v: [0.1 * u, 0.02 * v, 0 * u]))
@@ -188,6 +197,8 @@ def test_an_input_file_says_what_the_wall_is(tmp_path: Path, name: str) -> None:
     assert len(mesh.point_sets["MIN_Y"]) == sides + 1
     np.testing.assert_array_equal(mesh.points[mesh.point_sets["MAX_X"], 0], 0.1)
     assert len(mesh.point_sets["RIM"]) == 2 * sides + 2 * (4 if name == "calculix" else 2)
+    between = " and 37 in the middles of sides" if name == "calculix" else ""
+    assert f"** 18 nodes{between}, 20 triangles" in text and len(mesh.points) == (55 if between else 18)
     if name == "calculix":
         middle = mesh.points[mesh.cells[0].data[:, 3:]]
         expected = 0.5 * (mesh.points[corners] + mesh.points[np.roll(corners, -1, axis=1)])
@@ -292,7 +303,7 @@ def results(tmp_path: Path) -> Path:
     meshes.write_vtu(
         folder / "final.vtu", wall.positions, wall.triangles, data, {"thickness": 1.1 * wall.element_thickness}
     )
-    summary = {"scene": "b\u00f6wl\n*NODE", "status": "ok", "symmetry_planes": {"x": 0.0, "y": 0.0}}
+    summary = {"scene": "b\u00f6wl---\x1b\n*NODE", "status": "ok", "symmetry_planes": {"x": 0.0, "y": 0.0}}
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder
 
@@ -315,7 +326,9 @@ def test_the_command_writes_a_completed_part_onto_a_mesh_in_mm(
     assert command.main([*arguments, "--quiet", "--force"]) == 0
     assert capfd.readouterr().out == ""
     # A name with a line feed does not become a line of its own.
-    assert "<!-- wall of b\\xf6wl *NODE, formed by jaxform" in (results / "wall.vtu").read_text()
+    # Nor is one with dashes or marks of a terminal any less a comment.
+    assert "<!-- wall of b\\xf6wl- - - *NODE, exported by jaxform" in (results / "wall.vtu").read_text()
+    ElementTree.parse(results / "wall.vtu")
 
 
 def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -347,6 +360,29 @@ def test_bad_arguments_are_one_line(results: Path, tmp_path: Path, capfd: pytest
     assert not (results / "wall.vtu").exists()
 
 
+def test_what_lies_in_folds_is_part_of_the_volume(tmp_path: Path) -> None:
+    """A strip that was pulled to 1.44 times its length, then pushed together to half the width it then had."""
+    length, width, sheet, density = 0.1, 0.02, 1e-3, 900.0
+    mass = density * length * width * sheet
+    mesh = Mesh(*_grid((6, 3), lambda u, v: [1.44 * length * u, 0.5 * width / 1.2 * v, 0 * u]))
+    # Incompressible: as the square root of the pull, both width and thickness shrink.
+    nodal, cells = np.full(len(mesh.positions), sheet / 1.2), np.full(len(mesh.triangles), sheet / 1.2)
+    data = {"thickness": cells, "wrinkled": np.full(len(mesh.triangles), 0.5)}
+    meshes.write_vtu(tmp_path / "final.vtu", mesh.positions, mesh.triangles, {"thickness": nodal}, data)
+    with pytest.warns(InputWarning, match="up to 50 % of an element lies in folds"):
+        wall = export.read_wall(tmp_path)
+    assert wall.volume == pytest.approx(mass / density, rel=1e-12)
+    assert areas(mesh.positions, mesh.triangles) @ wall.element_thickness == pytest.approx(mass / density, rel=1e-12)
+    # And so it is as the sheet of a next stage.
+    with pytest.warns(InputWarning, match="up to 50 % of an element lies in folds"):
+        found = nodal_fields(meshes.read_mesh(tmp_path / "final.vtu"))["thickness"]
+    assert _volume_of(mesh.positions, mesh.triangles, found) == pytest.approx(mass / density, rel=1e-12)
+    data["wrinkled"][0] = np.nan
+    meshes.write_vtu(tmp_path / "final.vtu", mesh.positions, mesh.triangles, {"thickness": nodal}, data)
+    with pytest.raises(InputError, match=r"final\.vtu: wrinkled: is not finite everywhere"):
+        export.read_wall(tmp_path)
+
+
 @pytest.mark.parametrize("field", [{}, {"thickness": np.array([1.0, np.nan, 1.0])}, {"thickness": np.zeros(3)}])
 def test_a_folder_without_a_wall_is_refused(
     tmp_path: Path, field: dict[str, Array], capfd: pytest.CaptureFixture[str]
@@ -362,6 +398,12 @@ def test_a_run_that_stopped_is_warned_of(results: Path, capfd: pytest.CaptureFix
     (results / "summary.json").write_text(json.dumps({"scene": "bowl", "status": "unstable at 0.1 s"}))
     assert command.main(["export", str(results), "--to", "csv"]) == 0
     assert "unstable at 0.1 s" in capfd.readouterr().err
+
+
+def test_planes_that_are_nowhere_are_none() -> None:
+    """JSON may have an integer that is too large for a float, and infinity."""
+    planes = {"x": 10**400, "y": np.inf, "z": 0.25, "w": 1.0}
+    assert earlier.symmetry_planes({"symmetry_planes": planes}) == {2: 0.25}
 
 
 def test_the_command_knows_all_formats() -> None:

@@ -42,7 +42,7 @@ def keywords(
         more: What the section's line has after its thickness.
     """
     number = np.arange(1, len(positions) + 1)
-    yield from (f"** {line}" for line in text.head(wall))
+    yield from (f"** {line}" for line in text.head(wall, len(positions) - len(wall.positions)))
     yield f"** Sets: NSET {', '.join(['NODES', *sets])}; ELSET WALL. Define *MATERIAL, NAME={MATERIAL} yourself."
     yield "*NODE, NSET=NODES"
     yield from text.table("%d, %.10g, %.10g, %.10g", number, positions)

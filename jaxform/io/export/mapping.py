@@ -14,7 +14,7 @@ from jaxform.io.export.wall import Wall
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserving
-from jaxform.tools.distances import Distances, Nearest
+from jaxform.tools.distances import Distances, Nearest, Triangulation, interpolated, weights
 from jaxform.tools.search import cut
 
 Array = NDArray[np.float64]
@@ -24,16 +24,9 @@ FARTHEST = 0.05
 _ON_RIM = 1e-6  # of the part's size: as far as that beyond an open rim a place is still on it
 _FINEST, _MOST = 300, 100_000  # samples along the part's size, and about how many there are
 _CHUNK = 50_000  # places looked for together
-_NOTHING, _LITTLE = 0.01, 0.005  # shares of the mesh's area: what lies on the part, or does not
-_OTHER, _TWICE = 0.05, 0.5  # by which areas differ: of another surface, and of one with two sides
+_LEAST_SHARE, _MISSING_SHARE = 0.01, 0.005  # shares of the mesh's area: what lies on the part, or does not
+_AREA_DIFFERS, _TWO_SIDED = 0.05, 0.5  # by which areas differ: of another surface, and of one with two sides
 _ALIKE = 10.0  # times as large as the part, or as small, a mesh may be
-
-
-class Surface(NamedTuple):
-    """Triangles, as `Distances` takes them."""
-
-    vertices: Array
-    triangles: NDArray[np.integer]
 
 
 class Coverage(NamedTuple):
@@ -56,9 +49,9 @@ class Coverage(NamedTuple):
     def __str__(self) -> str:
         """The same in words."""
         return (
-            f"{100 * self.mesh:.4g} % of the mesh lies on the part, at most {1e3 * self.farthest:.3g} mm away, and "
-            f"{100 * self.part:.4g} % of the part's volume has a place on it; the thickness was scaled by "
-            f"{self.scaled:.5g} to keep {self.volume:.6g} m3"
+            f"{100 * self.mesh:.4g} % of the mesh lies on the part, its farthest place about "
+            f"{1e3 * self.farthest:.3g} mm away, and {100 * self.part:.4g} % of the part's volume has a place on it; "
+            f"the thickness was scaled by {self.scaled:.5g} to keep {self.volume:.6g} m3"
         )
 
 
@@ -113,16 +106,16 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
     size = meshes.size(wall.positions)
     _check_size(size, mesh, name)
     reach = FARTHEST * size
-    part, target = Surface(wall.positions, wall.triangles), Surface(mesh.positions, mesh.triangles)
+    part, target = Triangulation(wall.positions, wall.triangles), Triangulation(mesh.positions, mesh.triangles)
     here, there = _sampled(target, part, reach, size), _sampled(part, target, reach, size)
     on, used = here.covered(reach, size), there.covered(reach, size)
     share = float(here.area[on].sum() / here.area.sum())
-    if share < _NOTHING or not used.any():
+    if share < _LEAST_SHARE or not used.any():
         raise InputError(_nowhere(wall, mesh, reach), "move or scale the mesh to where the part is", "--onto", name)
     mapped = _carried(wall, mesh, here, reach)
-    volumes = there.area * _at(wall.thickness, wall.triangles, there.triangle, there.weight)
+    volumes = there.area * interpolated(wall.thickness, wall.triangles, there.triangle, there.weight)
     volume = float(volumes[used].sum())
-    before = float(here.area[on] @ _at(mapped.thickness, mesh.triangles, here.triangle, here.weight)[on])
+    before = float(here.area[on] @ interpolated(mapped.thickness, mesh.triangles, here.triangle, here.weight)[on])
     coverage = Coverage(
         share,
         volume / float(volumes.sum()),
@@ -140,7 +133,7 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
     return mapped, coverage
 
 
-def _sampled(surface: Surface, other: Surface, reach: float, size: float) -> _Samples:
+def _sampled(surface: Triangulation, other: Triangulation, reach: float, size: float) -> _Samples:
     """Places all over a surface, as close as the elements of the finer one, and where they are on the other."""
     area = float(areas(surface.vertices, surface.triangles).sum())
     sides = [np.linalg.norm(np.diff(one.vertices[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
@@ -148,40 +141,26 @@ def _sampled(surface: Surface, other: Surface, reach: float, size: float) -> _Sa
     pieces, owner = cut(surface.vertices[surface.triangles], longest)
     middle = pieces.mean(1)
     doubled = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
-    weight = _weights(middle, surface.vertices[surface.triangles[owner]])
+    weight = weights(middle, surface.vertices[surface.triangles[owner]])
     return _Samples(owner, weight, 0.5 * doubled, _nearest(other, middle, reach))
 
 
-def _nearest(surface: Surface, points: Array, reach: float) -> Nearest:
+def _nearest(surface: Triangulation, points: Array, reach: float) -> Nearest:
     distances = Distances(surface, reach)
     parts = np.array_split(points, 1 + len(points) // _CHUNK)
     found = [distances.nearest(part) for part in parts]
     return Nearest(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
-def _weights(points: Array, corners: Array) -> Array:
-    """Barycentric coordinates (n, 3) of points (n, 3) of triangles (n, 3, 3), pair by pair."""
-    opposite = np.cross(corners[:, [1, 2, 0]] - points[:, None], corners[:, [2, 0, 1]] - points[:, None])
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    weight = np.einsum("nki,ni->nk", opposite, normal) / np.einsum("ni,ni->n", normal, normal)[:, None]
-    weight = np.maximum(weight, 0.0)
-    return weight / weight.sum(1, keepdims=True)
-
-
-def _at(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64], weight: Array) -> Array:
-    """Nodal values (n, ...) at places of triangles with these weights (m, 3)."""
-    return np.einsum("mk,mk...->m...", weight, nodal[triangles[triangle]])
-
-
 def _carried(wall: Wall, mesh: Mesh, samples: _Samples, reach: float) -> Wall:
-    """The wall with the mesh's nodes, each triangle as thick as its samples are in the mean."""
-    part = Surface(wall.positions, wall.triangles)
+    """The wall with the mesh's nodes, each triangle as thick as its samples are on average."""
+    part = Triangulation(wall.positions, wall.triangles)
     nodes = _nearest(part, mesh.positions, reach)
-    weight = _weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
-    nodal = _at(wall.thickness, wall.triangles, nodes.triangle, weight)
+    weight = weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
+    nodal = interpolated(wall.thickness, wall.triangles, nodes.triangle, weight)
     found = samples.found
-    there = _weights(found.place, wall.positions[wall.triangles[found.triangle]])
-    thick = samples.area * _at(wall.thickness, wall.triangles, found.triangle, there)
+    there = weights(found.place, wall.positions[wall.triangles[found.triangle]])
+    thick = samples.area * interpolated(wall.thickness, wall.triangles, found.triangle, there)
     count = len(mesh.triangles)
     elements = np.bincount(samples.triangle, thick, count) / areas(mesh.positions, mesh.triangles)
     return Wall(
@@ -189,7 +168,7 @@ def _carried(wall: Wall, mesh: Mesh, samples: _Samples, reach: float) -> Wall:
         mesh.triangles,
         conserving(mesh.positions, mesh.triangles, nodal, elements),
         elements,
-        _at(wall.reference, wall.triangles, nodes.triangle, weight),
+        interpolated(wall.reference, wall.triangles, nodes.triangle, weight),
         np.ones(len(mesh.positions), bool),
         wall.planes,
     )
@@ -213,10 +192,12 @@ def _nowhere(wall: Wall, mesh: Mesh, reach: float) -> str:
 
 
 def _look_over(coverage: Coverage, ratio: float, wall: Wall, reach: float, name: str) -> None:
-    if ratio > 1 + _TWICE or ratio < 1 - _TWICE:
+    if ratio > 1 + _TWO_SIDED or ratio < 1 - _TWO_SIDED:
         problem = f"where it lies on the part its area is {ratio:.3g} times the part's"
-        raise InputError(problem, "give one side of the wall alone, not both of a solid", "--onto", name)
-    if coverage.mesh < 1 - _LITTLE:
+        less = "give a surface that follows all of the part: this one leaves out ribs, folds or a side"
+        remedy = "give one side of the wall alone, not both of a solid" if ratio > 1 else less
+        raise InputError(problem, remedy, "--onto", name)
+    if coverage.mesh < 1 - _MISSING_SHARE:
         cut_at = " ".join(f"{'xyz'[axis]}={level:g}" for axis, level in wall.planes.items())
         remedy = f"the part is cut: --mirror {cut_at} makes it whole; " if cut_at else ""
         warn_of(
@@ -226,7 +207,7 @@ def _look_over(coverage: Coverage, ratio: float, wall: Wall, reach: float, name:
             key="--onto",
             value=name,
         )
-    if abs(ratio - 1) > _OTHER:
+    if abs(ratio - 1) > _AREA_DIFFERS:
         problem = f"where it lies on the part its area is {ratio:.4g} times the part's"
         remedy = f"the thickness was scaled by {coverage.scaled:.4g} to keep the volume; is it the same surface?"
         warn_of(problem, remedy, key="--onto", value=name)

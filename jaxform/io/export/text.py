@@ -1,4 +1,4 @@
-"""What the text formats share: the head of a file, and numbers in rows."""
+"""Parts that the text formats share: the head of a file, and numbers in rows."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ from numpy.typing import NDArray
 from jaxform.io.export.wall import Wall
 
 
-def head(wall: Wall) -> list[str]:
-    """What a file says about itself, line by line, without the marks of comments."""
+def head(wall: Wall, middles: int = 0) -> list[str]:
+    """Lines in which a file says what it holds, without the marks of comments.
+
+    Args:
+        wall: What is written.
+        middles: How many nodes the file has in the middles of sides, beside those of the wall.
+    """
     low, high = (1e3 * float(value) for value in (wall.thickness.min(), wall.thickness.max()))
     # Names of scenes and files may have any characters; solvers read comments in one line and ASCII.
     words = [" ".join(line.encode("ascii", "backslashreplace").decode().split()) for line in wall.words]
+    between = f" and {middles} in the middles of sides" if middles else ""
     return [
-        *words,
+        *("".join(filter(str.isprintable, line)) for line in words),
         "Units: SI (m, kg, s, N, Pa); thickness in m",
-        f"{len(wall.positions)} nodes, {len(wall.triangles)} triangles, {low:.4g} to {high:.4g} mm thick, "
+        f"{len(wall.positions)} nodes{between}, {len(wall.triangles)} triangles, {low:.4g} to {high:.4g} mm thick, "
         f"volume {wall.volume:.6g} m3",
     ]
 

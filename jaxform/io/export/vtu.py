@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,5 +21,6 @@ def write(path: Path, wall: Wall) -> None:
     data = {"thickness": wall.thickness, "reference": wall.reference, **marks}
     meshes.write_vtu(path, wall.positions, wall.triangles, data, {"thickness": wall.element_thickness})
     first, _, rest = path.read_bytes().partition(b"\n")
-    said = "".join(f"<!-- {line.replace('--', '- -')} -->\n" for line in text.head(wall))
+    # No two dashes may follow each other in a comment.
+    said = "".join(f"<!-- {re.sub('-(?=-)', '- ', line)} -->\n" for line in text.head(wall))
     path.write_bytes(first + b"\n" + said.encode() + rest)

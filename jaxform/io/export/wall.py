@@ -14,7 +14,7 @@ from jaxform.core.errors import InputError, warn_of
 from jaxform.io import earlier
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.volumes import areas, conserving
+from jaxform.mesh.volumes import areas, conserving, with_folds
 
 Array = NDArray[np.float64]
 Index = NDArray[np.integer]
@@ -77,7 +77,7 @@ def read_wall(folder: Path) -> Wall:
         InputError: The folder has no results, or they are damaged.
 
     Warns:
-        InputWarning: The run was stopped before its end.
+        InputWarning: The run was stopped before its end, or some of the wall lies in folds.
     """
     path = folder / "final.vtu"
     if not disk.is_file(path):
@@ -89,6 +89,7 @@ def read_wall(folder: Path) -> Wall:
         # Older files, or those of others, may lack what the elements know.
         known = "thickness" in mesh.cell_fields
         elements = _positive(mesh.cell_fields, "thickness") if known else nodal[mesh.triangles].mean(1)
+        elements = with_folds(mesh, elements, str(path))
     except InputError as error:
         raise error.within(file=str(path)) from None
     status = summary.get("status", "ok")
@@ -102,7 +103,7 @@ def read_wall(folder: Path) -> Wall:
         _reference(mesh),
         mesh.fields.get("contact_time", np.zeros(len(mesh.positions))) == 0.0,
         earlier.symmetry_planes(summary),
-        (f"wall of {summary.get('scene', 'a formed part')}, formed by jaxform {release.version()}",),
+        (f"wall of {summary.get('scene', 'a formed part')}, exported by jaxform {release.version()}",),
     )
 
 

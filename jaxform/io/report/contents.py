@@ -1,4 +1,4 @@
-"""What the page draws, packed: meshes, parts, quantities and their colours, the mold."""
+"""Contents that the page draws, packed: meshes, parts, quantities and their colours, the mold."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.io import earlier
 from jaxform.io.report.packing import Parcel, by_first_use, spatial_order
 from jaxform.io.report.reading import Part, Results
 from jaxform.io.scales import color_range, formed_elements
@@ -67,8 +68,7 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
 
 def symmetry_of(results: Results) -> dict[str, float]:
     """Place [m] of the planes about which the modelled part is symmetric, by the name of their axis."""
-    found = results.summary.get("symmetry_planes", {})
-    return {key: found[key] for key in "xyz" if key in found}
+    return {"xyz"[axis]: level for axis, level in earlier.symmetry_planes(results.summary).items()}
 
 
 class _Parts:
@@ -127,7 +127,7 @@ def _same_mesh(one: Part, other: Part) -> bool:
 
 
 def _quantities(parts: list[Part]) -> list[dict[str, Any]]:
-    """What the parts can be coloured by, and the ranges of the colours, which they share."""
+    """Quantities that the parts can be coloured by, and the ranges of the colours, which they share."""
     areas, formed = zip(*(_formed(part) for part in parts), strict=True)
     known = {quantity.key for quantity in _NODAL_QUANTITIES} | {"thickness"}
     others = [Quantity(name, name.replace("_", " ")) for name in parts[0].nodal if name not in known]

@@ -1,17 +1,15 @@
-"""What the report takes from summary.json, checked: the file may be of another version, or written by somebody else."""
+"""Facts of summary.json that the report shows, checked: the file may be of another version, or by somebody else."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from jaxform.core import disk
 from jaxform.core.errors import InputError
-
-AGAIN = "name the folder that `jaxform simulate` or `jaxform optimize` wrote, or run it again"
+from jaxform.io import earlier
+from jaxform.io.earlier import AGAIN
 
 Number = float | None
 """Null where it was not finite."""
@@ -64,19 +62,13 @@ class _Summary(_Table):
     design: _Design | None = None
 
 
-def read_summary(path: Path) -> dict[str, Any]:
-    """The contents of summary.json, those that the report shows being of the right kind.
+def read_summary(folder: Path) -> dict[str, Any]:
+    """The contents of a folder's summary.json, those that the report shows being of the right kind.
 
     Raises:
         InputError: It cannot be read, is no JSON, or a key is missing or of another kind.
     """
-    text = disk.read_text(path)
-    try:
-        facts = json.loads(text)
-    except (ValueError, RecursionError):
-        raise InputError("is not valid JSON", AGAIN, file=str(path)) from None
-    if not isinstance(facts, dict):
-        raise InputError("is no table", AGAIN, file=str(path))
+    path, facts = folder / earlier.SUMMARY, earlier.read_summary(folder)
     try:
         return _Summary.model_validate(facts).model_dump(exclude_unset=True)
     except ValidationError as error:

@@ -36,7 +36,7 @@ class Point(NamedTuple):
     initial: list[float]
 
     def drawn(self) -> dict[str, Any]:
-        """What the view has to know of it."""
+        """Its name and place, which the view has to know."""
         return {"name": self.name, "formed": self.formed}
 
 
@@ -79,7 +79,7 @@ def is_disc(part: Part, symmetry: Mapping[str, float]) -> bool:
 
 
 def _scene(part: Part, symmetry: Mapping[str, float]) -> Any:
-    """What sections need of a scene, its sheet, as far as the file of the part tells."""
+    """The sheet as sections take it from a scene, as far as the file of the part tells."""
     sheet = SimpleNamespace(positions=part.reference, triangles=part.triangles, clamped=_clamped(part, symmetry))
     return SimpleNamespace(parison=sheet)
 

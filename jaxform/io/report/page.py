@@ -36,7 +36,7 @@ def heading(results: Results) -> str:
     summary = results.summary
     status = str(summary["status"])
     good = status == "ok"
-    kind = "search for a design" if results.start is not None or "design" in summary else "simulation"
+    kind = "search for a design" if results.start is not None or summary.get("design") is not None else "simulation"
     counts = (
         f"{number(summary.get('elements_final'), digits=9)} elements, {number(summary.get('steps'), digits=9)} steps"
     )

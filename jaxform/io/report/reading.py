@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError
-from jaxform.io.report.facts import AGAIN, read_summary
+from jaxform.io.earlier import AGAIN
+from jaxform.io.report.facts import read_summary
 from jaxform.mesh import meshes
 
 Array = NDArray[np.float64]
 
-_NODAL = (*meshes.REFERENCE, "initial_thickness", "contact_time")
+_NODAL = (*meshes.REFERENCE, "thickness", "initial_thickness", "contact_time")
 _OF_ELEMENTS = ("thickness", "stretch_1", "stretch_2", "level")
 _MOST_FRAMES, _MOST_FRAME_ELEMENTS = 60, 300_000  # that are shown, and their elements together
 
@@ -43,7 +44,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True)
 class Results:
-    """What a command left in a folder.
+    """Results that a command left in a folder.
 
     Attributes:
         summary: Of summary.json.
@@ -75,7 +76,7 @@ def read_results(folder: Path) -> Results:
     for name in ("summary.json", "final.vtu"):
         if not disk.is_file(folder / name):
             raise InputError(f"holds no {name}", AGAIN, "DIR", str(folder))
-    summary = read_summary(folder / "summary.json")
+    summary = read_summary(folder)
     part = _part(folder / "final.vtu")
     # A folder may hold more than the last command wrote there.
     is_search = summary.get("design") is not None
