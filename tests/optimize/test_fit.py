@@ -215,7 +215,7 @@ def test_a_place_where_a_law_is_not_finite_is_not_stable(monkeypatch: pytest.Mon
         density: jax.Array = jaxform.parameter("kg/m^3", above=0.0)
 
         def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
-            return -self.a * jnp.log(self.limit - (i1 - 3.0))
+            return -2.0 * self.a * jnp.sqrt(self.limit - (i1 - 3.0))
 
     monkeypatch.setitem(LAWS, "limited", Limited)
     made = numbers.make_numbers("limited", 1, "christensen", 0, 1e5, None)
