@@ -181,6 +181,16 @@ def test_a_number_that_the_tests_do_not_need_is_at_its_bound() -> None:
     np.testing.assert_allclose(_values(fit)["a01"], 1e5, rtol=1e-4)
 
 
+def test_a_number_that_changes_nothing_is_told_as_such() -> None:
+    stretch = np.linspace(1.05, 1.3, 10)
+    with heard(lambda _: None) as warned:
+        fit = fitting.fit([_pull("uniaxial", stretch, 2e5 * (stretch - stretch**-2))], "gent")
+    assert warned == ["j_max: no influence on what was measured; a simpler law may do for these tests"]
+    mu, limit = fit.summary([], 1.0)["numbers"]
+    np.testing.assert_allclose(mu["interval"], [2e5, 2e5], rtol=1e-6)
+    assert limit["without_influence"] and not limit["at_bound"] and limit["interval"] is None
+
+
 def test_stability_is_that_of_the_energys_second_derivatives() -> None:
     made = numbers.make_numbers("neo-hookean", 1, "christensen", 0, 1e5, None)
     own = solving.Stability([_pull("equibiaxial", np.array([1.5, 2.0]), np.array([1e5, 2e5]))], made, 1e5)
