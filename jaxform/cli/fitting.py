@@ -74,7 +74,7 @@ def fit(arguments: argparse.Namespace) -> int:
 
 
 def _number_lines(facts: dict[str, Any]) -> Iterator[str]:
-    level = f"{100 * facts['level']:.3g} %"
+    level = f"{100 * facts['confidence_level']:.3g} %"
     for number in facts["numbers"]:
         unit = f" {number['unit']}" if number["unit"] else ""
         how = (
@@ -82,6 +82,8 @@ def _number_lines(facts: dict[str, Any]) -> Iterator[str]:
         )
         if number["at_bound"]:
             how = "at its bound, no interval"
+        elif number["without_influence"]:
+            how = "no influence on these tests, no interval"
         yield f"{number['name']} = {number['value']:.6g}{unit} ({how or 'no interval: the tests do not tell it'})"
 
 

@@ -1,4 +1,4 @@
-"""What a fit leaves: the table of the material for a scene, its rows, and the picture of data and fit."""
+"""The files of a fit: the table of the material for a scene, its rows, and the picture of data and fit."""
 
 from __future__ import annotations
 

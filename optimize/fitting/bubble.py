@@ -69,11 +69,13 @@ def inflated(law: Law, plan: Plan, scale: float, viscous: bool) -> tuple[jax.Arr
         found, past = carry
         height, passed = now
         memory = None if modes is None or past is None else states.memory_after(modes, past, passed)
-        found = _equilibrium(law, memory, found, height, scale)
-        one, two = _stretches(found[:-1])
+        made = _equilibrium(law, memory, found, height, scale)
+        one, two = _stretches(made[:-1])
         past = None if memory is None else states.overstress(memory, one, two)
-        radial, hoop = _stretches_at(found[:-1], jnp.zeros(1))
-        return (found, past), (scale * found[-1], 1.0 / (radial * hoop)[0])
+        radial, hoop = _stretches_at(made[:-1], jnp.zeros(1))
+        # Without modes a height that has no equilibrium must not spoil the search at the next one.
+        found = jnp.where(jnp.all(jnp.isfinite(made)), made, found) if modes is None else made
+        return (found, past), (scale * made[-1], 1.0 / (radial * hoop)[0])
 
     past: Overstress | None = None if modes is None else states.at_first(modes, _POINTS)
     first = jnp.zeros(2 * _TERMS + 1).at[_TERMS].set(plan.height[0]).at[-1].set(4.0 * plan.height[0])
@@ -110,7 +112,7 @@ def _equilibrium(law: Law, memory: Memory | None, begin: jax.Array, height: jax.
 
 
 def _forces(found: jax.Array, law: Law, memory: Memory | None, height: jax.Array, scale: float) -> jax.Array:
-    """What is out of balance (2 n_term + 1,), in units of the scale; the last one is the height's."""
+    """The forces that are out of balance (2 n_term + 1,), in units of the scale; the last one is the height's."""
     coefficients = found[:-1]
     (one, two), back = jax.vjp(_stretches, coefficients)
     stress = states.nominal(law, one, two, memory)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,19 +104,24 @@ class Numbers:
         units = as_real([number.unit for number in self.all])
         logarithmic = np.array([number.logarithmic for number in self.all])
         values = units * jnp.where(logarithmic, jnp.exp(jnp.where(logarithmic, free, 0.0)), free)
-        found: dict[str, Any] = {}
-        for number, value in zip(self.all, values, strict=True):
-            if number.place is None:
-                found[number.name] = value
-            else:
-                found.setdefault(number.name, []).append(value)
-        found = {name: jnp.stack(value) if isinstance(value, list) else value for name, value in found.items()}
-        of_law = {name: value for name, value in found.items() if not name.startswith(VISCOUS)}
+        of_law, of_modes = (
+            {name: jnp.stack(value) if isinstance(value, list) else value for name, value in part.items()}
+            for part in self.grouped(values)
+        )
         law = self.law(**of_law, density=as_real(DENSITY))  # pyright: ignore[reportCallIssue]
-        if self.modes is None:
-            return law
-        of_modes = {name.removeprefix(VISCOUS): value for name, value in found.items() if name.startswith(VISCOUS)}
-        return dataclasses.replace(law, viscous=self.modes(**of_modes))
+        return law if self.modes is None else dataclasses.replace(law, viscous=self.modes(**of_modes))
+
+    def grouped(self, values: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The values (n,) of the law and those of its modes, by name; those of a list as a list."""
+        of_law: dict[str, Any] = {}
+        of_modes: dict[str, Any] = {}
+        for number, value in zip(self.all, values, strict=True):
+            part, name = (of_modes if number.name.startswith(VISCOUS) else of_law), number.name.removeprefix(VISCOUS)
+            if number.place is None:
+                part[name] = value
+            else:
+                part.setdefault(name, []).append(value)
+        return of_law, of_modes
 
     def ordered(self, free: Array) -> Array:
         """The vector with the law's terms in order, the largest first, and its modes, the shortest first."""
@@ -171,17 +177,15 @@ def make_numbers(
 
 
 def _number(name: str, place: int | None, allowed: Range, stress: float) -> Number:
+    low = max((bound for bound in (allowed.above, allowed.least) if bound is not None), default=-np.inf)
+    high, positive = np.inf if allowed.most is None else allowed.most, allowed.above == 0.0
     if allowed.unit == "Pa":
-        positive = allowed.above == 0.0
-        lower = _SMALLEST if positive else -np.inf if allowed.least is None else allowed.least / stress
-        return Number(name, place, allowed, stress, False, lower, np.inf, (1.0, 1.0))
-    if allowed.above == 0.0:
+        lower = max(low / stress, _SMALLEST) if positive else low / stress
+        return Number(name, place, allowed, stress, False, lower, high / stress, (1.0, 1.0))
+    if positive:
         first = -np.log(_LONGEST), np.log(_LONGEST)
-        most = MOST if allowed.most is None else allowed.most
-        return Number(name, place, allowed, 1.0, True, np.log(LEAST), np.log(most), first)
-    lower = -np.inf if allowed.least is None else allowed.least
-    upper = np.inf if allowed.most is None else allowed.most
-    return Number(name, place, allowed, 1.0, False, lower, upper, _between(lower, upper))
+        return Number(name, place, allowed, 1.0, True, np.log(max(low, LEAST)), np.log(min(high, MOST)), first)
+    return Number(name, place, allowed, 1.0, False, low, high, _between(low, high))
 
 
 def _between(lower: float, upper: float) -> tuple[float, float]:

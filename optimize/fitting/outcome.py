@@ -11,8 +11,7 @@ import numpy as np
 
 from jaxform import Law
 from optimize.fitting import solving, states
-from optimize.fitting.numbers import VISCOUS
-from optimize.fitting.solving import Solution, Sure
+from optimize.fitting.solving import Confidence, Solution
 from optimize.fitting.tables import Pull, Table
 
 Array = np.ndarray
@@ -53,7 +52,7 @@ class Fit:
         model: The law's name.
         kind: Of the viscous modes; empty where there are none.
         solution: The numbers.
-        sure: How sure they are.
+        confidence: Their intervals of confidence and correlation.
         weights: How differences were weighted.
         matches: Each measured column, and what the law says of it.
     """
@@ -61,7 +60,7 @@ class Fit:
     model: str
     kind: str
     solution: Solution
-    sure: Sure
+    confidence: Confidence
     weights: str
     matches: tuple[Match, ...]
 
@@ -73,17 +72,9 @@ class Fit:
     def table(self, density: float) -> dict[str, Any]:
         """The table `[material]` of a scene file, its modes as a table `viscous` in it."""
         numbers = self.solution.problem.numbers
-        found: dict[str, Any] = {}
-        for number, value in zip(numbers.all, numbers.values(self.solution.free), strict=True):
-            value = float(f"{value:.8g}")
-            if number.place is None:
-                found[number.name] = value
-            else:
-                found.setdefault(number.name, []).append(value)
-        of_law = {name: value for name, value in found.items() if not name.startswith(VISCOUS)}
+        of_law, of_modes = numbers.grouped(float(f"{value:.8g}") for value in numbers.values(self.solution.free))
         made: dict[str, Any] = {"model": self.model, **of_law, "density": density}
         if self.kind:
-            of_modes = {name.removeprefix(VISCOUS): value for name, value in found.items() if name.startswith(VISCOUS)}
             made["viscous"] = {"kind": self.kind, **of_modes}
         return made
 
@@ -95,10 +86,10 @@ class Fit:
             "viscous": self.kind or None,
             "numbers": self._numbers(),
             "density": density,
-            "level": solving.LEVEL,
+            "confidence_level": solving.LEVEL,
             "assumption": ASSUMPTION,
             "weights": self.weights,
-            "condition": self.sure.condition,
+            "condition": self.confidence.condition,
             "tables": [_facts(match) for match in self.matches],
             "warnings": list(warned),
         }
@@ -106,7 +97,8 @@ class Fit:
     def _numbers(self) -> list[dict[str, Any]]:
         numbers = self.solution.problem.numbers
         values = numbers.values(self.solution.free)
-        rows = zip(numbers.all, values, self.sure.low, self.sure.high, self.sure.at_bound, strict=True)
+        own = self.confidence
+        rows = zip(numbers.all, values, own.low, own.high, own.at_bound, own.without_influence, strict=True)
         return [
             {
                 "name": number.words,
@@ -114,8 +106,9 @@ class Fit:
                 "unit": number.allowed.unit,
                 "interval": None if not np.isfinite([low, high]).all() else [float(low), float(high)],
                 "at_bound": bool(bound),
+                "without_influence": bool(idle),
             }
-            for number, value, low, high, bound in rows
+            for number, value, low, high, bound, idle in rows
         ]
 
     def curve(self, table: Pull) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""What a law says of the tests, against what was measured: weighted differences, with their derivatives."""
+"""Weighted differences between a law's values for the tests and the measured ones, with their derivatives."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _data(table: Table) -> tuple[Any, ...]:
 
 
 def _model(table: Table) -> Callable[..., jax.Array]:
-    """What takes a law and a table's data, and gives what the law says of its measured columns, one after the other."""
+    """A function of a law and a table's data: the law's values for the measured columns, one after the other."""
     if isinstance(table, Pull):
         return lambda law, stretch, time: states.along(law, table.state, jnp.asarray(stretch), time)
     over = table.sheet / table.radius
@@ -126,12 +126,12 @@ def without_bubbles(tables: Sequence[Table]) -> list[Table]:
 
 
 def _as_pull(table: Bubble) -> Pull:
-    curve = (table.radius**2 + table.height**2) / (2.0 * table.height)
+    curvature_radius = (table.radius**2 + table.height**2) / (2.0 * table.height)
     wall = table.thickness
     if wall is None:
         wall = table.sheet / np.square(1.0 + np.square(table.height / table.radius))
     stretch = np.maximum(np.sqrt(table.sheet / wall), 1.0 + 1e-3)
-    stress = 0.5 * table.pressure * curve * stretch / table.sheet
+    stress = 0.5 * table.pressure * curvature_radius * stretch / table.sheet
     return Pull(table.name, "equibiaxial", "equibiaxial", stretch, stress, table.time)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxform import InputError
 from jaxform.core.errors import warn_of
 from jaxform.core.parameters import listed_numbers
-from jaxform.materials import LAWS
+from jaxform.materials import LAWS, MODES
 from optimize.fitting import solving
 from optimize.fitting.numbers import make_numbers
 from optimize.fitting.outcome import Fit, Match
@@ -53,7 +53,7 @@ def fit(
         InputWarning: A number can hardly be told or lies at its bound, the law is unstable where it was fitted, or fits
             badly.
     """
-    _check(model, terms, weights)
+    _check(tables, model, terms, viscous, weights)
     times = _times(tables)
     _check_modes(tables, modes, times)
     stress = max(_largest_stress(table) for table in tables)
@@ -62,15 +62,15 @@ def fit(
         numbers = make_numbers(model, terms, viscous, modes, stress, times)
         return solving.solve(list(tables if modes else only_slow(tables)), numbers, weights, stress)
 
-    some = range(1, _MOST_TRIED_MODES + 1) if modes is None and _relaxing(tables) else (modes or 0,)
-    several = range(1, _MOST_TRIED_TERMS + 1) if terms is None and listed_numbers(LAWS[model]) else (terms or 1,)
-    solution, terms = _most_telling(several, lambda count: solved(count, some[0]))
-    if len(some) > 1:
-        solution, modes = _most_telling(some, lambda count: solved(terms, count))
+    mode_counts = range(1, _MOST_TRIED_MODES + 1) if modes is None and _relaxing(tables) else (modes or 0,)
+    term_counts = range(1, _MOST_TRIED_TERMS + 1) if terms is None and listed_numbers(LAWS[model]) else (terms or 1,)
+    solution, terms = _most_telling(term_counts, lambda count: solved(count, mode_counts[0]))
+    if len(mode_counts) > 1:
+        solution, modes = _most_telling(mode_counts, lambda count: solved(terms, count))
     matches = tuple(_matches(solution))
-    sure = solving.sureness(solution.problem, solution.free)
-    found = Fit(model, viscous if modes else "", solution, sure, weights, matches)
-    _look_over(found)
+    confidence = solving.confidence_of(solution.problem, solution.free)
+    found = Fit(model, viscous if modes else "", solution, confidence, weights, matches)
+    _warn_of_doubtful_fit(found)
     return found
 
 
@@ -94,13 +94,17 @@ def _worth(solution: Solution) -> tuple[bool, float]:
     return solution.unstable is not None, solving.information(solution)
 
 
-def _check(model: str, terms: int | None, weights: str) -> None:
+def _check(tables: Sequence[Table], model: str, terms: int | None, viscous: str, weights: str) -> None:
+    if not tables:
+        raise InputError("no test is given", "give one table at least", "tables")
     if model not in LAWS:
         raise InputError("is unknown", f"use {', '.join(LAWS)}", "--model", model)
     if terms is not None and not listed_numbers(LAWS[model]):
         raise InputError(f"means nothing to {model}", "leave it out: its numbers are no lists", "--terms", terms)
     if terms is not None and not 1 <= terms <= MOST_TERMS:
         raise InputError("is out of range", f"give 1 to {MOST_TERMS}", "--terms", terms)
+    if viscous not in MODES:
+        raise InputError("is unknown", f"use {', '.join(MODES)}", "--viscous", viscous)
     if weights not in WEIGHTS:
         raise InputError("is unknown", f"use {', '.join(WEIGHTS)}", "--weights", weights)
     if not jax.config.jax_enable_x64:
@@ -144,7 +148,7 @@ def _matches(solution: Solution) -> list[Match]:
     ]
 
 
-def _look_over(fit: Fit) -> None:
+def _warn_of_doubtful_fit(fit: Fit) -> None:
     """Warns of what makes a fit doubtful."""
     solution = fit.solution
     if solution.unstable is not None:
@@ -164,21 +168,24 @@ def _look_over(fit: Fit) -> None:
             warn_of(
                 problem, f"{fit.model} is hardly the law of this material, or a unit is wrong", file=match.table.name
             )
-    _look_over_numbers(fit)
+    _warn_of_doubtful_numbers(fit)
 
 
-def _look_over_numbers(fit: Fit) -> None:
-    numbers, sure = fit.solution.problem.numbers.all, fit.sure
-    bound = [number.words for number, at in zip(numbers, sure.at_bound, strict=True) if at]
-    if bound:
-        warn_of(
-            f"{', '.join(bound)} ended at the bound of what is allowed",
-            "a simpler law may do for these tests",
-        )
+def _warn_of_doubtful_numbers(fit: Fit) -> None:
+    numbers, confidence = fit.solution.problem.numbers.all, fit.confidence
+    masks = {
+        " ended at the bound of what is allowed": confidence.at_bound,
+        ": no influence on what was measured": confidence.without_influence,
+    }
+    for problem, mask in masks.items():
+        if mask.any():
+            words = ", ".join(number.words for number, chosen in zip(numbers, mask, strict=True) if chosen)
+            warn_of(f"{words}{problem}", "a simpler law may do for these tests")
     values = fit.solution.problem.numbers.values(fit.solution.free)
     with np.errstate(invalid="ignore"):
-        wide = ~sure.at_bound & ~(sure.high - sure.low < 2.0 * np.abs(values))
-        alike = np.argwhere(np.triu(np.abs(sure.correlation), 1) > _ALIKE)
+        told = confidence.high - confidence.low < 2.0 * np.abs(values)
+        wide = ~(told | confidence.at_bound | confidence.without_influence)
+        alike = np.argwhere(np.triu(np.abs(confidence.correlation), 1) > _ALIKE)
     if wide.any():
         words = ", ".join(number.words for number, is_wide in zip(numbers, wide, strict=True) if is_wide)
         warn_of(f"{words}: known to no better than the number itself", _MORE)

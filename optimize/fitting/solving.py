@@ -26,13 +26,14 @@ _EXACT, _NO_CHANGE = 1e-6, 1e-5  # a difference that is none, and what changes d
 _MARGIN, _FORCE = 1e-3, 1e3  # of the largest stress, what a place is held away from being unstable; what that weighs
 
 
-class Sure(NamedTuple):
-    """How sure the numbers are.
+class Confidence(NamedTuple):
+    """Intervals of confidence of the numbers, and how the tests tell them apart.
 
     Attributes:
         low, high: Bounds of their intervals (n,); NaN where the data do not tell.
-        correlation: Of the numbers (n, n), NaN where they are at a bound.
+        correlation: Of the numbers (n, n), NaN where they are at a bound or without influence.
         at_bound: Which (n,) lie at a bound of their range.
+        without_influence: Which (n,) change nothing that was measured.
         condition: Of the slopes, each number's scaled to one.
     """
 
@@ -40,6 +41,7 @@ class Sure(NamedTuple):
     high: Array
     correlation: Array
     at_bound: Array
+    without_influence: Array
     condition: float
 
 
@@ -98,12 +100,14 @@ class Stability:
 
     def lacking(self, free: Array, margin: float = 0.0) -> Array:
         """By how much (n_place,) each place misses being stable, relative to the largest stress; 0 where it is."""
-        return np.maximum(margin - np.asarray(self._both(jnp.asarray(free))[1]), 0.0)
+        least = np.asarray(self._both(jnp.asarray(free))[1])
+        # Where the law has no finite stress, 1 keeps the search away.
+        return np.where(np.isfinite(least), np.maximum(margin - least, 0.0), 1.0)
 
     def slopes(self, free: Array, margin: float = 0.0) -> Array:
         """Derivatives of that (n_place, n)."""
         slopes, least = map(np.asarray, self._both(jnp.asarray(free)))
-        return np.where(least[:, None] < margin, -slopes, 0.0)
+        return np.where((least[:, None] < margin) & np.isfinite(slopes), -slopes, 0.0)
 
     def first_unstable(self, free: Array) -> tuple[str, float] | None:
         """The place nearest to no strain that is unstable."""
@@ -223,18 +227,19 @@ def _is_law(free: Array, problem: Problem) -> bool:
     return bool(np.isfinite(problem.values(free)).all())
 
 
-def sureness(problem: Problem, free: Array) -> Sure:
+def confidence_of(problem: Problem, free: Array) -> Confidence:
     """Intervals from the slopes at the solution, for independent differences of equal variance and the right law."""
     from scipy.special import stdtrit
 
     numbers, count = problem.numbers, len(free)
     slopes = problem.slopes(free)
-    at_bound = _at_bound(numbers, free, np.linalg.norm(slopes, axis=0) / np.sqrt(problem.used.sum()))
+    size = np.linalg.norm(slopes, axis=0) / np.sqrt(problem.used.sum())
+    at_bound, without_influence = _undetermined(numbers, free, size)
     low, high, correlation = np.full(count, np.nan), np.full(count, np.nan), np.full((count, count), np.nan)
-    inside = ~at_bound
+    inside = ~(at_bound | without_influence)
     size = np.linalg.norm(slopes[:, inside], axis=0)
     if not inside.any() or not np.all(size > 0.0):
-        return Sure(low, high, correlation, at_bound, np.inf if inside.any() else 1.0)
+        return Confidence(low, high, correlation, at_bound, without_influence, np.inf if inside.any() else 1.0)
     _, singular, turned = np.linalg.svd(slopes[:, inside] / size, full_matrices=False)
     spread = (turned.T / np.maximum(singular, 1e-12 * singular[0]) ** 2) @ turned
     freedom = int(problem.used.sum()) - count
@@ -245,10 +250,16 @@ def sureness(problem: Problem, free: Array) -> Sure:
             low[place], high[place] = (numbers.all[place].value(free[place] + sign * width) for sign in (-1.0, 1.0))
     own = np.sqrt(np.diag(spread))
     correlation[np.ix_(inside, inside)] = spread / np.outer(own, own)
-    return Sure(low, high, correlation, at_bound, float(singular[0] / max(singular[-1], 1e-300)))
+    condition = float(singular[0] / max(singular[-1], 1e-300))
+    return Confidence(low, high, correlation, at_bound, without_influence, condition)
 
 
-def _at_bound(numbers: Numbers, free: Array, size: Array) -> Array:
-    """Which (n,) are as good as at a bound: a search stays a little inside. `size` is what a change of one changes."""
-    way = np.minimum(free - numbers.lower, numbers.upper - free)
-    return way * np.where(np.isfinite(way), size, 1.0) < _NO_CHANGE
+def _undetermined(numbers: Numbers, free: Array, size: Array) -> tuple[Array, Array]:
+    """Which (n,) are as good as at a bound, and which have no influence; `size` is what a change of one changes.
+
+    A search stays a little inside of bounds: a number is at one if to go there changes nothing, but to go farther does.
+    """
+    way, far = np.minimum(free - numbers.lower, numbers.upper - free), np.maximum(np.abs(free), 1.0)
+    nothing = np.where(np.isfinite(way), way, far) * size < _NO_CHANGE
+    idle = far * size < _NO_CHANGE
+    return nothing & ~idle, nothing & idle

@@ -38,7 +38,7 @@ def nominal(law: Law, one: jax.Array, two: jax.Array, memory: Memory | None = No
 
 
 def at_first(modes: Modes, count: int) -> Overstress:
-    """What viscous modes do at places (count,) that were never strained."""
+    """The overstress of viscous modes at places (count,) that were never strained."""
     unit = jnp.ones((count,), modes.time.dtype)
     none = jnp.zeros_like(unit)
     inverse = jnp.stack([unit, none, unit])
@@ -46,13 +46,13 @@ def at_first(modes: Modes, count: int) -> Overstress:
 
 
 def memory_after(modes: Modes, past: Overstress, step: jax.Array) -> Memory:
-    """What modes remember after a step [s] over which the strain is linear in time; a step of 0 is a jump."""
+    """The memory of modes after a step [s] over which the strain is linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
     return Memory(jnp.stack(past.kept(recursion)), recursion.gain, modes.kind)
 
 
 def overstress(memory: Memory, one: jax.Array, two: jax.Array) -> Overstress:
-    """What they do at places that now have these stretches (n,)."""
+    """The overstress of modes with such a memory at places that now have these stretches (n,)."""
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
     return response.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
 

@@ -32,10 +32,10 @@ _UNITS = {
     "height": ("m",),
     "thickness": ("m",),
 }
-_SETTINGS = {"kind": None, "state": None, "stretch": None, "radius": "m", "thickness": "m"}
-_MOST_ROWS = 20_000
-_MOST_HEIGHTS = 1000
-_PER_CENT = 10.0  # as a strain: what is stretched so far is no sheet that anybody forms
+_EXAMPLES = {"stretch": ("2.0", "a ratio of lengths"), "radius": ("0.05", "in m"), "thickness": ("0.001", "in m")}
+_SETTINGS = ("kind", "state", *_EXAMPLES)
+_MOST_ROWS, _MOST_HEIGHTS = 20_000, 1000
+_PER_CENT = 10.0  # as a strain: a larger one is probably given in per cent
 _FARTHEST = 100.0  # a stretch, or its inverse, beyond which the column has something else
 _SLACK = 0.02  # as a strain: so much strain needs a stress
 _SOFT = 200.0  # Pa: the largest stress of a table below which it is rather in MPa
@@ -64,7 +64,7 @@ class Pull:
 
     @property
     def measured(self) -> dict[str, Array]:
-        """What the fit is held against, by name."""
+        """The measured columns that a fit is compared with, by name."""
         return {"stress": self.stress}
 
 
@@ -77,7 +77,7 @@ class Bubble:
         height: Of the pole above the rim (n,) [m].
         pressure: (n,) [Pa].
         thickness: At the pole (n,) [m]; None where it is not given.
-        time: Of each row (n,) [s], the sheet flat at 0; None where it is not given.
+        time: Of each row (n,) [s], the sheet flat at 0 and inflated from then on; None where it is not given.
         radius: Of the disc [m].
         sheet: Thickness of the sheet before the test [m].
     """
@@ -93,7 +93,7 @@ class Bubble:
 
     @property
     def measured(self) -> dict[str, Array]:
-        """What the fit is held against, by name."""
+        """The measured columns that a fit is compared with, by name."""
         more = {} if self.thickness is None else {"thickness": self.thickness}
         return {"pressure": self.pressure, **more}
 
@@ -231,7 +231,8 @@ def _number(cell: str) -> float | None:
 
 def _setting(settings: dict[str, str], key: str) -> float:
     """A positive number of the settings."""
-    remedy = f"write a line such as `# {key} = {'0.05' if key == 'radius' else '0.001'}`, in m"
+    example, unit = _EXAMPLES[key]
+    remedy = f"write a line such as `# {key} = {example}`, {unit}"
     if key not in settings:
         raise InputError("is missing", remedy, key)
     number = _number(settings[key].split("#")[0].strip())
@@ -257,7 +258,7 @@ def _pull(name: str, kind: str, columns: dict[str, Array], settings: dict[str, s
         _check_times(time)
     if time is not None and time[-1] <= 0.0:
         raise InputError("tells of no time after 0", "give rows at later times", "time", float(time[-1]))
-    _look_over(name, keys[0], stretch, stress)
+    _warn_of_doubtful_stress(name, keys[0], stretch, stress)
     # What is not strained says nothing, but of a history it is part.
     used = np.abs(stretch - 1.0) > 1e-9 if time is None else np.ones(len(stretch), bool)
     if not used.any() or not np.any(np.abs(stretch - 1.0) > 1e-9):
@@ -269,7 +270,7 @@ def _stretch(name: str, columns: dict[str, Array], settings: dict[str, str]) -> 
     given = [key for key in ("stretch", "strain") if key in columns]
     if not given and "stretch" in settings:
         rows = len(next(iter(columns.values())))
-        return np.full(rows, _setting(settings, "stretch"))
+        columns, given = {"stretch": np.full(rows, _setting(settings, "stretch"))}, ["stretch"]
     if len(given) != 1:
         problem = "has both stretch and strain" if given else "has neither stretch nor strain"
         raise InputError(problem, "give stretch (1 where nothing is strained) or strain (0 there)")
@@ -293,11 +294,10 @@ def _check_times(time: Array) -> None:
         raise InputError("begins before 0, when nothing is strained yet", "begin at 0", "time", float(time[0]))
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if len(back):
-        place = float(time[back[0] + 1])
-        raise InputError("does not increase", "sort the rows by time, no time twice", "time", place)
+        raise InputError("does not increase", "sort the rows by time, no time twice", "time", float(time[back[0] + 1]))
 
 
-def _look_over(name: str, key: str, stretch: Array, stress: Array) -> None:
+def _warn_of_doubtful_stress(name: str, key: str, stretch: Array, stress: Array) -> None:
     """Warns of what is hardly meant."""
     largest = float(np.abs(stress).max())
     if 0.0 < largest < _SOFT:
@@ -322,13 +322,10 @@ def _bubble(name: str, columns: dict[str, Array], settings: dict[str, str]) -> B
         raise InputError(f"has {len(columns['height'])} rows", f"give up to {_MOST_HEIGHTS}, every tenth for instance")
     radius, sheet = _setting(settings, "radius"), _setting(settings, "thickness")
     height, pressure, time = columns["height"], columns["pressure"], columns.get("time")
-    if time is not None:
-        _check_times(time)
     if height.min() < 0.0:
         raise InputError("is below 0", "give the pole's height above the rim", "height", float(height.min()))
-    if height.max() > _TALL * radius:
-        problem = f"is {height.max() / radius:.4g} times the radius"
-        raise InputError(problem, "give both in m", "height", float(height.max()))
+    if (tallest := float(height.max())) > _TALL * radius:
+        raise InputError(f"is {tallest / radius:.4g} times the radius", "give both in m", "height", tallest)
     used = (height > 1e-6 * radius) & (pressure > 0.0)
     if not used.any():
         raise InputError("has no row in which the sheet is inflated", "give pressures and heights above 0")
@@ -336,12 +333,18 @@ def _bubble(name: str, columns: dict[str, Array], settings: dict[str, str]) -> B
     if thickness is not None and (thickness[used].min() <= 0.0 or thickness[used].max() > 1.2 * sheet):
         problem = f"is from {thickness[used].min():.4g} to {thickness[used].max():.4g} m, the sheet {sheet:.4g} m"
         raise InputError(problem, "give the wall at the pole, in m", "thickness")
-    return Bubble(
-        name,
-        height[used],
-        pressure[used],
-        None if thickness is None else thickness[used],
-        None if time is None else time[used],
-        radius,
-        sheet,
-    )
+    wall = None if thickness is None else thickness[used]
+    since = None if time is None else _since_flat(time, height, used)
+    return Bubble(name, height[used], pressure[used], wall, since, radius, sheet)
+
+
+def _since_flat(time: Array, height: Array, used: Array) -> Array:
+    """Times [s] of the rows that are used, counted from the last one before them: a flat sheet has no memory."""
+    _check_times(time)
+    first = int(np.argmax(used))
+    if not used[first:].all():
+        later = first + int(np.argmin(used[first:]))
+        problem = f"is flat, or has no pressure, at {time[later]:.4g} s, after it was inflated"
+        remedy = "let time be 0 where the inflation begins, and leave out such rows"
+        raise InputError(problem, remedy, "height", float(height[later]))
+    return time[first:] - (time[first - 1] if first else 0.0)

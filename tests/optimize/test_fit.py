@@ -8,6 +8,7 @@ import json
 import re
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -114,6 +115,22 @@ def test_the_wall_and_the_slopes_of_a_bubble(exact_bubble: tuple[Bubble, np.ndar
     np.testing.assert_allclose(ratio, wall / table.sheet, rtol=1e-6)
 
 
+def test_a_height_without_equilibrium_spoils_no_other() -> None:
+    @jaxform.law
+    class Bursting(jaxform.Law):
+        a: jax.Array = jaxform.parameter("Pa", above=0.0)
+        density: jax.Array = jaxform.parameter("kg/m^3", above=0.0)
+
+        def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
+            return -self.a * jnp.log(1.5 - (i1 - 3.0))
+
+    plan = bubble.plan(np.array([0.4, 1.0, 0.4]), None)
+    found = jax.jit(lambda: bubble.inflated(Bursting(real(1.0), real(1.0)), plan, 1.0, False))()
+    pressure, wall = map(np.asarray, found)
+    assert np.isfinite([pressure[0], wall[0]]).all() and np.isnan([pressure[1], wall[1]]).all()
+    np.testing.assert_allclose([pressure[2], wall[2]], [pressure[0], wall[0]], rtol=1e-9)
+
+
 def test_a_bubble_that_is_held_relaxes() -> None:
     """Maxwell modes at constant strain scale the stress of rubber, whatever its shape."""
     law = jaxform.NeoHookean(real(1.0), real(1.0), viscous=jaxform.Maxwell(jnp.array([2.0]), jnp.array([4.0])))
@@ -138,7 +155,7 @@ def test_relaxation_gives_moduli_and_times(kind: str) -> None:
     fit = fitting.fit([table], "neo-hookean", modes=modes, viscous=kind)
     found = _values(fit)
     assert len(found) == 5, "as many modes as there are"
-    assert not fit.sure.at_bound.any() and np.isfinite(fit.sure.high).all()
+    assert not fit.confidence.at_bound.any() and np.isfinite(fit.confidence.high).all()
     expected = {"c": c, "viscous.modulus[1]": 1.5e5, "viscous.modulus[2]": 6e4}
     expected |= {"viscous.time[1]": own[0], "viscous.time[2]": own[1]}
     np.testing.assert_allclose([found[name] for name in expected], list(expected.values()), rtol=1e-5)
@@ -159,9 +176,19 @@ def test_a_number_that_the_tests_do_not_need_is_at_its_bound() -> None:
     stress = 2e5 * (stretch - stretch**-2)
     with heard(lambda _: None) as warned:
         fit = fitting.fit([_pull("uniaxial", stretch, stress)], "modified-mooney-rivlin")
-    assert fit.sure.at_bound.tolist() == [False, True] and "a02 ended at the bound" in warned[0]
+    assert fit.confidence.at_bound.tolist() == [False, True] and "a02 ended at the bound" in warned[0]
     assert fit.summary([], 1.0)["numbers"][1]["interval"] is None
     np.testing.assert_allclose(_values(fit)["a01"], 1e5, rtol=1e-4)
+
+
+def test_a_number_that_changes_nothing_is_told_as_such() -> None:
+    stretch = np.linspace(1.05, 1.3, 10)
+    with heard(lambda _: None) as warned:
+        fit = fitting.fit([_pull("uniaxial", stretch, 2e5 * (stretch - stretch**-2))], "gent")
+    assert warned == ["j_max: no influence on what was measured; a simpler law may do for these tests"]
+    mu, limit = fit.summary([], 1.0)["numbers"]
+    np.testing.assert_allclose(mu["interval"], [2e5, 2e5], rtol=1e-6)
+    assert limit["without_influence"] and not limit["at_bound"] and limit["interval"] is None
 
 
 def test_stability_is_that_of_the_energys_second_derivatives() -> None:
@@ -190,6 +217,28 @@ def test_an_unstable_law_is_left_for_a_stable_one() -> None:
     assert np.all(np.diff(law * fine) > -1e-4 * law.max())
 
 
+def test_a_place_where_a_law_is_not_finite_is_not_stable(monkeypatch: pytest.MonkeyPatch) -> None:
+    @jaxform.law
+    class Limited(jaxform.Law):
+        a: jax.Array = jaxform.parameter("Pa", above=0.0)
+        limit: jax.Array = jaxform.parameter(above=1.0)
+        density: jax.Array = jaxform.parameter("kg/m^3", above=0.0)
+
+        def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
+            return -2.0 * self.a * jnp.sqrt(self.limit - (i1 - 3.0))
+
+    monkeypatch.setitem(LAWS, "limited", Limited)
+    made = numbers.make_numbers("limited", 1, "christensen", 0, 1e5, None)
+    own = solving.Stability([_pull("equibiaxial", np.array([2.0]), np.array([1e5]))], made, 1e5)
+    free = np.array([1.0, 2.0])
+    beyond = np.array([2.0 * stretch**2 + stretch**-4 - 3.0 >= 2.0 for _, stretch in own.places])
+    assert 0 < beyond.sum() < len(beyond)
+    np.testing.assert_array_equal(own.lacking(free), np.where(beyond, 1.0, 0.0))
+    assert np.isfinite(own.slopes(free, margin=1e3)).all()
+    state, stretch = own.first_unstable(free) or ("", 0.0)
+    assert state == "equibiaxial" and stretch == own.places[int(np.argmax(beyond))][1]
+
+
 def test_a_law_of_ones_own_is_fitted_once_it_is_registered(monkeypatch: pytest.MonkeyPatch) -> None:
     @jaxform.law
     class Power(jaxform.Law):
@@ -205,6 +254,40 @@ def test_a_law_of_ones_own_is_fitted_once_it_is_registered(monkeypatch: pytest.M
     stress = 2.0 * (stretch - 1.0 / stretch**5) * 7e4 * (2.0 * stretch**2 + stretch**-4 - 2.0) ** -0.3
     found = _values(fitting.fit([_pull("equibiaxial", stretch, stress)], "power"))
     np.testing.assert_allclose([found["a"], found["n"]], [7e4, 0.7], rtol=1e-6)
+
+
+def test_bounds_of_numbers_are_all_that_their_ranges_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    @jaxform.law
+    class Bounded(jaxform.Law):
+        first: jax.Array = jaxform.parameter("Pa", above=0.0, least=2e4, most=8e4)
+        second: jax.Array = jaxform.parameter("Pa", above=0.0)
+        third: jax.Array = jaxform.parameter("Pa", above=-3e4)
+        power: jax.Array = jaxform.parameter(above=1.0)
+        share: jax.Array = jaxform.parameter(above=0.0, least=0.25, most=4.0)
+        density: jax.Array = jaxform.parameter("kg/m^3", above=0.0)
+
+        def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
+            return self.first * i1
+
+    monkeypatch.setitem(LAWS, "bounded", Bounded)
+    made = numbers.make_numbers("bounded", 1, "christensen", 0, 1e5, None)
+    np.testing.assert_allclose(made.values(made.lower), [2e4, 1e-4, -3e4, 1.0, 0.25], rtol=1e-12)
+    np.testing.assert_allclose(made.values(made.upper), [8e4, np.inf, np.inf, np.inf, 4.0], rtol=1e-12)
+
+
+def test_a_number_without_influence_is_not_at_its_bound() -> None:
+    made = numbers.make_numbers("mooney-rivlin", 1, "christensen", 0, 1e5, None)
+    slopes, left = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]), np.array([0.1, 0.0, -0.1])
+    problem: Any = SimpleNamespace(
+        numbers=made, used=np.ones(3, bool), slopes=lambda free: slopes, differences=lambda free: left
+    )
+    found = solving.confidence_of(problem, np.array([2.0, 0.7]))
+    assert found.at_bound.tolist() == [False, False] and found.without_influence.tolist() == [False, True]
+    half = 1e5 * 12.7062047364 * np.sqrt(0.02 / 3)  # Student's t of one degree of freedom
+    np.testing.assert_allclose([found.low[0], found.high[0]], [2e5 - half, 2e5 + half], rtol=1e-9)
+    slopes[:, 1] = 1.0, 2.0, 3.0
+    found = solving.confidence_of(problem, np.array([2.0, 1e-9]))
+    assert found.at_bound.tolist() == [False, True] and not found.without_influence.any()
 
 
 def _read(tmp_path: Path, text: str, name: str = "uniaxial.csv", before: str = "") -> Table:
@@ -225,6 +308,16 @@ def test_what_columns_and_settings_mean(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("before", "times"), [("0,0,0\n10,0,0\n", [0.125, 0.5]), ("", [10.125, 10.5])], ids=["late", "at once"]
+)
+def test_the_time_of_a_bubble_counts_from_its_last_flat_row(tmp_path: Path, before: str, times: list[float]) -> None:
+    text = f"{DISC}time,pressure,height\n{before}10.125,2e3,0.02\n10.5,3e3,0.03\n"
+    blown = _read(tmp_path, text, "y.csv")
+    assert isinstance(blown, Bubble) and blown.time is not None and blown.time.tolist() == times
+    assert blown.height.tolist() == [0.02, 0.03]
+
+
+@pytest.mark.parametrize(
     ("name", "kind"),
     [("planar-tension", "pure-shear"), ("Biaxial_tension", "equibiaxial"), ("tension-2", "uniaxial")],
 )
@@ -240,6 +333,7 @@ def test_a_name_that_does_not(tmp_path: Path, name: str, words: str) -> None:
         _read(tmp_path, "stretch,stress\n2,1e5\n", f"{name}.csv")
 
 
+DISC = "# radius = 0.05\n# thickness = 1e-3\n"
 BAD = [
     ("", "is empty"),
     ("stretch,stress\n", "has no rows"),
@@ -268,6 +362,13 @@ BAD = [
     ("# radius = 0.05\n# thickness = 1e-3\npressure,height\n1e3,20\n", "give both in m"),
     ("# radius = 0.05\n# thickness = 1e-3\npressure,height,thickness\n1e3,0.02,0.9\n", "the wall at the pole"),
     ("# radius = 0.05\n# thickness = 1e-3\npressure,height\n0,0\n", "is inflated"),
+    (
+        f"{DISC}time,pressure,height\n1,2e3,0.02\n2,2e3,0\n3,2e3,0.02\n",
+        "height = 0.0: is flat, or has no pressure, at 2 s",
+    ),
+    (f"{DISC}time,pressure,height\n2,2e3,0.02\n1,2e3,0.03\n", "time = 1.0: does not increase"),
+    ("# kind = relaxation\n# stretch = 200\ntime,stress\n1,1e5\n", "stretch: goes farther than any sheet"),
+    ("# kind = relaxation\n# stretch = abc\ntime,stress\n1,1e5\n", "such as `# stretch = 2.0`, a ratio of lengths"),
 ]
 
 
@@ -299,6 +400,7 @@ def test_a_table_that_is_doubtful(tmp_path: Path, text: str, words: str) -> None
     ("options", "words"),
     [
         ({"model": "ogden", "weights": "none"}, "--weights = 'none'"),
+        ({"model": "gent", "viscous": "foo"}, "--viscous = 'foo': is unknown; use christensen"),
         ({"model": "rubber"}, "--model = 'rubber'"),
         ({"model": "gent", "terms": 2}, "--terms = 2: means nothing to gent"),
         ({"model": "ogden", "terms": 7}, "--terms = 7: is out of range"),
@@ -310,6 +412,11 @@ def test_options_that_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError) as error:
         fitting.fit([_pull("uniaxial", np.array([1.5, 2.0]), np.array([1e5, 2e5]))], **options)
     assert words in str(error.value)
+
+
+def test_no_test_at_all_is_refused() -> None:
+    with pytest.raises(InputError, match="tables: no test is given"):
+        fitting.fit([], "gent")
 
 
 def test_single_precision_is_refused() -> None:
