@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import exporting, fitting, session
+from jaxform.cli import exporting, fitting, session, starting
 from jaxform.core import lastresort, release
 from jaxform.core.errors import InputError, heard
 from jaxform.io import catalog
@@ -117,13 +117,8 @@ def _parser() -> argparse.ArgumentParser:
     fit.set_defaults(command=fitting.fit)
     words = "write a folder with a first scene for a mold, which runs as it is"
     new = commands.add_parser("new", help=words, description=words)
-    new.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
-    new.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
-    new.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
-    new.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
-    new.add_argument("--quiet", action="store_true", help="print errors only")
-    new.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
-    new.set_defaults(command=_new)
+    starting.add_arguments(new)
+    new.set_defaults(command=starting.start)
     return parser
 
 
@@ -183,9 +178,3 @@ def _warm(arguments: argparse.Namespace) -> int:
     from jaxform.cli import warming
 
     return warming.warm(arguments)
-
-
-def _new(arguments: argparse.Namespace) -> int:
-    from jaxform.cli import starting
-
-    return starting.start(arguments)

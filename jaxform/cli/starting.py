@@ -6,6 +6,7 @@ import argparse
 import shlex
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxform.cli import session
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
 _LEAST, _MOST = 1e-9, 1e3  # m
 _LARGE = 3.0  # of a part in metres, which may be one of a few inches
 _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what `jaxform new` takes."""
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
+    parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
+    parser.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
+    parser.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
 
 
 def start(arguments: argparse.Namespace) -> int:
@@ -79,7 +90,10 @@ def _lines(made: Draft) -> Iterator[str]:
 
     found = made.found
     box = " x ".join(f"{side:.4g}" for side in made.size)
-    yield f"the mold's box is {box} in its file's units, taken for {made.units} (--scale says otherwise)"
+    # Numbers of that size are inches as well as millimetres of a small part.
+    inches = made.guessed and made.units == "inches"
+    otherwise = "give --scale 0.001 where it is in millimetres" if inches else "--scale says otherwise"
+    yield f"the mold's box is {box} in its file's units, taken for {made.units} ({otherwise})"
     x, y, z = found.view.turn.T[:, 2]
     what = "a plug stands out of its base" if found.male else "its opening is found"
     yield f"{what}; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import contours, masks, meshes
 from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.mesh.resolution import triangle_side
 from jaxform.tools import covers, footprint, molds, opening, rims
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
@@ -37,7 +38,7 @@ _DAMPING = 2.0  # the same times the damping
 
 @dataclass(frozen=True)
 class Draft:
-    """What a first scene is made of.
+    """The choices of a first scene.
 
     Attributes:
         scale: Metres per unit of the mold's file.
@@ -134,7 +135,7 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
     area = abs(contours.outlines.area(polygon))
     width = _width(polygon, area)
     pocket = min(_pocket(found), 0.5 * width)
-    fine = max(2 * pocket / _ACROSS, _side(area, _MOST))
+    fine = max(2 * pocket / _ACROSS, triangle_side(area, _MOST))
     return Draft(
         scale=scale,
         units=units,
@@ -149,7 +150,7 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
         width=width,
         pocket=pocket,
         thickness=thickness or _rounded(_THICKNESS * width),
-        element_size=_rounded(min(fine, _side(area, _ELEMENTS))),
+        element_size=_rounded(min(fine, triangle_side(area, _ELEMENTS))),
     )
 
 
@@ -199,11 +200,6 @@ def _pocket(found: Opening) -> float:
         counts = np.cumsum(area[1:][smallest]) > _SPECK * deep.sum()
         halves += (view.pixel * half[1:][smallest][counts]).tolist()
     return min(halves)
-
-
-def _side(area: float, elements: int) -> float:
-    """The side [m] of so many equilateral triangles of an area [m^2] together."""
-    return float(np.sqrt(4 / np.sqrt(3) * area / elements))
 
 
 def _rounded(value: float) -> float:

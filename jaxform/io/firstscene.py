@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.errors import InputError
 from jaxform.core.writing import whole
 from jaxform.io.drafting import ALPHA, DENSITY, STIFFNESS, Draft
+from jaxform.io.rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.contours import Circle, Rectangle
 
@@ -25,11 +26,14 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     does not change a scene whose numbers were made for the one before.
 
     Raises:
-        InputError: A file cannot be written.
+        InputError: A file cannot be written, or a file of the mold would be overwritten.
     """
-    names = _names(paths)
+    names = _names(folder, paths)
+    if made.covers.mesh is not None and _is_one_of(folder / COVERS, paths):
+        problem = "would be overwritten by the covers of the mold's holes"
+        raise InputError(problem, "give it another name", "--mold", str(folder / COVERS))
     for path, name in zip(paths, names, strict=True):
-        if path.resolve() != (folder / name).resolve():
+        if not _is_one_of(folder / name, [path]):
             with whole(folder / name) as fresh:
                 shutil.copyfile(path, fresh)
     if made.covers.mesh is not None:
@@ -43,17 +47,23 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     return [folder / name for name in [*files, *names, *covers]]
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
-    """File names for the copies, each once."""
+def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
+    """File names for the copies in a folder, each once, and none by which a copy overwrites another file's original."""
     names: list[str] = []
     for path in paths:
         # A name on disk may be no text.
-        name, count = path.name.encode("utf-8", "replace").decode(), 1
-        while name in names or name == COVERS:
+        plain, count = Path(path.name.encode("utf-8", "replace").decode()), 1
+        name, others = plain.name, [other for other in paths if not other.samefile(path)]
+        while name in names or name == COVERS or _is_one_of(folder / name, others):
             count += 1
-            name = f"{path.stem}-{count}{path.suffix}"
+            name = f"{plain.stem}-{count}{plain.suffix}"
         names.append(name)
     return names
+
+
+def _is_one_of(file: Path, paths: Sequence[Path]) -> bool:
+    """Whether a file is there and is one of others, by whatever name."""
+    return file.exists() and any(path.samefile(file) for path in paths)
 
 
 def scene_text(made: Draft, names: Sequence[str]) -> str:
@@ -61,7 +71,7 @@ def scene_text(made: Draft, names: Sequence[str]) -> str:
     return "\n".join(
         [
             "# Written by `jaxform new`. SI units everywhere: m, s, kg, Pa.",
-            f"name = {_text(Path(names[0]).stem)}",
+            f"name = {inline(Path(names[0]).stem)}",
             *_parison(made),
             *_material(),
             *_pressure(made),
@@ -132,7 +142,7 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
             f"# {COVERS} closes what the sheet would be blown through ({covered(made)}).",
             "# Leave it out if it should be.",
         ]
-    path = f"[{', '.join(map(_text, files))}]" if len(files) > 1 else _text(files[0])
+    path = inline(files if len(files) > 1 else files[0])
     box = " x ".join(_number(side, 4) for side in made.size)
     return [
         "",
@@ -211,11 +221,6 @@ def study_text(made: Draft) -> str:
             "",
         ]
     )
-
-
-def _text(text: str) -> str:
-    """The text in TOML's quotes: JSON's escapes and one more."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _number(value: float, digits: int = 7) -> str:

@@ -8,15 +8,17 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.writing import whole
-from jaxform.io.files import SceneDocument, _sheet
 from jaxform.mesh import meshes
+
+if TYPE_CHECKING:
+    from jaxform.io.files import SceneDocument
 
 _PATHS = ("parison.path", "mold.path", "output.reference")
 
@@ -120,6 +122,8 @@ def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> dict[str, str
 
 def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, path: Path) -> Any:
     """Writes values (n_node,), or a list of such, as fields of the mesh; what the scene file then says of them."""
+    from jaxform.io.files import _sheet  # takes JAX to import, which `inline` alone does not need
+
     sheet = _sheet(document)
     names = [number] if values.ndim == 1 else [f"{number}_{k + 1}" for k in range(len(values))]
     fields = dict(zip(names, np.atleast_2d(np.asarray(values, float)), strict=True))

@@ -28,15 +28,15 @@ _CHUNK = 4_000_000  # pairs of points and sides looked at together
 
 @dataclass(frozen=True)
 class Curve:
-    """A closed polygon by the way along it.
+    """A closed polygon by the arc length along it.
 
     Attributes:
         corners: (k, 2) [m], counter-clockwise.
-        way: To each corner and back to the first (k + 1,) [m].
+        arc_length: To each corner and back to the first (k + 1,) [m].
     """
 
     corners: Array
-    way: Array
+    arc_length: Array
 
     @classmethod
     def along(cls, corners: Array) -> Curve:
@@ -47,12 +47,12 @@ class Curve:
     @property
     def length(self) -> float:
         """Once around [m]."""
-        return float(self.way[-1])
+        return float(self.arc_length[-1])
 
-    def at(self, way: Array) -> Array:
-        """Places (n, 2) [m] so far along (n,) [m]."""
+    def at(self, arc_length: Array) -> Array:
+        """Places (n, 2) [m] at an arc length (n,) [m]."""
         closed = np.concatenate([self.corners, self.corners[:1]])
-        return np.stack([np.interp(way, self.way, closed[:, k]) for k in range(2)], axis=1)
+        return np.stack([np.interp(arc_length, self.arc_length, closed[:, k]) for k in range(2)], axis=1)
 
     def nearest(self, points: Array) -> Array:
         """The places (n, 2) [m] on the curve that are nearest to points (n, 2) [m]."""
@@ -76,11 +76,11 @@ class Graded:
 
         self.largest = largest
         count = max(16, int(np.ceil(_PER_SIZE * curve.length / largest)))
-        way = curve.length * (np.arange(count) + 0.5) / count
-        places = curve.at(way)
+        arc_length = curve.length * (np.arange(count) + 0.5) / count
+        places = curve.at(arc_length)
         width = np.full(count, np.inf)
         one, other = KDTree(places).query_pairs(2 * largest, output_type="ndarray").T
-        around = np.abs(way[one] - way[other])
+        around = np.abs(arc_length[one] - arc_length[other])
         apart = np.linalg.norm(places[one] - places[other], axis=1)
         neck = apart < _NECK * np.minimum(around, curve.length - around)
         one, other, apart = one[neck], other[neck], apart[neck]
@@ -122,11 +122,11 @@ def filled(corners: Array, size: float, forced: NDArray[np.bool_] | None = None)
     for flat in _FLATTER:
         # Teeth that the rim does not follow are no necks.
         graded = Graded(_plain(curve, flat * size, forced), size)
-        way = _rim(curve, graded, flat, forced)
-        loop = curve.at(way)
+        arc_length = _rim(curve, graded, flat, forced)
+        loop = curve.at(arc_length)
         narrow = outlines.crossing(loop) if outlines.area(loop) > 0 else loop[0]
         if narrow is None:
-            return _checked(*_halved_chords(*_followed(curve, way, graded)), size)
+            return _checked(*_halved_chords(*_followed(curve, arc_length, graded)), size)
     assert narrow is not None
     raise _too_narrow(narrow, size)
 
@@ -167,31 +167,32 @@ def _too_narrow(place: Array, size: float) -> InputError:
     return InputError(problem, "make element_size smaller, or the polygon wider there", "parison.polygon")
 
 
-def _followed(curve: Curve, way: Array, graded: Graded) -> tuple[Array, NDArray[np.int64], int]:
+def _followed(curve: Curve, arc_length: Array, graded: Graded) -> tuple[Array, NDArray[np.int64], int]:
     """Points, triangles and how many of the points are the rim's; the rim is cut where triangles do not follow it."""
     for _ in range(_ATTEMPTS):
-        loop = curve.at(way)
+        loop = curve.at(arc_length)
         points, triangles, missing = planform.attempted([loop], graded)
         if not len(missing):
             return points, triangles, len(loop)
-        begin, end = way[missing], np.append(way, curve.length + way[0])[missing + 1]
-        way = np.sort(np.concatenate([way, (0.5 * (begin + end)) % curve.length]))
+        begin = arc_length[missing]
+        end = np.append(arc_length, curve.length + arc_length[0])[missing + 1]
+        arc_length = np.sort(np.concatenate([arc_length, (0.5 * (begin + end)) % curve.length]))
     raise _too_narrow(loop[missing[0]], graded.largest)
 
 
 def _rim(curve: Curve, graded: Graded, flat: float, forced: NDArray[np.bool_]) -> Array:
-    """The way (n,) [m] along the curve to the points of the rim: corners that count, and points between them."""
+    """The arc length (n,) [m] of the points of the rim: corners that count, and points between them."""
     local = graded(curve.corners)
     kept = outlines.essential(curve.corners, flat * local, forced)
     kept = _merged(curve, kept, _SHORT * local * (flat == _FLATTER[0]), forced)
-    corner = curve.way[:-1][kept]
-    ways = []
+    corner = curve.arc_length[:-1][kept]
+    arc_lengths = []
     for begin, end in zip(corner, np.append(corner[1:], curve.length + corner[0]), strict=True):
         fine = np.linspace(begin, end, 2 + int(np.ceil(4 * (end - begin) / graded.largest)))
         size = graded(curve.at(0.5 * (fine[1:] + fine[:-1]) % curve.length))
         rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) / size)])
-        ways.append(np.interp(np.linspace(0.0, rank[-1], max(1, round(rank[-1])) + 1)[:-1], rank, fine))
-    return np.unique(np.concatenate(ways) % curve.length)
+        arc_lengths.append(np.interp(np.linspace(0.0, rank[-1], max(1, round(rank[-1])) + 1)[:-1], rank, fine))
+    return np.unique(np.concatenate(arc_lengths) % curve.length)
 
 
 def _merged(curve: Curve, kept: NDArray[np.bool_], least: Array, forced: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -200,7 +201,7 @@ def _merged(curve: Curve, kept: NDArray[np.bool_], least: Array, forced: NDArray
     if kept.sum() <= 4:
         return kept
     for corner in np.flatnonzero(kept):
-        near = last >= 0 and curve.way[corner] - curve.way[last] < least[corner]
+        near = last >= 0 and curve.arc_length[corner] - curve.arc_length[last] < least[corner]
         if near and not forced[corner]:
             kept[corner] = False
         elif near and not forced[last]:

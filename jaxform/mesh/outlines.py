@@ -36,7 +36,10 @@ def cleaned(polygon: Any, key: str = "parison.polygon") -> Array:
         InputError: Fewer than three corners or too many, numbers that are not finite, no area, or sides that cross or
             touch each other.
     """
-    corners = np.asarray(polygon, np.float64)
+    try:
+        corners = np.asarray(polygon, np.float64)
+    except (TypeError, ValueError):
+        corners = np.zeros(0)
     if corners.ndim != 2 or corners.shape[-1] != 2 or not np.isfinite(corners).all():
         raise InputError("is not a list of points", "give [[x, y], ...] in m", key, polygon)
     if len(corners) > MOST_CORNERS:

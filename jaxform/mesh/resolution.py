@@ -44,6 +44,11 @@ def check_resolution(element_size: float | None, elements: int | None, *, larges
         raise InputError("is not a possible number of elements", remedy, "parison.elements", elements)
 
 
+def triangle_side(area: float, elements: float) -> float:
+    """The side [m] of so many equilateral triangles that have an area [m^2] together."""
+    return math.sqrt(4 / math.sqrt(3) * area / elements)
+
+
 def check_count(count: float, element_size: float | None) -> None:
     """Raises InputError where a mesh would have too few elements, or too many."""
     if element_size is not None and not FEWEST_ELEMENTS <= count <= MOST_ELEMENTS:

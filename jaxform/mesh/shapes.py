@@ -15,8 +15,8 @@ from jaxform.mesh import filling, grids, meshes, outlines, topology, volumes
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
-from jaxform.mesh.resolution import as_length, check_count, check_resolution
-from jaxform.mesh.surfaces import check_surface, held_rim, snapped
+from jaxform.mesh.resolution import as_length, check_count, check_resolution, triangle_side
+from jaxform.mesh.surfaces import check_surface, held_rim, snapped, snapped_corners
 
 Symmetry = Literal["none", "half", "quarter"]
 PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
@@ -303,11 +303,11 @@ def outline(
     corners = outlines.cleaned(polygon)
     check_resolution(element_size, elements, largest=float(np.ptp(corners, axis=0).min()))
     area = outlines.area(corners)
-    size = element_size if element_size else math.sqrt(4 / math.sqrt(3) * area / (elements or 1))
+    size = element_size if element_size else triangle_side(area, elements or 1)
     check_count(4 / math.sqrt(3) * area / size**2, element_size)
-    snapped_corners, fixed = snapped(np.insert(corners, 2, 0.0, axis=1), planes)
+    corners, fixed = snapped_corners(corners, planes)
     at_cut_ends = (fixed != np.roll(fixed, 1, axis=0)).any(1) | (fixed != np.roll(fixed, -1, axis=0)).any(1)
-    points, triangles = filling.filled(snapped_corners[:, :2], size, at_cut_ends)
+    points, triangles = filling.filled(corners, size, at_cut_ends)
     sheet = from_mesh(Mesh(np.insert(points, 2, 0.0, axis=1), triangles), planes=planes)
     return replace(sheet, snap=filling.to_polygon(corners))
 

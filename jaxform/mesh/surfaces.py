@@ -74,6 +74,16 @@ def snapped(positions: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDAr
     return positions, fixed
 
 
+def snapped_corners(
+    corners: NDArray[np.float64], planes: Sequence[str]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """A polygon's corners (k, 2) [m] in z = 0 moved exactly onto the planes, and which components (k, 3) those hold."""
+    moved, fixed = snapped(np.insert(corners, 2, 0.0, axis=1), planes)
+    # Corners beside the one of two planes may be the same now.
+    apart = (moved != np.roll(moved, -1, axis=0)).any(1)
+    return moved[apart, :2], fixed[apart]
+
+
 def held_rim(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Nodes (n_node,) that never move, as `clamp` says."""
     key, clamped = "parison.clamp", np.zeros(len(mesh.positions), dtype=bool)

@@ -91,6 +91,23 @@ def feature_edges(
     return vertices[edge[(count != 2) & rims | (count >= 2) & bent]]
 
 
+def points_along(edges: NDArray[np.floating], step: float) -> NDArray[np.floating]:
+    """Points (k, 3) [m] along edges (n, 2, 3) [m], two in a step or more, both ends included."""
+    count = np.ceil(2 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / step).astype(int) + 1
+    # An edge without length has both its ends as well.
+    count = np.maximum(count, 2)
+    owner = np.repeat(np.arange(len(edges)), count)
+    share = ((np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / (count[owner] - 1))[:, None]
+    return (1 - share) * edges[owner, 0] + share * edges[owner, 1]
+
+
+def open_rims(triangles: NDArray[np.integer], node_count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Edges (k, 2) of one triangle only, and the number (k,) of the open rim of which each is a part, from 0."""
+    edge = boundary_edges(triangles)
+    part = connected(edge[:, 0], edge[:, 1], node_count)[edge[:, 0]]
+    return edge, np.unique(part, return_inverse=True)[1]
+
+
 def components(triangles: NDArray[np.integer], node_count: int) -> NDArray[np.int32]:
     """Number of the connected part that each of `node_count` nodes belongs to, shape (n,)."""
     side = _sides(triangles)

@@ -126,11 +126,7 @@ def _to_edges(edges: np.ndarray, corner: np.ndarray, width: float, shape: tuple[
     """Distance [m] from the middles of cells to the edges (n, 2, 3) [m], to half a cell or so."""
     from scipy import ndimage  # not needed where the distances are kept
 
-    # Points along the edges, two in a cell's width.
-    count = np.ceil(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / (0.5 * width)).astype(int) + 1
-    owner = np.repeat(np.arange(len(edges)), count)
-    share = ((np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / (count[owner] - 1))[:, None]
-    points = (1 - share) * edges[owner, 0] + share * edges[owner, 1]
+    points = topology.points_along(edges, width)
     cell = np.clip(np.floor((points - corner) / width).astype(int), 0, np.array(shape) - 1)
     far = np.ones(shape, bool)
     far[tuple(cell.T)] = False

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import contours, masks, meshes, planform, topology
+from jaxform.mesh import contours, masks, meshes, topology, volumes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import heights
 from jaxform.tools.heights import Heights
@@ -20,11 +20,11 @@ Integers = NDArray[np.integer]
 _SEAM = 1e-4  # of the mold's size: rims as near to each other as that are a seam, not holes
 _CHORDS = 0.1  # of the edge's length, that a seam may be open besides
 _STEP = 4.0  # pixels, from one look under the sheet's edge to the next
-_SPECK = 1e-6  # of the square of the mold's size: less is no hole
+_SPECK = 5e-7  # of the square of the mold's size, an area: less is no hole
 
 
 class Covers(NamedTuple):
-    """What closes a mold.
+    """Covers of a mold, and what they close.
 
     Attributes:
         mesh: The covers, where the mold's file has it; None where nothing is open.
@@ -60,20 +60,17 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
 
 def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list[Mesh]:
     """A cover on each open rim of a shell that lies behind the clamp plane as a whole."""
-    edges = topology.boundary_edges(triangles)
+    edges, part = topology.open_rims(triangles, len(turned))
     if not len(edges):
         return []
-    part = topology.connected(edges[:, 0], edges[:, 1], len(turned))[edges[:, 0]]
-    _, part, count = np.unique(part, return_inverse=True, return_counts=True)
+    count = np.bincount(part)
     in_seams = np.bincount(part, _at_seams(turned, edges, _SEAM * size)) > 0.5 * count
     nearest = np.full(len(count), np.inf)
     np.minimum.at(nearest, part, turned[edges][..., 2].min(1))
     made = []
     for one in np.flatnonzero(~in_seams & (nearest > level)):
         fan = _fan(turned[edges[part == one]])
-        corners = fan.positions[fan.triangles]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-        if area > _SPECK * size**2:
+        if volumes.areas(fan.positions, fan.triangles).sum() > _SPECK * size**2:
             made.append(fan)
     return made
 
@@ -118,7 +115,8 @@ def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], f
     along = _edge_points(polygon, _STEP * view.pixel)
     near, deep = _sampled(view.around(), view, along), _sampled(_deepest(view), view, along)
     open_there = near > found.level + FLAT * size
-    # A single place is the pixels' doubt; a rim is seen from a few pixels away, so walls reach beyond the gap.
+    # A single place is below the pixels' resolution. A rim is seen from a few pixels away, so that walls reach beyond
+    # the gap.
     sure = open_there & (np.roll(open_there, -1) | np.roll(open_there, 1))
     if not sure.any():
         return [], 0.0
@@ -155,8 +153,7 @@ def _deepest(view: Heights) -> Array:
 
 def _patches(view: Heights, polygon: Array) -> list[Mesh]:
     """Covers on what one sees through, at the height of what is around it."""
-    below = planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)
-    through = ~np.isfinite(view.height) & masks.grown(below, -2)
+    through = ~np.isfinite(view.height) & masks.grown(view.within(polygon), -2)
     part, count = masks.parts(through)
     made = []
     for one in range(1, count + 1):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import contours, masks, outlines, planform, topology
+from jaxform.mesh import contours, masks, outlines, topology
 from jaxform.mesh.contours import Circle, Rectangle
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import Opening
@@ -63,7 +63,7 @@ class _Site:
 
     def within(self, polygon: Array) -> bool:
         """Whether a polygon lies on the mold."""
-        wanted = _mask(self.view, polygon)
+        wanted = self.view.within(polygon)
         return bool(wanted.sum() and (wanted & self.view.inside).sum() >= _WITHIN * wanted.sum())
 
 
@@ -162,7 +162,7 @@ def _outline(site: _Site, found: Opening, vertices: Array, triangles: Integers) 
     margin = max(_MARGIN * site.width / view.pixel, 2.0)
     values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~site.covered))
     if not _in_one(values > 0):
-        hull = _mask(view, contours.hull(view.places(site.covered)))
+        hull = view.within(contours.hull(view.places(site.covered)))
         values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
     polygon = contours.contour(values, view.low, view.pixel)
     return _simpler(polygon, _SIMPLER * view.pixel)
@@ -210,8 +210,3 @@ def _loops(edges: Integers) -> list[Integers]:
             at = ahead[0] if ahead else start
         loops.append(np.array(way))
     return loops
-
-
-def _mask(view: Heights, polygon: Array) -> Mask:
-    """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""
-    return planform.inside(view.places(np.ones_like(view.inside)), [polygon]).reshape(view.inside.shape)

@@ -1,4 +1,4 @@
-"""What is seen of a surface from a side: the nearest height in each pixel, holes and rims included. On the host."""
+"""Heights of a surface as seen from a side: the nearest in each pixel, holes and rims included. On the host."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import masks, raster, topology
+from jaxform.mesh import masks, planform, raster, topology
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -43,6 +43,11 @@ class Heights:
         """Middles (n, 2) [m] of pixels."""
         row, column = np.nonzero(pixels)
         return self.low + self.pixel * (np.stack([column, row], axis=1) + 0.5)
+
+    def within(self, polygon: Array) -> Mask:
+        """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""
+        places = self.places(np.ones_like(self.inside))
+        return planform.inside(places, [polygon]).reshape(self.inside.shape)
 
     def around(self) -> Array:
         """The smallest height (ny, nx) [m] in a few pixels around each."""
@@ -87,16 +92,8 @@ def seen(looked_at: Surface, turn: Array, pixels: int) -> Heights:
     for found in raster.hits((corners[..., :2] - first) / pixel, width, height):
         np.minimum.at(nearest, found.pixel, np.einsum("nc,nc->n", found.weight, corners[found.triangle, :, 2]))
     # Walls that stand upright, and rims, are in no pixel's middle.
-    points = _along(looked_at.edges @ turn.T, pixel)
+    points = topology.points_along(looked_at.edges @ turn.T, pixel)
     column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T
     np.minimum.at(nearest, row * width + column, points[:, 2])
     seen_there = nearest.reshape(height, width)
     return Heights(turn, first, pixel, seen_there, masks.filled(np.isfinite(seen_there)))
-
-
-def _along(edges: Array, step: float) -> Array:
-    """Points (k, 3) [m] along edges (n, 2, 3) [m], two in a step or more."""
-    count = np.ceil(2 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / step).astype(int) + 1
-    owner = np.repeat(np.arange(len(edges)), count)
-    share = ((np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / (count[owner] - 1))[:, None]
-    return (1 - share) * edges[owner, 0] + share * edges[owner, 1]

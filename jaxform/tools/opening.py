@@ -37,7 +37,7 @@ class _Look(NamedTuple):
     level: float
     share: float
     hollow: float
-    proud: float
+    raised: float
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,10 @@ def find(vertices: Array, triangles: Integers) -> Opening:
     surface = heights.surface(vertices, triangles)
     looks = [_look(heights.seen(surface, turn, _COARSE), size) for turn in _turns(vertices, triangles)]
     rimmed = [look for look in looks if look.share >= RIM] or looks
-    hollow, proud = max(rimmed, key=lambda look: look.hollow), max(rimmed, key=lambda look: look.proud)
-    male = proud.proud > _FAVOUR * hollow.hollow
-    best = proud if male else hollow
-    if max(best.hollow, best.proud) < _HOLLOW * size**3:
+    hollow, raised = max(rimmed, key=lambda look: look.hollow), max(rimmed, key=lambda look: look.raised)
+    male = raised.raised > _FAVOUR * hollow.hollow
+    best = raised if male else hollow
+    if max(best.hollow, best.raised) < _HOLLOW * size**3:
         problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
         raise InputError(problem, "write the scene by hand (docs/start.md has one to copy)")
     view = heights.seen(surface, best.view.turn, FINE)
@@ -121,9 +121,9 @@ def _look(view: Heights, size: float) -> _Look:
     level = float(np.median(at_edge[first : first + many[first]]))
     rise = view.height[view.inside & np.isfinite(view.height)] - level
     cell = view.pixel**2
-    hollow, proud = float(rise[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
+    hollow, raised = float(rise[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
     # A rim with a few pins is one, and so is a base in which there are holes.
-    return _Look(view, level, many[first] / len(at_edge), max(0.0, hollow - 4 * proud) * cell, proud * cell)
+    return _Look(view, level, many[first] / len(at_edge), max(0.0, hollow - 4 * raised) * cell, raised * cell)
 
 
 def _turns(vertices: Array, triangles: Integers) -> list[Array]:
@@ -155,10 +155,9 @@ def _flat(vertices: Array, triangles: Integers) -> list[Array]:
 
 def _loops(vertices: Array, triangles: Integers) -> list[Array]:
     """Normals (3,) of the planes in which the longest open rims lie."""
-    edges = topology.boundary_edges(triangles)
+    edges, part = topology.open_rims(triangles, len(vertices))
     if not len(edges):
         return []
-    part = topology.connected(edges[:, 0], edges[:, 1], len(vertices))[edges[:, 0]]
     length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
     longest = np.argsort(-np.bincount(part, length))[:2]
     found = []

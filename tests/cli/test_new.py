@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 from jaxform.cli import command, session
 from jaxform.core.errors import InputError
-from jaxform.io import files
+from jaxform.io import files, firstscene
 from jaxform.io.survey import survey
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
@@ -54,6 +55,8 @@ def test_the_opening_is_in_z_0_and_the_mold_behind_it(tmp_path, capfd, unit, deg
     assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
     said = capfd.readouterr()
     assert said.err == "" and f"taken for {words}" in said.out and f"jaxform check {folder / 'scene.toml'}" in said.out
+    # Numbers that are inches may be meant as millimetres.
+    assert ("give --scale 0.001 where it is in millimetres" in said.out) == (words == "inches")
     assert sorted(path.name for path in folder.iterdir()) == ["dish.stl", "scene.toml", "study.toml"]
     assert (folder / "dish.stl").read_bytes() == mold.read_bytes()
     scene = files.load(folder / "scene.toml")
@@ -95,6 +98,36 @@ def test_a_folder_with_files_is_kept(tmp_path, capfd):
     # The mold that is there already is the scene's.
     assert command.main(["new", str(tmp_path), "--mold", str(mold), "--force", "--quiet"]) == 0
     assert mold.read_bytes() == before and capfd.readouterr().out == ""
+
+
+def test_molds_that_are_in_the_folder_are_not_overwritten(tmp_path, capfd):
+    folder, whole = tmp_path / "scene", dish()
+    flange = np.linalg.norm(whole.positions[whole.triangles][..., :2], axis=2).min(1) > 0.079
+    paths = [tmp_path / "a.stl", folder / "a.stl"]
+    folder.mkdir()
+    for path, some in zip(paths, (~flange, flange), strict=True):
+        write(path, Mesh(whole.positions, whole.triangles[some]), 0.001)
+    before = [path.read_bytes() for path in paths]
+    assert command.main(["new", str(folder), "--mold", *map(str, paths), "--force"]) == 0
+    assert [path.read_bytes() for path in paths] == before
+    assert (folder / "a-2.stl").read_bytes() == before[0]
+    assert files.read_scene(folder / "scene.toml").data["mold"]["path"] == ["a-2.stl", "a.stl"]
+    # What closes holes has a name of its own.
+    holed = write(folder / "covers.stl", dish(hole=True), 0.001)
+    before = [holed.read_bytes(), (folder / "scene.toml").read_bytes()]
+    capfd.readouterr()
+    assert command.main(["new", str(folder), "--mold", str(holed), "--force"]) == 2
+    error = capfd.readouterr().err
+    assert "--mold = " in error and "would be overwritten by the covers" in error and error.count("\n") == 1
+    assert [holed.read_bytes(), (folder / "scene.toml").read_bytes()] == before
+
+
+def test_names_that_are_no_text_are_written_as_text(tmp_path):
+    paths = [tmp_path / part / os.fsdecode(b"a\xff.stl") for part in ("one", "two")]
+    for path in paths:
+        path.parent.mkdir()
+        path.touch()
+    assert firstscene._names(tmp_path, paths) == ["a?.stl", "a?-2.stl"]
 
 
 def test_bad_input_is_told_in_one_line(tmp_path, capfd):

@@ -307,6 +307,20 @@ def test_edges_of_a_square():
     assert not topology.is_closed(SQUARE.triangles[:0])
 
 
+def test_open_rims_are_numbered_without_gaps():
+    # Nodes 0 and 4 are in no triangle, so that the parts of the mesh have other numbers than its rims.
+    edge, rim = topology.open_rims(np.array([[1, 2, 3], [5, 6, 7], [5, 7, 8]]), 9)
+    assert edge.tolist() == [[1, 2], [1, 3], [2, 3], [5, 6], [5, 8], [6, 7], [7, 8]]
+    assert rim.tolist() == [0, 0, 0, 1, 1, 1, 1]
+
+
+def test_points_along_edges_have_both_ends_and_those_of_a_point_are_it():
+    edges = np.array([[[0, 0, 0], [1, 0, 0]], [[2, 3, 4], [2, 3, 4]], [[0, 0, 0], [0, 0.3, 0]]], float)
+    points = topology.points_along(edges, 1.0)
+    expected = [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [2, 3, 4], [2, 3, 4], [0, 0, 0], [0, 0.3, 0]]
+    np.testing.assert_allclose(points, expected, atol=1e-15)
+
+
 def test_boundary_of_a_disc_is_its_rim():
     disc = shapes.disc(radius=1.0, elements=96)
     np.testing.assert_array_equal(topology.boundary_nodes(disc.triangles), np.flatnonzero(disc.clamped))

@@ -88,14 +88,19 @@ def test_many_corners_make_no_small_elements_and_refinement_goes_to_them():
 
 
 def test_a_polygon_that_is_cut_at_symmetry_planes_is_free_there():
-    # A rounding error off the plane, as files have it.
-    quarter = [[1e-10, 0.0], [0.1, 0.0], [0.1, 0.05], [0.05, 0.1], [-1e-10, 0.1]]
+    # A rounding error off the plane, as files have it, and two corners where the planes meet.
+    quarter = [[1e-8, 0.0], [0.1, 0.0], [0.1, 0.05], [0.05, 0.1], [-1e-10, 0.1], [0.0, 2e-8]]
     sheet = shapes.outline(polygon=quarter, element_size=0.01, planes=["x", "y"])
     x, y, _ = sheet.positions.T
     np.testing.assert_array_equal(sheet.fixed, np.stack([x == 0, y == 0, np.zeros(len(x), bool)], axis=1))
     on_rim = np.isclose(x, 0.1) | np.isclose(y, 0.1) | np.isclose(x + y, 0.15)
     np.testing.assert_array_equal(sheet.clamped, on_rim)
     np.testing.assert_allclose(areas(sheet).sum(), 0.1**2 - 0.05**2 / 2, rtol=1e-6)
+    forest = bisection.build_forest(
+        sheet.positions, sheet.triangles, 2, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap
+    )
+    assert forest.fixed.sum() > sheet.fixed.sum()
+    np.testing.assert_array_equal(forest.positions[forest.fixed], 0.0)
 
 
 @pytest.mark.parametrize(
@@ -109,6 +114,7 @@ def test_a_polygon_that_is_cut_at_symmetry_planes_is_free_there():
         ),
         ([[0, 0], [0.1, 0], [0.2, 0]], "encloses no area"),
         ([[0, 0], [0.1, 0], [0.1, np.nan]], "is not a list of points"),
+        ([[0, 0], [1]], "is not a list of points"),
         (NEEDLE, "much narrower than an element (0.01 m)"),
     ],
 )
