@@ -6,10 +6,14 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from benchmarks.pages import Found, save
 
 _OWN = ("L-BFGS", "least squares", "fixed point")
+
+_RAMPS = (("cubic-ramp", "cube of time"), ("linear", "linear"))
 
 
 def write(found: Found, folder: Path) -> None:
@@ -98,7 +102,7 @@ def _pressure(found: Found, folder: Path) -> str:
         "|---|---|---|---|---|",
         _schedule_row("**designed**", designed),
     ]
-    for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
+    for kind, words in _RAMPS:
         lines += [_schedule_row(words, row) for row in found["ramps"][kind]]
     lines += ["", *_equal_deviation(found, designed), _steepest(designed)]
     lines.append("\n![Schedules and deviations](schedule.png)\n")
@@ -116,7 +120,7 @@ def _melt(found: Found, folder: Path) -> str:
         f"| **designed** | {found['time'][-1]:.3g} | {_percent(found['error'])} |",
         f"| by hand: held where it creeps, then up | {found['time'][-1]:.3g} | {_percent(found['by_hand_error'])} |",
     ]
-    for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
+    for kind, words in _RAMPS:
         rows = [(row["end"], row["error"]) for row in found["ramps"][kind]]
         lines += [f"| {words} | {end:.3g} | {'not filled' if e is None else _percent(e)} |" for end, e in rows]
     filled = [row for rows in found["ramps"].values() for row in rows if row["error"] is not None]
@@ -260,13 +264,24 @@ def _draw_schedule(found: Found, path: Path) -> None:
     left.plot(1e3 * np.array(designed["time"]), 1e-3 * np.array(designed["value"]), "o-", label="designed")
     right.plot([designed["units"]], [100 * designed["error"]], "*", markersize=14, label="designed")
     left.set(xlabel="time [ms]", ylabel="pressure [kPa]")
-    for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
-        rows = found["ramps"][kind]
-        right.plot([row["units"] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
-    right.set(xscale="log", yscale="log", xlabel="ends at [units]", ylabel="deviation from the slow wall, rms [%]")
-    right.set_xticks([3, 5, 10, 20, 40, 80], ["3", "5", "10", "20", "40", "80"])
-    right.set_xticks([], minor=True)
-    for axes in (left, right):
+    _draw_ramps(right, found["ramps"], "units", [3, 5, 10, 20, 40, 80])
+    right.set_yscale("log")
+    _finish(figure, path)
+
+
+def _draw_ramps(axes: Axes, ramps: Found, end: str, ticks: list[float]) -> None:
+    """Deviation of ramps over when they end, by the name of that; those that fill nothing are left out."""
+    for kind, words in _RAMPS:
+        rows = [row for row in ramps[kind] if row["error"]]
+        axes.plot([row[end] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
+    unit = "s" if end == "end" else end
+    axes.set(xscale="log", xlabel=f"ends at [{unit}]", ylabel="deviation from the slow wall, rms [%]")
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_xticks([], minor=True)
+
+
+def _finish(figure: Figure, path: Path) -> None:
+    for axes in figure.axes:
         axes.grid(alpha=0.3)
         axes.legend(frameon=False)
     save(figure, path)
@@ -281,16 +296,9 @@ def _draw_melt(found: Found, path: Path) -> None:
     end = found["time"][-1]
     right.plot([end], [100 * found["error"]], "*", markersize=14, label="designed")
     right.plot([end], [100 * found["by_hand_error"]], "d", label="by hand")
-    for kind, words in (("cubic-ramp", "cube of time"), ("linear", "linear")):
-        rows = [row for row in found["ramps"][kind] if row["error"]]
-        right.plot([row["end"] for row in rows], [100 * row["error"] for row in rows], "o-", label=words)
-    right.set(xscale="log", xlabel="ends at [s]", ylabel="deviation from the slow wall, rms [%]", ylim=(0, None))
-    right.set_xticks([0.1, 0.2, 0.42, 1.0, 2.1, 4.2], ["0.1", "0.2", "0.42", "1", "2.1", "4.2"])
-    right.set_xticks([], minor=True)
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
-        axes.legend(frameon=False)
-    save(figure, path)
+    _draw_ramps(right, found["ramps"], "end", [0.1, 0.2, 0.42, 1.0, 2.1, 4.2])
+    right.set_ylim(0, None)
+    _finish(figure, path)
 
 
 def _percent(value: float) -> str:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.loads import Pressure
+from jaxform.materials.tension_field import taut
 from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
@@ -32,10 +33,9 @@ def wrinkled(result: Result) -> np.ndarray:
 
     One less the area that the elements have over that of their material; of a law with `tension_field`.
     """
-    larger, smaller = np.asarray(result.stretches, float).T
-    pulled = np.maximum(larger, 1.0)
-    width = np.maximum(smaller, 1.0 / np.sqrt(pulled))
-    return 1.0 - larger * smaller / (pulled * width)
+    larger, smaller = np.square(np.asarray(result.stretches, float)).T
+    relaxed = taut(*map(jnp.asarray, (larger + smaller, larger * smaller, np.square(0.5 * (larger - smaller)))))
+    return 1.0 - np.sqrt(larger * smaller / np.asarray(relaxed.determinant, float))
 
 
 def wall_statistics(result: Result) -> dict[str, float]:
