@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -51,6 +52,23 @@ def assert_same(actual: Any, expected: Any) -> None:
         np.testing.assert_array_equal(actual, expected)
     else:
         np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-13)
+
+
+def assert_slopes(
+    objective: Callable[[dict[str, jax.Array]], tuple[jax.Array, dict[str, jax.Array]]],
+    numbers: dict[str, jax.Array],
+    size: float = 1e-5,
+) -> jax.Array:
+    """The slopes by each of the numbers, against central differences along a random direction; returns the value.
+
+    The objective gives value and slopes, compiled once; a difference is about that share of the numbers.
+    """
+    value, slopes = objective(numbers)
+    for name, values in numbers.items():
+        change = size * np.random.default_rng(1).standard_normal(values.shape) * values
+        ends = [float(objective(numbers | {name: values + sign * change})[0]) for sign in (1, -1)]
+        np.testing.assert_allclose(jnp.vdot(slopes[name], change), (ends[0] - ends[1]) / 2, rtol=1e-6)
+    return value
 
 
 def real(value: float) -> jnp.ndarray:
