@@ -1,4 +1,4 @@
-"""What a step costs with each law, viscous modes, zones and temperature, beside a neo-Hookean one.
+"""What a step costs with each law, viscous modes, zones, temperature and cooling, beside a neo-Hookean one.
 
     python -m benchmarks.laws
 
@@ -41,6 +41,7 @@ def laws(places: np.ndarray) -> dict[str, tuple[Law, Any]]:
             jaxform.NeoHookean(one, one, viscous=jaxform.Maxwell(*modes), shift=shift),
             warm,
         ),
+        "temperature, cooling": (jaxform.NeoHookean(one, one, shift=shift), warm),
     }
 
 
@@ -48,6 +49,7 @@ def main() -> None:
     """Prints the time of a step, and what it is over that of the first law."""
     jax.config.update("jax_enable_x64", True)
     sheet = shapes.disc(radius=1.0, elements=ELEMENTS, symmetry="quarter")
+    cooling = jaxform.Cooling(*(jnp.asarray(number) for number in (1.0, 1e-5, 20.0)))
     scenes = {
         name: jaxform.build_scene(
             parison=jaxform.make_parison(
@@ -56,6 +58,7 @@ def main() -> None:
             material=law,
             pressure=jaxform.make_pressure([0.0, 40.0], [0.0, 0.015]),
             solver=jaxform.make_solver(end_time=60.0, damping=1.0),
+            cooling=cooling if "cooling" in name else None,
         )
         for name, (law, temperature) in laws(sheet.positions).items()
     }

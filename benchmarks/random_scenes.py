@@ -67,6 +67,8 @@ class Family:
         sharp: Whether the step is measured.
         viscous: Kind of its viscous modes; None without.
         warm: Whether its law varies over the sheet, and it has a temperature.
+        cools: Whether that falls.
+        wrinkles: Whether its law has a tension field.
     """
 
     sheet: Callable[[], Sheet]
@@ -79,6 +81,8 @@ class Family:
     sharp: bool = True
     viscous: str | None = None
     warm: bool = False
+    cools: bool = False
+    wrinkles: bool = False
 
 
 def draw(seed: int) -> Drawn:
@@ -99,10 +103,11 @@ def draw(seed: int) -> Drawn:
 def family_of(seed: int) -> str:
     """The name of a seed's family: from `STRANGERS_FROM` on, those that a stranger's files look like.
 
-    From `FURTHER_FROM` on, those of further laws; from `VISCOUS_FROM` on, those that are viscous, or warm.
+    From `FURTHER_FROM` on, those of further laws; from `VISCOUS_FROM` on, those that are viscous, or warm; from
+    `COOLING_FROM` on, those that cool, or wrinkle.
     """
     names = NAMES if seed < STRANGERS_FROM else STRANGERS if seed < FURTHER_FROM else FURTHER
-    names = names if seed < VISCOUS_FROM else VISCOUS
+    names = names if seed < VISCOUS_FROM else VISCOUS if seed < COOLING_FROM else COOLING
     return names[seed % len(names)]
 
 
@@ -124,6 +129,9 @@ def _drawn(name: str, family: Family, random: Generator) -> Drawn:
         zones = as_real(c * np.exp(random.uniform(0.1, 1.0) * np.sin(positions @ random.normal(0.0, 3.0 / size, 3))))
         material = dataclasses.replace(material.with_zones({"c": zones}), shift=_shift(random, tags))
         temperature = random.uniform(120.0, 160.0, len(positions))
+    cooling = _cooling(size * thin, density, unit, random, tags) if family.cools else None
+    if family.wrinkles:
+        material = dataclasses.replace(material, tension_field=True)
     if family.damped:
         damping = 0.0 if random.random() < 0.1 else 10 ** random.uniform(-2.0, 1.3) / unit
     mold = None
@@ -145,6 +153,7 @@ def _drawn(name: str, family: Family, random: Generator) -> Drawn:
         solver=jaxform.make_solver(end_time=end, damping=damping, safety=family.safety),
         mold=mold,
         refinement=refinement,
+        cooling=cooling,
         store=_STORE,
         name=name,
     )
@@ -310,6 +319,19 @@ def _shift(random: Generator, tags: list[str]) -> jaxform.ArrheniusStiffness:
     return jaxform.ArrheniusStiffness(as_real(140.0), as_real(energy))
 
 
+def _cooling(wall: float, density: float, unit: float, random: Generator, tags: list[str]) -> jaxform.Cooling:
+    """As fast as a wave passes over the sheet, to a thousand times as slow; with any temperature around."""
+    capacity = 2000.0
+    air, on_mold = density * capacity * wall / (unit * 10 ** random.uniform(0.0, 3.0, 2))
+    around = random.uniform(-50.0, 200.0, 2)
+    conductivity = wall * air * 10 ** random.uniform(-1.5, 1.0) if random.random() < 0.5 else None
+    tags += ["cools fast"] * bool(air * unit > 0.1 * density * capacity * wall)
+    given = {"heat_capacity": capacity, "air": air, "air_temperature": around[0]}
+    given |= {"mold": on_mold, "mold_temperature": around[1], "conductivity": conductivity}
+    numbers: dict[str, Any] = {name: as_real(value) for name, value in given.items() if value is not None}
+    return jaxform.Cooling(**numbers)
+
+
 def _made(mold: molds.MoldShape, size: float, random: Generator, tags: list[str]) -> jaxform.Mold:
     """The mold for a sheet of that size; some with triangles that turn any way, shaken, or where the sheet is."""
     vertices, triangles = size * np.array(mold.vertices), np.array(mold.triangles)
@@ -423,10 +445,25 @@ FAMILIES: dict[str, Family] = {
     "refined box, Maxwell": Family(_rectangle(48, "quarter"), _MOONEY, _box, refinement=_NEAR, viscous="maxwell"),
     "box in zones": Family(_rectangle(120, "none"), _MOONEY, _box, warm=True),
     "refined cup, warm": Family(_disc(24, "quarter"), _NEO, _cup, refinement=_FINER, viscous="christensen", warm=True),
+    "cup, cooling": Family(_disc(60, "quarter"), _MOONEY, _cup, warm=True, cools=True),
+    "free sphere, cooling": Family(_sphere(64), _NEO, damped=False, viscous="christensen", warm=True, cools=True),
+    "refined box, cooling": Family(
+        _rectangle(48, "quarter"), _MOONEY, _box, refinement=_NEAR, viscous="maxwell", warm=True, cools=True
+    ),
+    "hill, wrinkling": Family(_rectangle(80, "half"), _MODIFIED, _hill, wrinkles=True),
+    "free sphere, wrinkling": Family(_sphere(64), "ogden", damped=False, wrinkles=True),
+    "refined cup, wrinkling": Family(
+        _disc(24, "quarter"), _NEO, _cup, refinement=_FINER, warm=True, cools=True, wrinkles=True
+    ),
 }
+COOLING = tuple(name for name, family in FAMILIES.items() if family.cools or family.wrinkles)
 STRANGERS = (*(name for name in FAMILIES if "flanged" in name), *strangers.OWN_MESHES)
-FURTHER = tuple(name for name, family in FAMILIES.items() if family.law in ("ogden", "yeoh", "gent"))
-VISCOUS = tuple(name for name, family in FAMILIES.items() if family.viscous is not None or family.warm)
-NAMES = (*(name for name in FAMILIES if name not in (*STRANGERS, *FURTHER, *VISCOUS)), "file")
+FURTHER = tuple(
+    name for name, family in FAMILIES.items() if family.law in ("ogden", "yeoh", "gent") and name not in COOLING
+)
+VISCOUS = tuple(
+    name for name, family in FAMILIES.items() if (family.viscous is not None or family.warm) and name not in COOLING
+)
+NAMES = (*(name for name in FAMILIES if name not in (*STRANGERS, *FURTHER, *VISCOUS, *COOLING)), "file")
 # The seeds before each keep the families that they had.
-STRANGERS_FROM, FURTHER_FROM, VISCOUS_FROM = 1200, 2000, 2400
+STRANGERS_FROM, FURTHER_FROM, VISCOUS_FROM, COOLING_FROM = 1200, 2000, 2400, 3000

@@ -26,7 +26,7 @@ from jaxform.results.result import Result
 from jaxform.results.summary import penetrated, summarize, warnings_of_mold
 from jaxform.runs import loop
 from jaxform.runs.padding import on_rungs
-from jaxform.sheet.state import State, Status, finished
+from jaxform.sheet.state import LOSSES, State, Status, finished
 
 Row = dict[str, Any]
 LIMIT = 60.0  # s for a scene
@@ -60,8 +60,7 @@ def examine(drawn: Drawn, state: State, result: Result) -> Row:
     corners = positions[np.asarray(result.triangles)[used]]
     side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     energy = result.energy
-    held = sum(float(getattr(energy, name)) for name in
-               ("strain", "kinetic", "damping_loss", "contact_loss", "refinement_loss", "viscous_loss"))  # fmt: skip
+    held = sum(float(getattr(energy, name)) for name in ("strain", "kinetic", *LOSSES))
     peak = max(float(state.account.peak_work), 1e-300)
     values = [np.asarray(leaf) for leaf in jax.tree.leaves(dataclasses.replace(result, schedule=None))]
     finite = all(np.isfinite(v).all() for v in values if v.dtype.kind == "f")

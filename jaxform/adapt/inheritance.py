@@ -1,6 +1,8 @@
-"""What the parts of a bisected element inherit from it: the stress of its viscous modes, in their own edges' basis."""
+"""What the parts of a bisected element inherit from it, and in which basis."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,26 +11,43 @@ from jaxform.model.tables import Forest
 from jaxform.sheet.discretization import Mesh
 
 
-def inherited(memory: jax.Array, before: Mesh, after: Mesh, forest: Forest) -> jax.Array:
-    """The stress of modes (4 n_mode, n_element) of a mesh's elements, from those of the mesh `before`; differentiable.
+class Ancestry(NamedTuple):
+    """Where a mesh's elements come from in an earlier one.
 
-    A triangle (peak, a, b) has the parts (middle, peak, a) and (middle, b, peak): their edges are halves of the sum and
-    the difference of its own, and so a stress has in their basis sums and differences of its components.
+    Attributes:
+        element: The element of the earlier mesh that each lies in (n_element,).
+        parts: From that down to the element, in reverse: which part each bisection made it (n_element,), 0 or 1; -1
+            where there was none.
     """
+
+    element: jax.Array
+    parts: list[jax.Array]
+
+
+def ancestry(before: Mesh, after: Mesh, forest: Forest) -> Ancestry:
+    """Where the elements of a mesh come from in the mesh `before`."""
     old = jnp.arange(before.element.size) < before.element_count
     slot = jnp.full(forest.bound.size, -1, jnp.int32)
     slot = slot.at[jnp.where(old, before.element, forest.bound.size)].set(
         jnp.arange(before.element.size, dtype=jnp.int32), mode="drop"
     )
-    rows = memory.reshape(-1, 4, memory.shape[1])
-    chain, triangle = [], after.element
+    parts, triangle = [], after.element
     for _ in range(forest.depth):
         found = slot[triangle] >= 0
-        part = jnp.where(found, -1, (triangle - forest.root_count) % 2)
-        chain.append(part)
+        parts.append(jnp.where(found, -1, (triangle - forest.root_count) % 2))
         triangle = jnp.where(found, triangle, jnp.maximum((triangle - forest.root_count) // 2, 0))
-    a, mixed, b, across = jnp.moveaxis(rows[:, :, jnp.maximum(slot[triangle], 0)], 1, 0)
-    for part in reversed(chain):
+    return Ancestry(jnp.maximum(slot[triangle], 0), parts)
+
+
+def inherited(memory: jax.Array, ancestors: Ancestry) -> jax.Array:
+    """The stress of modes (4 n_mode, n_element) of a mesh's elements, from that of their ancestors; differentiable.
+
+    A triangle (peak, a, b) has the parts (middle, peak, a) and (middle, b, peak): their edges are halves of the sum and
+    the difference of its own, and so a stress has in their basis sums and differences of its components.
+    """
+    rows = memory.reshape(-1, 4, memory.shape[1])
+    a, mixed, b, across = jnp.moveaxis(rows[:, :, ancestors.element], 1, 0)
+    for part in reversed(ancestors.parts):
         sum_, difference = a + 2.0 * mixed + b, a - 2.0 * mixed + b
         one, two = part == 0, part == 1
         a, mixed, b = (

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.inheritance import inherited
+from jaxform.adapt.inheritance import ancestry, inherited
 from jaxform.adapt.insertion import insert_nodes
 from jaxform.adapt.remeshing import Queue, bisected, closed, queued
 from jaxform.contact.cells import cell_of
@@ -22,10 +22,10 @@ from jaxform.kernels.blocks import BLOCK, listed, only_if, over_blocks, padded
 from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
-from jaxform.model.tables import SHORT_WINDOW, Bend
+from jaxform.model.tables import SHORT_WINDOW, Bend, Forest
 from jaxform.sheet.account import kinetic_energy
 from jaxform.sheet.active_set import ActiveSet, held_by
-from jaxform.sheet.discretization import NEVER, Discretization, levels, node_room, refined_discretization
+from jaxform.sheet.discretization import NEVER, Discretization, Mesh, levels, node_room, refined_discretization
 from jaxform.sheet.scheme import caught_up
 from jaxform.sheet.state import PackedState, Schedule, State, Status
 from jaxform.tools.search import SearchGrid
@@ -82,11 +82,11 @@ def refined_in_place(
         idle = active.idle
         if idle is not None and state.memory is not None:
             idle = dataclasses.replace(idle, stress=state.memory[:, idle.element], since=state.time)
-        return active.taken(state), body, (state.memory, idle)
+        return active.taken(state), body, (state.memory, idle, state.heat)
 
-    begun = state, discrete, (active.memory, active.idle)
-    state, discrete, (memory, idle) = only_if(_is_due(state, adaptivity), look, begun)
-    return state, discrete, dataclasses.replace(active, memory=memory, idle=idle)
+    begun = state, discrete, (active.memory, active.idle, active.heat)
+    state, discrete, (memory, idle, heat) = only_if(_is_due(state, adaptivity), look, begun)
+    return state, discrete, dataclasses.replace(active, memory=memory, idle=idle, heat=heat)
 
 
 def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
@@ -173,8 +173,9 @@ def with_more_room(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[
         row=_padded(mesh.row, elements),
     )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    memory = None if state.memory is None else _padded(state.memory, elements)
-    state = dataclasses.replace(state, nodes=state.nodes.with_room(nodes), mesh=grown, memory=memory, status=status)
+    memory, heat = jax.tree.map(lambda own: _padded(own, elements), (state.memory, state.heat))
+    nodes = state.nodes.with_room(nodes)
+    state = dataclasses.replace(state, nodes=nodes, mesh=grown, memory=memory, heat=heat, status=status)
     return _with(scene, more), state
 
 
@@ -280,6 +281,16 @@ def _grown(
     return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=active is None)
 
 
+def _with_inheritance(new: State, state: State, mesh: Mesh, forest: Forest) -> State:
+    """The state on a new mesh, with what its elements have from those of the old one."""
+    if state.memory is None and state.heat is None:
+        return new
+    ancestors = ancestry(state.refined_mesh, mesh, forest)
+    memory = None if state.memory is None else inherited(state.memory, ancestors)
+    heat = None if state.heat is None else state.heat.taken(ancestors.element)
+    return dataclasses.replace(new, memory=memory, heat=heat)
+
+
 def _with_parts(
     state: State,
     scene: Scene,
@@ -295,9 +306,8 @@ def _with_parts(
     mesh = dataclasses.replace(bisected(state.refined_mesh, queue, forest), split_at=split_at)
     body = refined_discretization(scene, forest, mesh, wood)
     new = insert_nodes(state, mesh, scene, adaptivity, wood.volumes, differentiable=differentiable)
+    new = _with_inheritance(new, state, mesh, forest)
     # What concerns the account alone carries no derivative.
-    if state.memory is not None:
-        new = dataclasses.replace(new, memory=inherited(state.memory, state.refined_mesh, mesh, forest))
     held, new_held = (held_by(s, scene, b) for s, b in ((state, discrete), (new, body)))
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
 from jaxform.io import files, schema
 from jaxform.io.files import SceneDocument
@@ -83,6 +84,7 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
         "memory (no viscous modes)": scene.material.viscous is None,
         "the second invariant (the law has none)": document.model.material.model == "neo-hookean",
         "refinement (none given)": scene.refinement is None,
+        "cooling (none given)": scene.cooling is None,
         "frames (none wanted)": document.model.output.frames == 0,
     }
     yield "skipped: " + (", ".join(what for what, skip in skipped.items() if skip) or "nothing")
@@ -95,6 +97,8 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones), *viscous])
     law += ", wrinkles where it would be compressed" if scene.material.tension_field else ""
     yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
+    if parison.temperature is not None:
+        yield _warmth_line(scene, np.asarray(parison.temperature, float))
     images = " with its images" if document.model.parison.shape != "file" and _cut(scene) else ""
     yield f"sheet{images}: {seen.sheet}; its thickness is {seen.thinness:.3g} times its size"
     found = seams.joints_of(parison)
@@ -164,3 +168,16 @@ def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.1g} s" if seconds < 10 else f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _warmth_line(scene: Scene, temperature: np.ndarray) -> str:
+    """How warm the sheet is, and how fast it cools at first."""
+    low, high = temperature.min(), temperature.max()
+    text = f"{low:.4g} degC" if low == high else f"{low:.4g} to {high:.4g} degC"
+    cooling, wall, second = scene.cooling, scene.parison.thickness.mean(), as_real(1e-3)
+    if cooling is None:
+        return f"temperature of the sheet: {text}, kept"
+    warm, density = as_real(temperature.mean()), scene.material.density.mean()
+    later = (cooling.cooled(warm, wall, as_real(share), density, second) for share in (0.0, 1.0))
+    air, mold = (float((warm - each) / second) for each in later)
+    return f"temperature of the sheet: {text}; at first it loses {air:.3g} K/s in the air, {mold:.3g} K/s on the mold"

@@ -39,9 +39,9 @@ def parameter(
     return within(Range(unit, above=above, least=least, most=most), nodal=nodal, listed=listed)
 
 
-def within(allowed: Range, *, nodal: bool = False, listed: bool = False) -> Any:
+def within(allowed: Range, *, nodal: bool = False, listed: bool = False, default: Any = dataclasses.MISSING) -> Any:
     """A number with a range that is declared elsewhere."""
-    return field(metadata={"range": allowed, "nodal": nodal, "listed": listed})
+    return field(default=default, metadata={"range": allowed, "nodal": nodal, "listed": listed})
 
 
 def declared_part[T](

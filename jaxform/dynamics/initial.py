@@ -12,16 +12,17 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import enclosed_volume
 from jaxform.sheet.discretization import Mesh, discretize, present_discretization
+from jaxform.sheet.heat import Heat, none_lost
 from jaxform.sheet.state import Account, AtStart, Control, Replay, State, any_mode, at_start
 
 
-def _first_memory(scene: Scene, mesh: Mesh | None) -> jax.Array | None:
+def _first_memory(scene: Scene, mesh: Mesh | None, heat: Heat | None) -> jax.Array | None:
     """The stress of viscous modes (4 n_mode, n_element) of a sheet that was never strained; None without such."""
     modes, adaptivity, pairs = scene.material.viscous, scene.adaptivity, scene.tables.assembly.pairs
     if modes is None:
         return None
     if scene.material.shift is not None and scene.parison.temperature is not None:
-        modes = present_discretization(scene, mesh, discretize(scene)).modes or modes
+        modes = present_discretization(scene, mesh, discretize(scene)).having(heat, scene.material).modes or modes
     if mesh is not None and adaptivity is not None:
         return modes.at_first(adaptivity.forest.sheet.inverse_metric[:, mesh.element])
     # In the basis that elements are worked through in.
@@ -43,6 +44,8 @@ def initial_state(scene: Scene) -> State:
         )
         positions, fields = positions[:, mesh.node], {name: values[mesh.node] for name, values in fields.items()}
     zero, none = as_real(0.0), jnp.int32(0)
+    elements = sheet.area.size if mesh is None else mesh.element.size
+    heat = None if scene.cooling is None else none_lost(elements)
     volume = enclosed_volume(positions, sheet)
     pressure = scene.pressure.at(zero, volume) if scene.pressure.follows_volume else None
     return State(
@@ -55,7 +58,13 @@ def initial_state(scene: Scene) -> State:
             mode=any_mode(positions) if scene.solver.sharp_step else None,
             fields=fields,
         ),
-        account=Account(volume, pressure, *[zero] * 8, viscous_loss=None if scene.material.viscous is None else zero),
+        account=Account(
+            volume,
+            pressure,
+            *[zero] * 8,
+            viscous_loss=None if scene.material.viscous is None else zero,
+            cooling_loss=zero if scene.stiffens else None,
+        ),
         control=Control(
             step_length=zero,
             span=jnp.minimum(SHORT_WINDOW, jnp.int32(scene.tables.longest_window)),
@@ -65,13 +74,15 @@ def initial_state(scene: Scene) -> State:
             last_length=zero,
             last_count=none,
             last_duration=zero,
+            pace=None if scene.cooling is None else zero,
         ),
         replay=Replay(none, zero),
         mesh=mesh,
-        memory=_first_memory(scene, mesh),
+        memory=_first_memory(scene, mesh, heat),
         time=zero,
         steps=none,
         windows=none,
         shortened=none,
         status=none,
+        heat=heat,
     )

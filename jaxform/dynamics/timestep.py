@@ -22,7 +22,7 @@ from jaxform.mechanics.corners import Load, corner_changes
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
 from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
-from jaxform.model.tables import SHORT_WINDOW
+from jaxform.model.tables import MOST_COOLING, SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Room
 from jaxform.sheet.discretization import law_of
 from jaxform.sheet.state import PackedState, any_mode, can_move
@@ -84,6 +84,9 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
     rung = rung * jnp.exp2(-state.control.retries)
     rest = scene.solver.end_time - state.time
     most = jnp.minimum(state.control.span, most_steps(rung, scene))
+    if state.control.pace is not None:
+        cooling = jnp.maximum(state.control.pace * rung, jnp.finfo(rung.dtype).tiny)
+        most = jnp.clip(MOST_COOLING / cooling, 1, most).astype(most.dtype)
     most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
     return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit, room))
 

@@ -30,6 +30,7 @@ from jaxform.mechanics.elements import Corners, no_corners
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Room, active_set_of
+from jaxform.sheet.cooling import cooled
 from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.scheme import Timing, kicks, pressures
 from jaxform.sheet.state import PackedState, Schedule, State
@@ -52,13 +53,14 @@ def window(
     is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
-    packed = active.taken(state)
+    packed, active = cooled(active.taken(state), scene, active, differentiable=differentiable)
     decisions = _decided(packed, scene, active, schedule)
     return active.put_back(_stepped(packed, scene, active, decisions, differentiable=differentiable)[0])
 
 
 def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[PackedState, ActiveSet]:
     """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
+    state, active = cooled(state, scene, active, differentiable=False)
     decisions = _decided_freely(state, scene, active)
 
     def whole(now: tuple[PackedState, Room | None]) -> tuple[PackedState, Room | None]:

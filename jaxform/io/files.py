@@ -161,6 +161,7 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
                 max_steps=solver.max_steps,
             ),
             mold=_mold(document),
+            cooling=_cooling(document),
             name=document.name,
             frames=model.output.frames,
             store=store,
@@ -322,6 +323,11 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
     made = law(**{name: number(name) for name in ranges_of(law)})
     viscous, shift = part(materials.MODES, table.viscous), part(materials.SHIFTS, table.shift)
     return replace(made, viscous=viscous, shift=shift, tension_field=table.tension_field)
+
+
+def _cooling(document: SceneDocument) -> materials.Cooling | None:
+    table = document.model.cooling
+    return None if table is None else materials.Cooling(**table.model_dump())
 
 
 def _mold(document: SceneDocument) -> Mold | None:

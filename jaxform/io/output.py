@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxform.core.errors import InputError
@@ -74,7 +75,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "thickness": np.asarray(result.thickness, float),
         "initial_thickness": np.asarray(scene.parison.thickness, float),
         "contact_time": np.asarray(result.contact_time, float),
-        **_warmth(scene.parison, len(result.thickness)),
+        **_warmth(scene.parison, len(result.thickness), result.temperature),
         **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
     cell_data = {
@@ -90,9 +91,9 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         )
 
 
-def _warmth(parison: Parison, count: int) -> dict[str, np.ndarray]:
-    """The sheet's temperature [degC] at its first nodes, where it has one."""
-    temperature = parison.temperature
+def _warmth(parison: Parison, count: int, now: jax.Array | None = None) -> dict[str, np.ndarray]:
+    """The sheet's temperature [degC] at its first nodes, where it has one: that of now, or what it has at first."""
+    temperature = parison.temperature if now is None else now
     return {} if temperature is None else {"temperature": np.asarray(temperature, float)[:count]}
 
 

@@ -71,6 +71,7 @@ def over_blocks(
     most: int = 0,
     update: int = 0,
     kept: bool = True,
+    whole: bool = False,
 ) -> tuple[list[jax.Array], list[jax.Array]]:
     """Applies a function to the blocks in use, along the last axis.
 
@@ -88,11 +89,12 @@ def over_blocks(
             list of them is its first argument.
         kept: Whether these rows are copied before the function uses them. Without it the function must see to it that
             whatever it reads of an array goes into what it writes there; else XLA copies the array for every block.
+        whole: Whether the function gets all columns at once, as it does on other devices: for derivatives.
 
     Returns:
         The arrays with the rows; the sums and, after them, the largest.
     """
-    if not on_cpu():
+    if whole or not on_cpu():
         rows, terms = function(*([list(into[:update])] if update else []), *_whole(inputs))
         new = [jnp.stack([row.whole() if isinstance(row, Halves) else row for row in each]) for each in rows]
         found = [jnp.sum(term) for term in terms[:sums]] + [jnp.max(term, initial=0.0) for term in terms[sums:]]

@@ -1,5 +1,6 @@
 """Laws of the sheet's material, one file each; `law.py` says how another is added."""
 
+from jaxform.materials.cooling import Cooling
 from jaxform.materials.gent import Gent
 from jaxform.materials.law import Law, PlaneLaw, Slope, law
 from jaxform.materials.mooney_rivlin import ModifiedMooneyRivlin, MooneyRivlin
@@ -26,6 +27,7 @@ __all__ = [
     "Arrhenius",
     "ArrheniusStiffness",
     "Christensen",
+    "Cooling",
     "Gent",
     "Law",
     "Maxwell",

@@ -13,6 +13,8 @@ from jaxform.core.ranges import RANGES
 
 GAS_CONSTANT = 8.31446261815324  # J/(mol K)
 _KELVIN = 273.15  # at 0 degC
+_GLASS = 35.0  # natural logarithm of the largest factor: so much slower nothing moves within any run
+_LEAST = 1e-3  # of the distance from a pole
 
 
 class Shift:
@@ -64,7 +66,9 @@ class Wlf(Shift):
     def factor(self, temperature: jax.Array) -> jax.Array:
         """The factor at temperatures [degC], of their shape."""
         above = temperature - self.reference
-        return jnp.exp(-jnp.log(10.0) * self.c1 * above / (self.c2 + above))
+        # Where it has no value the sheet is glass.
+        room = jnp.maximum(self.c2 + above, _LEAST * self.c2)
+        return jnp.exp(jnp.minimum(-jnp.log(10.0) * self.c1 * above / room, _GLASS))
 
     def coldest(self) -> jax.Array:
         """Where the factor has a pole [degC]."""
@@ -87,7 +91,7 @@ class Arrhenius(Shift):
     def factor(self, temperature: jax.Array) -> jax.Array:
         """The factor at temperatures [degC], of their shape."""
         inverse = 1.0 / (temperature + _KELVIN) - 1.0 / (self.reference + _KELVIN)
-        return jnp.exp(self.activation_energy / GAS_CONSTANT * inverse)
+        return jnp.exp(jnp.minimum(self.activation_energy / GAS_CONSTANT * inverse, _GLASS))
 
 
 @shift

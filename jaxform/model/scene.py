@@ -19,7 +19,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real, pytree, static
 from jaxform.core.ranges import MOST_STEPS, as_numbers, check, check_one
 from jaxform.loads import Loading
-from jaxform.materials import Law
+from jaxform.materials import Cooling, Law
 from jaxform.mesh import reference
 from jaxform.model.field import Field
 from jaxform.model.tables import Forest, Tables
@@ -37,7 +37,7 @@ class Parison:
         thickness: Initial thickness at the nodes (n_node,) [m].
         clamped: Nodes that never move (n_node,).
         fixed: Components that never move (n_node, 3), on symmetry planes.
-        temperature: At the nodes (n_node,) [degC]; None where the law does not ask for it.
+        temperature: At the nodes (n_node,) [degC], at first; None where nothing asks for it.
     """
 
     positions: jax.Array
@@ -140,6 +140,7 @@ class Scene:
         tables: What the host built.
         name: What the scene is called.
         fields: Nodal fields of its own, by name.
+        cooling: How the sheet cools; None where it keeps its temperature.
     """
 
     parison: Parison
@@ -151,10 +152,11 @@ class Scene:
     tables: Tables
     name: str = static(default="scene")
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
+    cooling: Cooling | None = None
 
     @property
     def law(self) -> Law:
-        """The material at the sheet's temperature, what that shifts at each node."""
+        """The material at the sheet's first temperature, what that shifts at each node."""
         return self.material.at(self.parison.temperature)
 
     @property
@@ -190,9 +192,16 @@ class Scene:
         return pushes_of(self.pressure, self.solver, self.parison)
 
     @property
+    def stiffens(self) -> bool:
+        """Whether its moduli change while it runs, since it cools."""
+        shift = self.material.shift
+        return self.cooling is not None and shift is not None and shift.stiffens
+
+    @property
     def reversible(self) -> bool:
         """Whether every part of it can be stepped backwards, as the reversed scheme does."""
-        return not self.fields and not self.pressure.follows_volume and self.material.viscous is None
+        plain = self.material.viscous is None and self.cooling is None
+        return plain and not self.fields and not self.pressure.follows_volume
 
 
 def pushes_of(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:

@@ -14,7 +14,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real
 from jaxform.core.store import Store
 from jaxform.loads import Loading
-from jaxform.materials import Law
+from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, reference
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, pushes_of
@@ -40,6 +40,7 @@ def build_scene(
     refinement: Refinement | None = None,
     forest: bisection.Forest | None = None,
     fields: Mapping[str, Field] | None = None,
+    cooling: Cooling | None = None,
     name: str = "scene",
     frames: int = 0,
     store: Store | None = None,
@@ -56,6 +57,7 @@ def build_scene(
         forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
             have the mean thickness of their edges' ends.
         fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
+        cooling: How the sheet cools; None where it keeps its temperature.
         name: What the scene is called.
         frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
         store: Where the mold's search structure is kept between runs; nowhere by default.
@@ -69,7 +71,8 @@ def build_scene(
     if refinement is not None and forest is None:
         forest, parison = planted(parison, refinement)
     material = parts.law(material, count, forest)
-    parts.check_temperature(material, parison)
+    cooling = parts.cooling(cooling, fields or {}, mold)
+    parts.check_temperature(material, parison, cooling)
     carried = {str(key): parts.field(str(key), own, count, forest) for key, own in (fields or {}).items()}
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)
@@ -92,7 +95,8 @@ def build_scene(
         refinement = with_room_for(refinement, forest, fine)
         grown = grown_forest(forest, refinement, sheet, mobility, bend, fine)
         bound = grown.bound
-    planned = planned_windows(bound, material.at(parison.temperature), solver)
+    cold = parts.coldest(parison, cooling, solver, material)
+    planned = planned_windows(bound, material.at(cold), solver)
     tables = Tables(
         sheet=sheet,
         assembly=_assembly(positions, triangles, refinement),
@@ -102,7 +106,7 @@ def build_scene(
         grid=grid,
         forest=grown,
         lying=lying,
-        window_count=planned + spare_windows(grid),
+        window_count=planned + spare_windows(grid, parts.cooled_by(parison, cold)),
         longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest_window(planned, frames)),
         window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
         pairs_per_node=_pairs_per_node(mold, grid),
@@ -117,6 +121,7 @@ def build_scene(
         tables=tables,
         name=name,
         fields=carried,
+        cooling=cooling,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection
 from typing import Any
 
 import jax
@@ -11,12 +12,13 @@ import numpy as np
 from jaxform.core.errors import InputError, warn_of
 from jaxform.core.parameters import is_declared, listed_numbers, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_real
-from jaxform.core.ranges import as_numbers, check
+from jaxform.core.ranges import as_numbers, check, check_one
 from jaxform.loads import Loading
-from jaxform.materials import Law, Modes, Shift
+from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
-from jaxform.model.scene import Parison
+from jaxform.model.scene import Parison, Solver
+from jaxform.tools.mold import Mold
 
 _RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
 
@@ -66,22 +68,67 @@ def _shift(shift: Shift | None) -> Shift | None:
     return None if shift is None else _with_arrays(shift, "material.shift", nodes=set())
 
 
-def check_temperature(material: Law, parison: Parison) -> None:
+_LEAST_WALL = 0.3  # of the initial thickness, of a wall that windows are planned for
+
+
+def cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
+    """How a scene cools, with arrays for numbers.
+
+    Raises:
+        InputError: It is none, a number is out of its range, or a field has the name of the temperature.
+    """
+    if given is None:
+        return None
+    if not isinstance(given, Cooling):
+        raise InputError("says not how the sheet cools", "use jaxform.Cooling", "cooling")
+    names = [name for name in ranges_of(given) if getattr(given, name) is not None]
+    for name in names:
+        check_one(f"cooling.{name}", getattr(given, name))
+    if "temperature" in fields:
+        problem = "has the name of the temperature of a sheet that cools"
+        raise InputError(problem, "give it another name", "fields.temperature")
+    if float(given.mold) > 0.0 and mold is None:
+        warn_of("there is no mold that could cool the sheet", "give [mold], or leave it out", key="cooling.mold")
+    return _replaced(given, {name: as_real(getattr(given, name)) for name in names})
+
+
+def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) -> None:
     """Raises InputError where a shift and the temperature do not go together; warns where that changes nothing."""
     shift, temperature = material.shift, parison.temperature
-    if shift is None:
+    if shift is None and cooling is None:
         if temperature is not None:
             remedy = "give [material.shift], or leave the temperature out"
             warn_of("the temperature changes nothing: the law says not how", remedy, key="parison.temperature")
         return
     if temperature is None:
-        raise InputError(
-            "is missing", "give the sheet's temperature, which [material.shift] needs", "parison.temperature"
-        )
+        asking = "[material.shift]" if cooling is None else "[cooling]"
+        raise InputError("is missing", f"give the sheet's temperature, which {asking} needs", "parison.temperature")
+    if shift is None:
+        return
     lowest, coldest = float(np.min(np.asarray(temperature))), float(shift.coldest())
+    for name in ("air", "mold") if cooling is not None else ():
+        # It is glass there, as `Shift.factor` has it.
+        value = float(getattr(cooling, f"{name}_temperature"))
+        if float(getattr(cooling, name)) > 0.0 and value <= coldest < lowest:
+            problem = f"is below {coldest:g} degC, where the shift has no value: what cools so far no longer relaxes"
+            warn_of(problem, "see that the sheet is formed before", key=f"cooling.{name}_temperature", value=value)
     if lowest <= coldest:
         problem = f"is not above {coldest:g} degC, where the shift has no value"
         raise InputError(problem, "check material.shift and the units", "parison.temperature", lowest)
+
+
+def coldest(parison: Parison, cooling: Cooling | None, solver: Solver, material: Law) -> jax.Array | None:
+    """The temperature (n_node,) [degC] that windows are planned for: of a thin wall in the air, at the end."""
+    temperature = parison.temperature
+    if cooling is None or temperature is None:
+        return temperature
+    wall = _LEAST_WALL * parison.thickness
+    return cooling.cooled(temperature, wall, as_real(0.0), material.density, solver.end_time)
+
+
+def cooled_by(parison: Parison, cold: jax.Array | None) -> float:
+    """By how much a sheet cools at most [K] until it is as cold."""
+    return 0.0 if cold is None else float(np.abs(np.asarray(parison.temperature) - np.asarray(cold)).max())
 
 
 def loading(pressure: Loading) -> Loading:

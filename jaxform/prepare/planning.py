@@ -15,7 +15,7 @@ from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane, stiffness
 from jaxform.mechanics.response import Memory, overstress, strained
 from jaxform.model.scene import Scene, Solver
-from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
+from jaxform.model.tables import LONG_WINDOW, MOST_COOLING, SHORT_WINDOW
 from jaxform.tools.search import SearchGrid
 
 _LARGEST_STRETCH = 6.0  # that windows are planned for
@@ -38,9 +38,10 @@ def planned_windows(bound: jax.Array, material: Law, solver: Solver) -> int:
     return int(np.ceil(steps / SHORT_WINDOW))
 
 
-def spare_windows(grid: SearchGrid | None) -> int:
-    """For some that contact cuts short when nodes fly through the mold, and some that are retried."""
-    return 32 if grid is None else 32 + round(2 * float(grid.size) / float(grid.reach))
+def spare_windows(grid: SearchGrid | None, cooling: float = 0.0) -> int:
+    """For some that contact cuts short when nodes fly through the mold, some that are retried, and cooling [K]."""
+    spare = 32 + int(np.ceil(cooling / MOST_COOLING))
+    return spare if grid is None else spare + round(2 * float(grid.size) / float(grid.reach))
 
 
 def longest_window(planned: int, frames: int) -> int:

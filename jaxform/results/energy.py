@@ -26,6 +26,7 @@ class Energy:
         contact_loss: Kinetic energy of the nodes when they stuck.
         refinement_loss: Strain and kinetic energy that new nodes took away.
         viscous_loss: What viscous modes dissipated.
+        cooling_loss: Strain energy lost as the temperature softened the sheet, less what it won as it stiffened.
         kinetic_peak: Largest kinetic energy at the end of a window.
         peak_work: Largest magnitude of the external work at the end of a window; carries no derivative.
         rounding: What the account may miss by rounding alone; carries no derivative.
@@ -38,6 +39,7 @@ class Energy:
     contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
     refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
     viscous_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    cooling_loss: jax.Array = dataclasses.field(metadata=LOSS)
     kinetic_peak: jax.Array
     peak_work: jax.Array
     rounding: jax.Array

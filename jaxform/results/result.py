@@ -23,6 +23,7 @@ from jaxform.sheet.account import (
     strain_energy,
 )
 from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
+from jaxform.sheet.heat import Walls, further, touching
 from jaxform.sheet.state import Schedule, State, Taken
 
 NODAL, OF_ELEMENTS = {"of": "nodes"}, {"of": "elements"}
@@ -67,6 +68,7 @@ class Result:
         status: Bits of `Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
+        temperature: At the nodes (n_node,) [degC], where the sheet cools; None where it keeps what it has at first.
         out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.
     """
@@ -96,6 +98,7 @@ class Result:
     schedule: Schedule | None = None
     seconds: Seconds | None = None
     out_of_range: jax.Array | None = None
+    temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
 
     def of(self, kind: dict[str, str], chosen: np.ndarray | slice) -> dict[str, Any]:
         """The nodal values, or those of elements, of the chosen ones alone: NumPy arrays by name."""
@@ -143,7 +146,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         return nodal(values, scene.parison.positions.T if rule.absent is None else rule.absent)
 
     nodes = dataclasses.replace(state.nodes, mode=None).mapped(ordered)
-
+    change = _change_of_temperature(state, scene, now, ratio)
     return Result(
         positions=nodes.positions.T,
         thickness=nodal(ratios, 0.0) * scene.parison.thickness,
@@ -166,7 +169,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
             external_work=state.account.external_work
             + last_work(state, scene, enclosed_volume(state.nodes.positions, sheet)),
-            **({"viscous_loss": jnp.zeros_like(state.time)} | state.account.losses()),
+            **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
             rounding=energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness)),
@@ -177,7 +180,23 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         shortened=state.shortened,
         status=state.status,
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
+        temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )
+
+
+def _change_of_temperature(state: State, scene: Scene, now: Discretization, ratio: jax.Array) -> jax.Array | None:
+    """How much warmer the nodes (n_node,) are than at first [K]: the mean of their elements; None without cooling."""
+    cooling, heat, sheet, nodes = scene.cooling, state.heat, now.sheet, state.nodes
+    if cooling is None or heat is None or now.temperature is None:
+        return None
+    used, time = sheet.area > 0.0, state.time
+    wall = now.thickness * jnp.where(used, ratio, 1.0)
+    share = touching(nodes, sheet.triangles, heat.time, time)
+    density = now.zones.get("density", scene.material.density)
+    change = further(heat, cooling, Walls(now.temperature, wall, share, density), time)
+    shares = jnp.stack([sheet.area, jnp.where(used, sheet.area * change, 0.0)])
+    area, total = (membrane.sum_to_nodes(row, sheet.triangles, now.mass.size) for row in shares)
+    return total / jnp.where(area > 0.0, area, 1.0)
 
 
 def _added_mass(scene: Scene, now: Discretization, mesh: Mesh | None) -> jax.Array:

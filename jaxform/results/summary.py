@@ -71,6 +71,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         **_wrinkles(result, scene, area),
+        **_temperatures(result, scene),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
@@ -89,6 +90,17 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
 def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float]:
     """The share of the sheet that lies in folds, where its law lets it wrinkle."""
     return {"wrinkled_fraction": float(area @ wrinkled(result) / area.sum())} if scene.material.tension_field else {}
+
+
+def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
+    """Least, mean (by mass) and largest temperature [degC] of a sheet that has one."""
+    nodal = scene.parison.temperature if result.temperature is None else result.temperature
+    if nodal is None:
+        return {}
+    used = np.asarray(result.used)
+    corners = np.asarray(nodal, float)[np.asarray(result.triangles)[used]]
+    mean = float(np.average(corners.mean(1), weights=np.asarray(result.element_volume, float)[used]))
+    return {"temperature": {"min": float(corners.min()), "mean": mean, "max": float(corners.max())}}
 
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:

@@ -174,5 +174,6 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
         tables=made,
         name="",
         fields={name: field_with_room(own, order) for name, own in scene.fields.items()},
+        cooling=scene.cooling,
     )
     return Padded(jax.device_put(whole), scene, order)

@@ -25,7 +25,7 @@ def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
 
 def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
     """Strain energy [J]."""
-    sheet = discrete.sheet
+    sheet, discrete = discrete.sheet, discrete.having(state.heat, scene.material)
     volume = sheet.area * discrete.thickness
     material = scene.material.with_zones(discrete.zones)
     energy = membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, material)

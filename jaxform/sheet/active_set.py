@@ -7,7 +7,7 @@ over again.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, Sheet
 from jaxform.sheet.account import Held, account, enclosed_volume
 from jaxform.sheet.discretization import Discretization, Mesh, law_of
+from jaxform.sheet.heat import Heat
 from jaxform.sheet.idle import Idle, left_behind
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
@@ -43,6 +44,13 @@ class Room:
     lists: Lists | None
 
 
+class Begun(NamedTuple):
+    """What a sheet that cools was like when the run began: temperature (room,) [degC], and zones without a shift."""
+
+    temperature: jax.Array
+    zones: dict[str, jax.Array]
+
+
 @pytree
 class ActiveSet:
     """The elements and nodes that are active, and what the others come to, which do not move.
@@ -61,6 +69,8 @@ class ActiveSet:
         memory: As in `State`, when it was packed; None without viscous modes.
         idle: Elements that are not active and have such modes; None where none are.
         room: Kept from the last window; None where each window has its own.
+        heat: How far all elements had cooled when they were packed, as in `State`; None where they do not.
+        begun: What its elements were like at first; None where they do not cool.
     """
 
     packed: Packed
@@ -76,6 +86,8 @@ class ActiveSet:
     memory: jax.Array | None = None
     idle: Idle | None = None
     room: Room | None = None
+    heat: Heat | None = None
+    begun: Begun | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
         """Volume [m^3] that the sheet encloses, with what is active at positions (3, place) [m]; differentiable."""
@@ -93,23 +105,28 @@ class ActiveSet:
             return own | ~self.packed.exists if rule.beyond is True else jnp.where(self.packed.exists, own, rule.beyond)
 
         memory = None if state.memory is None else state.memory[:, self.packed.element]
-        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken), memory=memory))
+        heat = None if state.heat is None else state.heat.taken(self.packed.element)
+        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken), memory=memory, heat=heat))
 
     def put_back(self, state: PackedState) -> State:
         """A state in the mesh's order."""
         nodes = state.nodes.mapped(lambda values, _: self.packed.put_back(values))
-        state = dataclasses.replace(state, nodes=nodes)
+        heat = None if state.heat is None or self.heat is None else jax.tree.map(self._put, self.heat, state.heat)
+        state = dataclasses.replace(state, nodes=nodes, heat=heat)
         return state if state.memory is None or self.memory is None else self._with_memory(state, self.memory)
+
+    def _put(self, values: jax.Array, own: jax.Array) -> jax.Array:
+        """Values of all elements (..., n_element) with those of its own (..., room)."""
+        place = jnp.where(self.packed.elements.area > 0.0, self.packed.element, values.shape[-1])
+        return values.at[..., place].set(own, mode="drop")
 
     def _with_memory(self, state: State, memory: jax.Array) -> State:
         """With the memory of all elements, from the packed ones' and what all had when they were packed."""
-        own = jnp.where(self.packed.elements.area > 0.0, self.packed.element, memory.shape[1])
         account, before = state.account, state.account.viscous_loss
         if self.idle is not None and before is not None:
             memory, lost = self.idle.put(memory, state.time)
             account = dataclasses.replace(account, viscous_loss=before + lost)
-        memory = memory.at[:, own].set(state.memory, mode="drop")
-        return dataclasses.replace(state, memory=memory, account=account)
+        return dataclasses.replace(state, memory=self._put(memory, jnp.asarray(state.memory)), account=account)
 
     def response(self, material: Law, memory: Memory | None = None) -> Response:
         """How its elements answer to strain, of a scene with this law."""
@@ -136,13 +153,15 @@ def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: D
 def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
     """What a window works through that begins with a state in the mesh's order."""
     packed = packed_moving(state.nodes.stuck, state.mesh, scene, discrete)
-    return _working(packed, state, scene, discrete, differentiable=differentiable)
+    now = discrete.having(state.heat, scene.material)
+    return _cooling(_working(packed, state, scene, now, differentiable=differentiable), state, discrete)
 
 
 def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
     """All there is, in the mesh's own order."""
     none, whole = jnp.zeros((), discrete.mass.dtype), discrete.whole
-    return _remembering(_with_masses(whole, discrete, none, none), state, scene, discrete)
+    now = discrete.having(state.heat, scene.material)
+    return _cooling(_remembering(_with_masses(whole, now, none, none), state, scene, now), state, discrete)
 
 
 def repacked(
@@ -191,7 +210,7 @@ def _idle(state: State, scene: Scene, discrete: Discretization, packed: Packed) 
 def held_by(state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None) -> Held:
     """What the elements that count (room,) hold, in the order of the whole; not differentiable."""
     whole, memory = discrete.whole, state.memory
-    own = discrete.of_elements(whole.element)
+    own = discrete.having(state.heat, scene.material).of_elements(whole.element)
     rows = None if memory is None else memory[:, whole.element]
     fixed = state.nodes.positions, whole.elements, own.thickness, own.law(scene.material), rows
     return account(*jax.lax.stop_gradient(fixed), counted)
@@ -231,6 +250,15 @@ def _remembering(active: ActiveSet, state: State, scene: Scene, discrete: Discre
     if scene.packs_moving:
         idle = left_behind(state.nodes.positions, memory, state.time, modes, discrete, active.packed)
     return dataclasses.replace(active, memory=memory, idle=idle)
+
+
+def _cooling(active: ActiveSet, state: State, discrete: Discretization) -> ActiveSet:
+    """With what is needed to cool further."""
+    if discrete.temperature is None:
+        return active
+    element = active.packed.element
+    zones = {name: own[..., element] for name, own in discrete.zones.items()}
+    return dataclasses.replace(active, heat=state.heat, begun=Begun(discrete.temperature[element], zones))
 
 
 def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:

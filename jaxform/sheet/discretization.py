@@ -13,6 +13,7 @@ from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane
 from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import Assembly, Counts, Forest, Sheet
+from jaxform.sheet.heat import Heat, at_temperature
 from jaxform.sheet.packing import Packed, pack
 
 NEVER = jnp.iinfo(jnp.int32).max
@@ -82,8 +83,10 @@ class Discretization:
         whole: All elements and nodes, packed.
         volumes: Of all triangles of the forest (n_triangle,) [m^3]; None without one.
         forest_zones: Numbers of the material that vary, of all triangles of the forest.
-        forest_temperature: Of these triangles (n_triangle,) [degC]; None where the law does not ask for it.
+        forest_temperature: Of these triangles (n_triangle,) [degC], at first; None where nothing asks for it.
         modes: Viscous modes, of each element (n_mode, n_element); None where they do not vary.
+        temperature: Of the elements (n_element,) [degC], at first, where the sheet cools: zones and modes are then
+            those at the law's reference. None where it does not.
     """
 
     sheet: Sheet
@@ -98,6 +101,14 @@ class Discretization:
     forest_zones: dict[str, jax.Array] = dataclasses.field(default_factory=dict)
     forest_temperature: jax.Array | None = None
     modes: Modes | None = None
+    temperature: jax.Array | None = None
+
+    def having(self, heat: Heat | None, material: Law) -> Discretization:
+        """The same where elements have cooled so far: with the numbers that a law has there."""
+        if heat is None or self.temperature is None:
+            return self
+        zones, modes = at_temperature(material, self.zones, self.temperature + heat.felt)
+        return dataclasses.replace(self, zones=zones, modes=modes, temperature=None)
 
     @property
     def wood(self) -> Wood:
@@ -125,7 +136,7 @@ def discretize(scene: Scene) -> Discretization:
     zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
     warmth = _warmth(scene)
     warmth = None if warmth is None else membrane.element_mean(warmth, sheet.triangles)
-    zones, modes = _at_temperature(scene, zones, warmth)
+    zones, modes = at_temperature(scene.material, zones, None if _cools(scene) else warmth)
     share = zones.get("density", scene.material.density) * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
     if tables.counts is not None:
@@ -133,7 +144,7 @@ def discretize(scene: Scene) -> Discretization:
     whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
     compliance = tables.mobility / mass[None]
     own = sheet, tables.assembly, tables.bound, thickness, zones, mass, compliance, whole
-    return Discretization(*own, modes=modes)
+    return Discretization(*own, modes=modes, temperature=warmth if _cools(scene) else None)
 
 
 def present_discretization(
@@ -156,17 +167,11 @@ class Wood(NamedTuple):
 
 def _warmth(scene: Scene) -> jax.Array | None:
     """The temperature of the nodes (n_node,) [degC], where it matters."""
-    return None if scene.material.shift is None else scene.parison.temperature
+    return scene.parison.temperature if _cools(scene) or scene.material.shift is not None else None
 
 
-def _at_temperature(
-    scene: Scene, zones: dict[str, jax.Array], temperature: jax.Array | None
-) -> tuple[dict[str, jax.Array], Modes | None]:
-    """Of elements with such numbers at temperatures (n,) [degC], all numbers of the law that vary, and the modes."""
-    if temperature is None:
-        return zones, None
-    law = scene.material.with_zones(zones).at(temperature)
-    return law.zones, law.viscous
+def _cools(scene: Scene) -> bool:
+    return scene.cooling is not None
 
 
 def _volumes(scene: Scene, forest: Forest) -> jax.Array:
@@ -256,7 +261,7 @@ def refined_discretization(
     volume = wood.volumes[element]
     zones = {name: own[..., element] for name, own in wood.zones.items()}
     warmth = None if wood.temperature is None else wood.temperature[element]
-    zones, modes = _at_temperature(scene, zones, warmth)
+    zones, modes = at_temperature(scene.material, zones, None if _cools(scene) else warmth)
     density = zones.get("density", scene.material.density)
     share = jnp.where(used, forest.heavier[element] * density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
@@ -276,4 +281,5 @@ def refined_discretization(
         forest_zones=wood.zones,
         forest_temperature=wood.temperature,
         modes=modes,
+        temperature=warmth if _cools(scene) else None,
     )

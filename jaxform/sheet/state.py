@@ -14,6 +14,7 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Mesh
+from jaxform.sheet.heat import Heat
 
 
 class Status(enum.IntFlag):
@@ -77,6 +78,8 @@ class Account:
         kinetic_excess: Of the velocities half a step before the positions over those of now, at the last window's end.
         imbalance: Energy held and lost beyond the external work, at the last window's end.
         viscous_loss: Taken by viscous modes; None where there are none.
+        cooling_loss: Strain energy lost as the temperature softened the sheet, less what it won as it stiffened;
+            None where neither happens.
     """
 
     volume: jax.Array
@@ -90,6 +93,7 @@ class Account:
     kinetic_excess: jax.Array
     imbalance: jax.Array
     viscous_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
+    cooling_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
 
     def losses(self) -> dict[str, jax.Array]:
         """The terms by which energy left, by name."""
@@ -111,6 +115,7 @@ class Control:
         bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
         last_duration: What it was to last [s].
+        pace: How fast the sheet cools at most [K/s]; None where it does not.
     """
 
     step_length: jax.Array
@@ -121,6 +126,7 @@ class Control:
     last_length: jax.Array
     last_count: jax.Array
     last_duration: jax.Array
+    pace: jax.Array | None = None
 
 
 @pytree
@@ -145,6 +151,7 @@ class State:
         time: [s].
         steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
         status: Bits of `Status`.
+        heat: How far the elements have cooled; None where they do not.
     """
 
     nodes: Nodes
@@ -158,6 +165,7 @@ class State:
     windows: jax.Array
     shortened: jax.Array
     status: jax.Array
+    heat: Heat | None = None
 
     @property
     def refined_mesh(self) -> Mesh:
@@ -225,4 +233,6 @@ def carries(state: State) -> State:
     pressure = None if state.account.pressure is None else True
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
     account = dataclasses.replace(none.account, **terms, pressure=pressure)
-    return dataclasses.replace(none, nodes=smooth, account=account, memory=None if state.memory is None else True)
+    memory = None if state.memory is None else True
+    heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)
+    return dataclasses.replace(none, nodes=smooth, account=account, memory=memory, heat=heat)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.io.schema.material import Material
 from jaxform.io.schema.mold import Mold
 from jaxform.io.schema.parison import Parison
-from jaxform.io.validation import Number, Table, within
+from jaxform.io.validation import Number, Table, within, wrong
 
 
 class Pressure(Table):
@@ -73,6 +73,36 @@ class Solver(Table):
     max_steps: Annotated[int, within("solver.max_steps")] = MOST_STEPS
 
 
+class Cooling(Table):
+    """How the sheet cools, to the air on both sides and to the mold where it touches that; see `jaxform.Cooling`.
+
+    Attributes:
+        heat_capacity: Of the sheet [J/(kg K)].
+        air: Heat transfer coefficient to the air [W/(m^2 K)].
+        air_temperature: [degC].
+        mold: Heat transfer coefficient to the mold [W/(m^2 K)].
+        mold_temperature: [degC].
+        conductivity: Of the sheet [W/(m K)]: its surfaces are then colder than its middle.
+    """
+
+    heat_capacity: Annotated[float, within("cooling.heat_capacity")]
+    air: Annotated[float, within("cooling.air")] = 0.0
+    air_temperature: Annotated[float, within("cooling.air_temperature")] = 20.0
+    mold: Annotated[float, within("cooling.mold")] = 0.0
+    mold_temperature: Annotated[float, within("cooling.mold_temperature")] = 20.0
+    conductivity: Annotated[float, within("cooling.conductivity")] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Cooling:
+        for name in ("air", "mold"):
+            key = f"{name}_temperature"
+            if key not in self.model_fields_set and getattr(self, name) > 0.0:
+                raise wrong("is missing", f"say how cold it is, since {name} cools the sheet", key, None)
+        if self.air == 0.0 == self.mold:
+            raise wrong("cools nothing", "give air or mold, or leave [cooling] out", "air", self.air)
+        return self
+
+
 class Output(Table):
     """What to write beyond the result; `reference` is an exact solution to dot over the thickness picture.
 
@@ -96,6 +126,7 @@ class SceneFile(Table):
         pressure: The pressure history.
         mold: The mold; without it the sheet is inflated freely.
         refinement: Where the mesh becomes finer; without it, nowhere.
+        cooling: How the sheet cools; without it, it keeps its temperature.
         solver: Time integration.
         output: What to write beyond the result.
     """
@@ -107,5 +138,6 @@ class SceneFile(Table):
     pressure: Pressure
     mold: Mold | None = None
     refinement: Refinement | None = None
+    cooling: Cooling | None = None
     solver: Solver
     output: Output = Output()

@@ -1,0 +1,88 @@
+"""How a hot sheet cools: to the air on both sides, and to the mold where it touches that.
+
+The temperature is the mean over the thickness. Where a conductivity is given it is taken to be a parabola over the
+thickness, which is what it becomes once heat has crossed the wall; from its mean to either surface there is then a
+resistance that follows from the heat through both.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.parameters import within
+from jaxform.core.pytree import pytree
+from jaxform.core.ranges import RANGES
+
+_SHORT = 1e-3  # of the time that cooling takes: shorter times take a series
+
+
+@pytree
+class Cooling:
+    """How the sheet gives off its heat, and how much it has.
+
+    Attributes:
+        heat_capacity: Of the sheet [J/(kg K)].
+        air: Heat transfer coefficient to the air, on both sides [W/(m^2 K)].
+        air_temperature: [degC].
+        mold: Heat transfer coefficient to the mold, on the side that touches it [W/(m^2 K)].
+        mold_temperature: [degC].
+        conductivity: Of the sheet [W/(m K)]; None where its surfaces are as warm as its middle.
+    """
+
+    heat_capacity: jax.Array = within(RANGES["cooling.heat_capacity"])
+    air: jax.Array = within(RANGES["cooling.air"], default=0.0)
+    air_temperature: jax.Array = within(RANGES["cooling.air_temperature"], default=20.0)
+    mold: jax.Array = within(RANGES["cooling.mold"], default=0.0)
+    mold_temperature: jax.Array = within(RANGES["cooling.mold_temperature"], default=20.0)
+    conductivity: jax.Array | None = within(RANGES["cooling.conductivity"], default=None)
+
+    def cooled(
+        self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array, time: jax.Array
+    ) -> jax.Array:
+        """Temperatures [degC] after a time, exact where nothing else changes.
+
+        Args:
+            temperature: Mean over the thickness (n,) [degC].
+            wall: Thickness (n,) [m].
+            touching: Share (n,) of one side, of area and time, that touches the mold.
+            density: [kg/m^3], a number or (n,).
+            time: [s], a number or (n,).
+        """
+        rate, loss = self._rates(temperature, wall, touching, density)
+        return temperature - time * loss * _lasting(time * rate)
+
+    def pace(self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array) -> jax.Array:
+        """How fast temperatures fall (n,) [K/s], of walls as `cooled` has them."""
+        return self._rates(temperature, wall, touching, density)[1]
+
+    def _rates(
+        self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """How fast walls (n,) come to the temperature around them [1/s], and how fast they cool [K/s]."""
+        free = self._sides(self.air, self.air_temperature, wall)
+        held = self._sides(self.mold, self.mold_temperature, wall)
+        conductance, drive = (away + touching * (on - away) for away, on in zip(free, held, strict=True))
+        each = 1.0 / (density * self.heat_capacity * wall)
+        return each * conductance, each * (conductance * temperature - drive)
+
+    def _sides(self, other: jax.Array, other_temperature: jax.Array, wall: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """How much heat is given off (n,), for each kelvin [W/(m^2 K)] and less [W/m^2]: to the air, and to something.
+
+        A parabola with the heat q and p through its surfaces has there temperatures that are (2 q - p) wall / 6 k and
+        (2 p - q) wall / 6 k below its mean.
+        """
+        one, two = self.air, other
+        a, b = jnp.zeros_like(wall), jnp.zeros_like(wall)
+        if self.conductivity is not None:
+            a, b = (each * wall / (6.0 * self.conductivity) for each in (one, two))
+        scale = 1.0 / ((1.0 + 2.0 * a) * (1.0 + 2.0 * b) - a * b)
+        one, two = scale * one * (1.0 + 3.0 * b), scale * two * (1.0 + 3.0 * a)
+        return one + two, one * self.air_temperature + two * other_temperature
+
+
+def _lasting(x: jax.Array) -> jax.Array:
+    """(1 - exp(-x)) / x."""
+    short, long = jnp.minimum(x, _SHORT), jnp.maximum(x, _SHORT)
+    series = 1.0 - short * (1 / 2 - short * (1 / 6 - short * (1 / 24 - short / 120)))
+    return jnp.where(x < _SHORT, series, -jnp.expm1(-long) / long)

@@ -1,0 +1,125 @@
+"""Cooling at the borders of windows: temperatures as they are by then, and what that makes of the law.
+
+Temperatures are brought up to date at a window's begin, each element by itself and exactly for the wall that it has
+then. Inside a window the law is that of the temperature in its middle.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.kernels.blocks import over_blocks
+from jaxform.materials import Law
+from jaxform.mechanics import membrane
+from jaxform.mechanics.response import modes_of, strained
+from jaxform.model.scene import Scene
+from jaxform.sheet.active_set import ActiveSet, Begun
+from jaxform.sheet.heat import Heat, Walls, at_temperature, further, touching
+from jaxform.sheet.state import PackedState, can_move
+
+
+def cooled(
+    state: PackedState, scene: Scene, active: ActiveSet, *, differentiable: bool
+) -> tuple[PackedState, ActiveSet]:
+    """A state at a window's border, and what is active, with the temperatures of now."""
+    cooling, heat, begun, elements = scene.cooling, state.heat, active.begun, active.packed.elements
+    if cooling is None or heat is None or begun is None:
+        return state, active
+    nodes, time, law = state.nodes, state.time, scene.material
+    longest = scene.tables.longest_window * state.control.step_length
+    positions, velocities = nodes.positions, nodes.velocities
+    if not differentiable:
+        positions, velocities = membrane.rows_of(positions), membrane.rows_of(velocities)
+    numbers = (active.zones, active.modes) if law.shift is not None else None
+    memory = state.memory if scene.stiffens else None
+
+    def work(own: Any, before: Heat, begun: Begun, numbers: Any, memory: jax.Array | None) -> Any:
+        triangles, inverse, area, thickness = own
+        _, *edges = membrane.edges(positions, triangles)
+        there = can_move(nodes.stuck, triangles, area)
+        determinant = membrane.invariants(*_where(there, membrane.metric(*edges), inverse)).determinant
+        share, now = touching(nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
+        density = begun.zones.get("density", law.density)
+        walls = Walls(begun.temperature, thickness / jnp.sqrt(determinant), share, density)
+        change = further(before, cooling, walls, time)
+        walls = walls._replace(share=touching(nodes, triangles, now, time))
+        # As if the window were as long as the last one. One that is retried begins as it did.
+        middle = time + 0.5 * jnp.minimum(time - before.time, longest)
+        felt = further(Heat(change, now, change), cooling, walls, middle)
+        due = there & (time > before.time)
+        after = jax.tree.map(lambda new, old: jnp.where(due, new, old), Heat(change, now, felt), before)
+        rows = [[after.change], [after.time], [after.felt]]
+        sums, pace = [], jnp.where(there, jnp.abs(cooling.pace(begun.temperature + change, *walls[1:])), 0.0)
+        if numbers is not None:
+            rows += _rows(at_temperature(law, begun.zones, begun.temperature + after.felt))
+        if scene.stiffens:
+            ratio = _stiffening(law, begun.temperature, before, after)
+            # Velocities are half a step behind the positions, and with the next step the new stress acts from there on.
+            half = 0.5 * state.control.step_length
+            _, *rates = membrane.edges(velocities, triangles)
+            behind = (
+                membrane.vector(x - half * v for x, v in zip(*pair, strict=True))
+                for pair in zip(edges, rates, strict=True)
+            )
+            stored = _energy(*_where(there, membrane.metric(*behind), inverse), law, numbers, memory)
+            sums = [area * thickness * (1.0 - ratio) * stored]
+        if memory is not None:
+            rows.append([ratio * row for row in memory])
+        return rows, [*sums, jax.lax.stop_gradient(pace)]
+
+    own = elements.triangles, elements.inverse_metric, elements.area, active.thickness
+    held, kinds = jax.tree.flatten((heat, numbers, memory))
+    into = [values.reshape(-1, values.shape[-1]) for values in held]
+    inputs = own, heat, begun, numbers, memory
+    blocks, sums = elements.block_count, int(scene.stiffens)
+    found, (*lost, pace) = over_blocks(work, blocks, inputs, into, sums=sums, most=1, whole=differentiable)
+    made = [values.reshape(old.shape) for values, old in zip(found, held, strict=True)]
+    heat, numbers, memory = jax.tree.unflatten(kinds, made)
+    account = state.account
+    if account.cooling_loss is not None:
+        account = dataclasses.replace(account, cooling_loss=account.cooling_loss + sum(lost))
+    state = dataclasses.replace(
+        state,
+        heat=heat,
+        memory=state.memory if memory is None else memory,
+        account=account,
+        control=dataclasses.replace(state.control, pace=pace),
+    )
+    if numbers is None:
+        return state, active
+    return state, dataclasses.replace(active, zones=numbers[0], modes=numbers[1])
+
+
+def _where(there: jax.Array, metric: membrane.Metric, inverse: jax.Array) -> tuple[membrane.Metric, membrane.Metric]:
+    """The present metric of elements (n,) and the inverse of the initial one; elsewhere as if not strained."""
+    unit = 1.0, 0.0, 1.0
+    g, r = (
+        membrane.vector(jnp.where(there, part, one) for part, one in zip(each, unit, strict=True))
+        for each in (metric, inverse)
+    )
+    return g, r
+
+
+def _rows(numbers: Any) -> list[list[jax.Array]]:
+    """Numbers that vary (..., n), row by row."""
+    return [list(values.reshape(-1, values.shape[-1])) for values in jax.tree.leaves(numbers)]
+
+
+def _stiffening(law: Law, first: jax.Array, before: Heat, after: Heat) -> jax.Array:
+    """The factor (n,) on all moduli, and so on the stress of viscous modes and on what is stored."""
+    assert law.shift is not None
+    old, new = (law.shift.factor(first + heat.felt) for heat in (before, after))
+    return new / old
+
+
+def _energy(metric: Any, inverse: Any, law: Law, numbers: Any, memory: jax.Array | None) -> jax.Array:
+    """What elements (n,) store [J/m^3]."""
+    zones, modes = numbers
+    stored = membrane.energy_density(membrane.invariants(metric, inverse), law.with_zones(zones))
+    if memory is None:
+        return stored
+    return stored + modes.energy(modes_of(memory), strained(metric, inverse))

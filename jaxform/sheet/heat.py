@@ -1,0 +1,84 @@
+"""How far the elements have cooled, and what their law is at the temperature that they have."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.core.pytree import as_real, pytree
+from jaxform.materials import Cooling, Law, Modes
+from jaxform.mechanics import membrane
+from jaxform.mechanics.nodes import Nodes
+
+
+@pytree
+class Heat:
+    """How far elements (n,) have cooled.
+
+    An element whose nodes all stick keeps the law that it had then, since nothing depends on that any more; how far it
+    cools from then on is worked out when it is asked for.
+
+    Attributes:
+        change: Of the temperature since the run began [K].
+        time: Up to which it is worked out [s].
+        felt: The change that the law is worked out for [K]: that in the middle of a window.
+    """
+
+    change: jax.Array
+    time: jax.Array
+    felt: jax.Array
+
+    def taken(self, element: jax.Array) -> Heat:
+        """That of the elements of these numbers."""
+        return Heat(self.change[element], self.time[element], self.felt[element])
+
+
+def none_lost(elements: int) -> Heat:
+    """Of so many elements when a run begins."""
+    return Heat(*jnp.zeros((3, elements), as_real(0.0).dtype))
+
+
+def at_temperature(
+    material: Law, zones: dict[str, jax.Array], temperature: jax.Array | None
+) -> tuple[dict[str, jax.Array], Modes | None]:
+    """Of elements with such numbers at temperatures (n,) [degC], all numbers of the law that vary, and the modes.
+
+    These are None where they do not vary.
+    """
+    if temperature is None or material.shift is None:
+        return zones, None
+    law = material.with_zones(zones).at(temperature)
+    return law.zones, law.viscous
+
+
+def touching(nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Array:
+    """Share (n,) of elements' area and of the time from `begin` (n,) to `end` [s] that touched the mold.
+
+    Where that is no time, what touches it now.
+    """
+    passed = end > begin
+    whole, share = jnp.where(passed, end - begin, 1.0), jnp.zeros_like(begin)
+    for corner in triangles:
+        since = jnp.clip((end - membrane.gather(nodes.contact_time, corner)) / whole, 0.0, 1.0)
+        share += jnp.where(membrane.gather(nodes.wall, corner) != 0, jnp.where(passed, since, 1.0), 0.0)
+    return share / 3.0
+
+
+class Walls(NamedTuple):
+    """What cools, of elements (n,): first temperature [degC], thickness [m], share that touches the mold, density.
+
+    The share is of one side, of its area and of the time; the density [kg/m^3] is a number or (n,).
+    """
+
+    temperature: jax.Array
+    thickness: jax.Array
+    share: jax.Array
+    density: jax.Array
+
+
+def further(heat: Heat, cooling: Cooling, walls: Walls, time: jax.Array) -> jax.Array:
+    """The change of the temperature (n,) [K] since the run began, at a later time [s]."""
+    first, wall, share, density = walls
+    return cooling.cooled(first + heat.change, wall, share, density, jnp.maximum(time - heat.time, 0.0)) - first
