@@ -36,7 +36,7 @@ _FIRST = (
     "notebooks",
     "padding",
     "fields",
-    "temperature",
+    "cooling",
     "zones",
     "further_laws",
     "viscous",

@@ -16,6 +16,9 @@ from jaxform.adapt import refinement, remeshing
 from jaxform.materials import Law
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
+from jaxform.results.result import Result
+from jaxform.runs import loop
+from jaxform.runs.padding import on_rungs
 from jaxform.sheet import active_set
 from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.state import State
@@ -69,6 +72,18 @@ def assert_slopes(
         ends = [float(objective(numbers | {name: values + sign * change})[0]) for sign in (1, -1)]
         np.testing.assert_allclose(jnp.vdot(slopes[name], change), (ends[0] - ends[1]) / 2, rtol=1e-6)
     return value
+
+
+def begun(scene: Scene) -> tuple[State, Discretization]:
+    """The first state and the sheet, each operation of which would be a program of its own."""
+    return loop.begin(scene)[:2]
+
+
+def at_rest(scene: Scene) -> Result:
+    """The part before the first step; by programs for all scenes of its rungs."""
+    room = on_rungs(scene)
+    state, sheet = begun(room.scene)
+    return room.result(loop._make_result(state, room.scene, sheet))
 
 
 def real(value: float) -> jnp.ndarray:

@@ -15,7 +15,6 @@ import pytest
 import jaxform
 from jaxform.adapt import refinement
 from jaxform.core.errors import InputError
-from jaxform.dynamics.initial import initial_state
 from jaxform.io import output
 from jaxform.mesh import meshes, topology
 from jaxform.model.scene import Scene
@@ -58,7 +57,7 @@ def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Discret
     random = np.random.default_rng(seed)
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
     scene = jaxform.replace(scene, {"parison.thickness": thickness})
-    state, first = initial_state(scene), discretization.discretize(scene)
+    state, first = scenes.begun(scene)
     stuck = state.nodes.stuck
     free = ~stuck & (jnp.arange(stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
     shape = state.nodes.positions.shape
@@ -147,7 +146,7 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
 
 def looked_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, np.ndarray, np.ndarray]:
     """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
-    state, now = initial_state(scene), discretization.discretize(scene)
+    state, now = scenes.begun(scene)
     for _ in range(6):
         state, now = scenes.looked_at(state, scene, now)
     forest, mold, mesh = scene.tables.forest, scene.mold, state.mesh
@@ -192,9 +191,9 @@ def flying_at_first(scene: Scene) -> Scene:
 @pytest.mark.parametrize("at_rest", [True, False])
 def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_their_edges_did(at_rest: bool) -> None:
     scene = flying_at_first(over_a_block(2.0, at_rest=at_rest))
-    before = initial_state(scene)
+    before, now = scenes.begun(scene)
     upwards = jnp.where(before.nodes.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
-    before, now = before.with_nodes(velocities=upwards), discretization.discretize(scene)
+    before = before.with_nodes(velocities=upwards)
     state, _ = scenes.looked_at(before, scene, now)
     forest, grid, old, mesh = scene.tables.forest, scene.tables.grid, before.mesh, state.mesh
     assert forest is not None and grid is not None and old is not None and mesh is not None
@@ -217,7 +216,7 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
 
 def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> None:
     scene = flying_at_first(over_a_block(2.0, gap=0.0))
-    before, now = initial_state(scene), discretization.discretize(scene)
+    before, now = scenes.begun(scene)
 
     @jax.jit
     @jax.value_and_grad

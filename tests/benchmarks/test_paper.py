@@ -18,11 +18,9 @@ from benchmarks import paper
 from benchmarks import scenes as tables
 from jaxform import molds, shapes
 from jaxform.cli import command, session
-from jaxform.dynamics import initial
 from jaxform.mesh.bottle import Bottle
 from jaxform.results import sections
-from jaxform.results.result import Result, make_result
-from jaxform.sheet import discretization
+from jaxform.results.result import Result
 from tests import scenes
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -35,7 +33,7 @@ def _at_rest(sheet: shapes.Sheet) -> tuple[jaxform.Scene, Result]:
         pressure=jaxform.make_pressure([0.0], [0.0]),
         solver=jaxform.make_solver(end_time=1.0),
     )
-    return scene, make_result(initial.initial_state(scene), scene, discretization.discretize(scene))
+    return scene, scenes.at_rest(scene)
 
 
 def test_stretches_along_and_around_a_cone() -> None:

@@ -105,6 +105,7 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "contact_loss",
         "refinement_loss",
         "viscous_loss",
+        "cooling_loss",
         "kinetic_peak",
         "balance_error",
         "quasi_static_error",

@@ -168,6 +168,7 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
     np.testing.assert_allclose(sharp.positions, plain.positions, atol=1e-3)
 
 
+@jax.jit
 def _first_step(scene: jaxform.Scene) -> tuple[jax.Array, timestep.Limit]:
     state = initial_state(scene)
     active = active_set_of(state, scene, discretize(scene))
@@ -331,7 +332,7 @@ def test_values_are_lowered_where_a_new_one_is_lower(backend: str, monkeypatch: 
 def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     """Also from that of a sheet of which most sticks, some nodes of which have many elements."""
     scene = scenes.cup()
-    start, discrete = initial_state(scene), discretize(scene)
+    start, discrete = scenes.begun(scene)
     stuck = start.nodes.stuck | (jnp.linalg.norm(start.nodes.positions, axis=0) < 0.6)
     assert 5 < int(jnp.sum(~stuck)) < stuck.size / 2
     velocities = jnp.where(stuck, 0.0, any_mode(start.nodes.positions))

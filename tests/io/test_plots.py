@@ -15,12 +15,12 @@ from PIL import Image
 import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
-from jaxform.dynamics import initial
 from jaxform.io import plots, views
 from jaxform.mesh import raster, topology
 from jaxform.results import sections
-from jaxform.results.result import Result, make_result
-from jaxform.sheet import discretization, state
+from jaxform.results.result import Result
+from jaxform.runs import loop
+from jaxform.sheet import state
 from tests import scenes
 
 
@@ -36,7 +36,7 @@ def _at_rest(sheet: shapes.Sheet, end_time: float = 1.0) -> tuple[jaxform.Scene,
 
 
 def _result(scene: jaxform.Scene) -> Result:
-    return make_result(initial.initial_state(scene), scene, discretization.discretize(scene))
+    return scenes.at_rest(scene)
 
 
 SHEETS = {
@@ -207,9 +207,9 @@ def test_pictures_of_a_search(tmp_path: Path) -> None:
 
 def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -> None:
     scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
-    first, begun = discretization.discretize(scene), initial.initial_state(scene)
+    begun, first = scenes.begun(scene)
     finer = scenes.bisected(scene, begun, first, jnp.arange(60) < 4)[0]
-    before, after = (scene, make_result(begun, scene, first)), (scene, make_result(finer, scene, first))
+    before, after = ((scene, loop._make_result(state, scene, first)) for state in (begun, finer))
     assert int(after[1].used.sum()) > int(before[1].used.sum())
     plots.design_picture(tmp_path / "design.png", before, after)
     plots.stages_picture(tmp_path / "stages.png", scene, [before[1], after[1]])

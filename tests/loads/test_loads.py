@@ -13,13 +13,11 @@ import pytest
 import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
-from jaxform.dynamics.initial import initial_state
 from jaxform.dynamics.timestep import choose_step
 from jaxform.mechanics import membrane
 from jaxform.mesh import reference
 from jaxform.results.result import Result
 from jaxform.sheet.active_set import active_set_of
-from jaxform.sheet.discretization import discretize
 from tests import scenes
 from tests.examples.sealed_gas import SealedGas
 from tests.scenes import real
@@ -71,8 +69,8 @@ def test_a_sphere_filled_with_gas() -> None:
 def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> None:
     """Against the largest eigenvalue of the exact Hessian, the gas included."""
     scene = sphere(32, outside, stretch=1.1)
-    state, sheet = initial_state(scene), discretize(scene)
-    active = active_set_of(state, scene, sheet)
+    state, sheet = scenes.begun(scene)
+    active = jax.jit(active_set_of)(state, scene, sheet)
     mobile = np.asarray(sheet.compliance > 0).ravel()
 
     def force(flat: jax.Array) -> jax.Array:
@@ -92,8 +90,8 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
     limit = 2.0 / np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root).max())
     for sharp in (True, False):
         changed = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, sharp_step=sharp))
-        begin = initial_state(changed)
-        chosen = choose_step(active.taken(begin), changed, active)
+        begin, _ = scenes.begun(changed)
+        chosen = jax.jit(choose_step)(active.taken(begin), changed, active)
         assert 0.3 * limit < float(chosen.length) < limit
     result = jaxform.run(
         dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=real(2000 * limit)))

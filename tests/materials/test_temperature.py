@@ -1,4 +1,7 @@
-"""Temperature: shifts against their formulas and against laws with other numbers, gradients, files and messages."""
+"""Temperature: shifts against their formulas and against laws with other numbers, files and messages.
+
+Gradients by the temperature and the numbers of a shift are taken where the sheet cools as well, in test_cooling.py.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ import functools
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -35,11 +37,8 @@ def test_shifts_against_their_formulas() -> None:
 
 
 @functools.cache
-def _cup(viscous: Any, shift: Any, temperature: float | None, refined: bool = False) -> jaxform.Scene:
-    plain = scenes.cup(24, 12.0) if refined else scenes.cup()
-    options: dict[str, Any] = {}
-    if refined:
-        options["refinement"] = jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96)
+def _cup(viscous: Any, shift: Any, temperature: float | None) -> jaxform.Scene:
+    plain = scenes.cup()
     modes = None if viscous is None else viscous(jnp.asarray([1.0, 0.5]), jnp.asarray([2.0, 20.0]))
     law = jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes, shift=shift and shift(real(140.0), real(40e3)))
     warm: Any = None
@@ -52,7 +51,6 @@ def _cup(viscous: Any, shift: Any, temperature: float | None, refined: bool = Fa
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
         solver=plain.solver,
         mold=plain.mold,
-        **options,
     )
 
 
@@ -75,35 +73,6 @@ def test_an_even_temperature_is_another_law(viscous: Any, shift: Any) -> None:
     assert int(warm.steps) == int(same.steps) and int(warm.status) == 0
     np.testing.assert_allclose(warm.positions, same.positions, rtol=0, atol=1e-9)
     np.testing.assert_allclose(warm.energy.viscous_loss, same.energy.viscous_loss, rtol=1e-6, atol=1e-15)
-
-
-def _figure(result: jaxform.Result) -> jax.Array:
-    return jnp.sum(jnp.square(result.thickness)) * 1e4 + result.energy.strain + result.energy.viscous_loss
-
-
-def test_gradients_by_temperature_through_contact() -> None:
-    """And by the numbers of the shift and of viscous modes; the mesh is refined."""
-    scene = _cup(jaxform.Maxwell, jaxform.ArrheniusStiffness, 135.0, True)
-    first = jaxform.run(scene)
-    assert int(first.status) == 0 and np.any(np.asarray(first.wall) != 0)
-    assert float(first.energy.balance_error) < 1e-3
-    assert int(first.used.sum()) > len(scene.parison.triangles)
-    given = scene.material.shift
-    assert isinstance(given, jaxform.ArrheniusStiffness) and scene.parison.temperature is not None
-    numbers = {"parison.temperature": scene.parison.temperature}
-    numbers["material.shift.activation_energy"] = given.activation_energy
-    numbers["material.shift.reference"] = given.reference
-    modes = scene.material.viscous
-    if modes is not None:
-        numbers |= {"material.viscous.modulus": modes.modulus, "material.viscous.time": modes.time}
-
-    @jax.jit
-    @jax.value_and_grad
-    def objective(numbers: dict[str, jax.Array]) -> jax.Array:
-        return _figure(jaxform.simulate(jaxform.replace(scene, numbers), schedule=first.schedule))
-
-    value = scenes.assert_slopes(objective, numbers, 1e-6)
-    np.testing.assert_allclose(value, _figure(first), rtol=1e-6)
 
 
 def test_the_warm_side_becomes_thin() -> None:

@@ -20,7 +20,7 @@ from jaxform.io import files
 from jaxform.materials import Modes
 from jaxform.mechanics import corners, membrane, response, stiffness
 from jaxform.mechanics.elements import no_corners
-from jaxform.sheet.discretization import discretize, first_mesh
+from jaxform.sheet.discretization import first_mesh
 from tests import scenes
 from tests.scenes import real
 
@@ -217,7 +217,7 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
 def test_in_blocks_and_at_once_a_step_remembers_the_same(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on the CPU, as on other devices, and as the differentiable way has it."""
     scene = _cup(kind)
-    modes, sheet = scene.material.viscous, discretize(scene)
+    modes, sheet = scene.material.viscous, scenes.begun(scene)[1]
     assert modes is not None
     whole, random = sheet.whole, np.random.default_rng(0)
     elements, places = whole.elements, whole.taken(scene.parison.positions.T)

@@ -12,7 +12,6 @@ import pytest
 
 import jaxform
 from jaxform.contact import sight
-from jaxform.dynamics.initial import initial_state
 from jaxform.mesh import bisection
 from jaxform.model.scene import Scene
 from jaxform.prepare.start import fine_at_once
@@ -58,7 +57,7 @@ def test_what_is_on_the_flange_lies_there_on_the_side_that_is_pushed(gap: float)
         # The sheet is below, since the pressure pushes it up.
         np.testing.assert_array_equal(np.sign(wall[on_it]), -np.sign(normal))
         np.testing.assert_allclose(places[on_it, 2], gap, atol=1e-15)
-        state = initial_state(scene)
+        state, _ = scenes.begun(scene)
         clamped = np.asarray(scene.parison.clamped)
         np.testing.assert_array_equal(state.nodes.stuck, on_it | clamped)
         assert np.all(np.asarray(state.nodes.contact_time)[on_it & ~clamped] > 0)
