@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from jaxform.cli import exporting, fitting, session, starting
-from jaxform.core import lastresort, release
+from jaxform.core import disk, lastresort, release
 from jaxform.core.errors import InputError, heard
 from jaxform.io import catalog
 
@@ -101,6 +101,12 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
     report.add_argument("--quiet", action="store_true", help="print errors only")
     report.set_defaults(command=_report)
+    words = "draw the part in a folder of results smoothly, from both sides; needs PyVista (pip install pyvista)"
+    render = commands.add_parser("render", help=words, description=words)
+    render.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
+    render.add_argument("--out", metavar="FILE", type=Path, help="the picture (default: part.png in DIR)")
+    render.add_argument("--quiet", action="store_true", help="print errors only")
+    render.set_defaults(command=_render)
     words = "compile beforehand what common scenes need, or the scenes that are named"
     warm = commands.add_parser("warm", help=words, description=words)
     warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
@@ -171,6 +177,16 @@ def _report(arguments: argparse.Namespace) -> int:
     path = write_report(arguments.folder)
     if not arguments.quiet:
         session.say(f"report in {path}")
+    return session.DONE
+
+
+def _render(arguments: argparse.Namespace) -> int:
+    from jaxform.io.rendering import render
+
+    path = arguments.folder / "part.png" if arguments.out is None else disk.located(arguments.out)
+    render(arguments.folder, path)
+    if not arguments.quiet:
+        session.say(f"picture in {path}")
     return session.DONE
 
 

@@ -1,0 +1,146 @@
+"""A smooth picture of a formed part by PyVista, which is not installed with jaxform: from outside and from inside."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.core.writing import whole
+from jaxform.io import earlier
+from jaxform.io.report.reading import Part, Results, read_results
+from jaxform.io.scales import color_range, formed_elements
+
+Array = NDArray[np.float64]
+
+_SIZE = 2000, 1000  # pixels, of both views
+_LINES = 9  # of equal thickness
+_CREASE = 40.0  # degrees between elements, from which the surface is drawn with an edge
+_ASIDE, _AHEAD = 0.8, 0.75  # of the way from the part to the eye: across its depth, and along it
+
+
+def render(folder: Path, path: Path) -> None:
+    """Draws the part in a folder of results: thickness in colours and lines.
+
+    Args:
+        folder: What `jaxform simulate` or `jaxform optimize` wrote.
+        path: The picture, PNG.
+
+    Raises:
+        InputError: PyVista is not installed or cannot draw here, or there are no results.
+    """
+    results = read_results(folder)
+    pyvista = _pyvista()
+    with _quiet():
+        plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=_SIZE, border=False)
+        plotter.set_background("white")
+        part, limits = _part(pyvista, results), _range(results.part)
+        for column, eye in enumerate(_eyes(results.part)):
+            plotter.subplot(0, column)
+            _draw(plotter, part, limits, last=column == 1)
+            _look(plotter, part, *eye)
+        with whole(path) as fresh:
+            _write(plotter, fresh)
+        plotter.close()
+
+
+def _pyvista() -> Any:
+    try:
+        return importlib.import_module("pyvista")
+    except ImportError:
+        raise InputError("needs PyVista", "install it beside jaxform: pip install pyvista", "render") from None
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """VTK says on standard error that there is no display, and then draws without one."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _surface(pyvista: Any, positions: Array, triangles: NDArray[np.integer]) -> Any:
+    """A surface [mm] of nodes (n_node, 3) [m] and triangles (n, 3)."""
+    faces = np.column_stack([np.full(len(triangles), 3), triangles]).ravel()
+    return pyvista.PolyData(1e3 * positions, faces)
+
+
+def _whole(surface: Any, planes: dict[int, float]) -> Any:
+    """With its images in symmetry planes [m]."""
+    for axis, level in planes.items():
+        normal = np.eye(3)[axis]
+        surface = surface.merge(surface.reflect(normal, point=1e3 * level * normal)).clean()
+    return surface
+
+
+def _part(pyvista: Any, results: Results) -> Any:
+    surface = _surface(pyvista, results.part.positions, results.part.triangles)
+    surface.point_data["wall"] = 1e3 * results.part.nodal["thickness"]
+    return _whole(surface, earlier.symmetry_planes(results.summary))
+
+
+def _range(part: Part) -> tuple[float, float]:
+    """Of the colours [mm]."""
+    formed = formed_elements(part.reference, part.positions, part.triangles)
+    corners = part.positions[part.triangles[formed]]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    low, high = color_range(part.cells["thickness"][formed], area)
+    return 1e3 * low, 1e3 * high
+
+
+def _eyes(part: Part) -> list[tuple[Array, Array]]:
+    """Directions to the eye and upwards: from where the sheet went, and from where it came."""
+    way = (part.positions - part.reference).mean(0)
+    length = np.linalg.norm(way)
+    ahead = way / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+    # Across, along the longer side where there is one.
+    across = np.linalg.svd(ahead[None])[2][1:].T
+    spread = across @ np.linalg.eigh(np.cov((part.reference @ across).T))[1]
+    aside = spread[:, 0] + 0.6 * spread[:, 1]
+    aside /= np.linalg.norm(aside)
+    return [(_ASIDE * aside + sign * _AHEAD * ahead, sign * ahead) for sign in (1.0, -1.0)]
+
+
+def _draw(plotter: Any, part: Any, limits: tuple[float, float], *, last: bool) -> None:
+    place = {"vertical": True, "width": 0.05, "height": 0.7, "position_x": 0.9, "position_y": 0.15}
+    bar = {"title": "wall [mm]", "color": "#202020", "fmt": "%.3g", "title_font_size": 24, "label_font_size": 22}
+    smooth = {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": _CREASE}
+    shine = {"specular": 0.25, "specular_power": 20.0, "ambient": 0.15}
+    bars = {"show_scalar_bar": last, "scalar_bar_args": bar | place if last else None}
+    plotter.add_mesh(part, scalars="wall", clim=limits, cmap="viridis", **smooth, **shine, **bars)
+    lines = part.contour(np.linspace(*limits, _LINES + 2)[1:-1], scalars="wall")
+    if lines.n_points:
+        drawn = plotter.add_mesh(lines, color="#202020", line_width=2.0, opacity=0.5)
+        # In front of the surface that they lie in.
+        drawn.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+        drawn.mapper.SetRelativeCoincidentTopologyLineOffsetParameters(-2.0, -2.0)
+
+
+def _look(plotter: Any, part: Any, eye: Array, up: Array) -> None:
+    center = np.asarray(part.center)
+    plotter.camera_position = [tuple(center + eye * part.length), tuple(center), tuple(up)]
+    plotter.reset_camera(bounds=part.bounds)
+    plotter.camera.zoom(1.1)
+
+
+def _write(plotter: Any, path: Path) -> None:
+    from matplotlib.image import imsave
+
+    try:
+        pixels = plotter.screenshot(return_img=True)
+    except RuntimeError as error:
+        problem = f"cannot draw here ({str(error).splitlines()[0]})"
+        raise InputError(problem, "install Mesa, or draw on a machine with a display", "render") from None
+    imsave(path, pixels, format="png")
