@@ -132,7 +132,7 @@ def _look(plotter: Any, part: Any, eye: Array, up: Array) -> None:
     center = np.asarray(part.center)
     plotter.camera_position = [tuple(center + eye * part.length), tuple(center), tuple(up)]
     plotter.reset_camera(bounds=part.bounds)
-    plotter.camera.zoom(1.1)
+    plotter.camera.zoom(0.95)
 
 
 def _write(plotter: Any, path: Path) -> None:

@@ -16,7 +16,7 @@ from jaxform.materials.law import PlaneLaw, law
 
 # Of how alike both stretches are, cosh y - 1 with y = ln(l1 / l2): below it a series serves, whose derivatives are
 # good; so many of its terms are as good as all for powers of up to 20.
-_ALIKE, _TERMS = 0.01, 9
+_ALIKE, _TERMS = 1e-4, 5
 
 _RANGES = OF_LAWS["ogden"]
 
@@ -48,7 +48,9 @@ class Ogden(PlaneLaw):
         plane, total = _Plane(trace, determinant), jnp.zeros_like(trace)
         for mu, alpha in zip(self.mu, self.alpha, strict=True):
             power = plane.to(0.5 * alpha)
-            total += mu / alpha * (2.0 * power.area * power.cosine + jnp.square(power.thickness) - 3.0)
+            # As above, of cosh(p y).
+            cosine = power.cosine_before * plane.cosine + power.sines_before * plane.sine_squared
+            total += mu / alpha * (2.0 * power.area * cosine + jnp.square(power.thickness) - 3.0)
         return total
 
     def slopes(self, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -81,11 +83,10 @@ class Ogden(PlaneLaw):
 
 
 class _Power(NamedTuple):
-    """Of stretches to a power p: (l1 l2)^p and (l1 l2)^-p; cosh(p y), cosh((p - 1) y), sinh((p - 1) y) / sinh(y)."""
+    """Of stretches to a power p: (l1 l2)^p and (l1 l2)^-p; cosh((p - 1) y), and sinh((p - 1) y) / sinh(y)."""
 
     area: jax.Array
     thickness: jax.Array
-    cosine: jax.Array
     cosine_before: jax.Array
     sines_before: jax.Array
 
@@ -100,12 +101,14 @@ class _Plane:
         excess = 0.5 * trace * thickness - 1.0  # of cosh y over 1; by rounding it may be below 0
         alike = excess < _ALIKE
         # Equal stretches have no derivative of y: there the series serves, and these are any numbers.
-        sine = jnp.sqrt(jnp.where(alike, 1.0, excess * (excess + 2.0)))
+        square = excess * (excess + 2.0)
+        sine = jnp.sqrt(jnp.where(alike, 1.0, square))
         stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
         logs = _log(area), _log(stretch)
         # What all terms use is worked out once.
-        made = once((thickness, excess, 0.5 / sine, 1.0 / stretch, *logs))
-        self.thickness, self.excess, self._half_sine, self._shrink, self._log_area, self._angle = made
+        made = once((thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
+        self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
+        self._log_area, self._angle = logs
         self._alike, self.cosine, self._stretch = alike, 1.0 + self.excess, stretch
 
     def to(self, power: jax.Array) -> _Power:
@@ -113,20 +116,17 @@ class _Plane:
         area, growth = once((jnp.exp(power * self._log_area), jnp.exp(power * self._angle)))
         inverse = 1.0 / (area * growth)
         before, after = growth * self._shrink, inverse * area * self._stretch  # exp((p - 1) y), and its inverse
-        # Chebyshev's T of the order p and p - 1, and U of the order p - 2, about 1.
-        one = power - 1.0
-        near = self._series(power, 0.5, 0), self._series(one, 0.5, 0), one * self._series(one, 1.5, 1)
-        far = 0.5 * (growth + inverse * area), 0.5 * (before + after), (before - after) * self._half_sine
-        chosen = (jnp.where(self._alike, series, closed) for series, closed in zip(near, far, strict=True))
-        return _Power(area, inverse * growth, *chosen)
+        sines = jnp.where(self._alike, self._series(power - 1.0), (before - after) * self._half_sine)
+        sines = once(sines)
+        return _Power(area, inverse * growth, jnp.sqrt(1.0 + jnp.square(sines) * self.sine_squared), sines)
 
-    def _series(self, power: jax.Array, begin: float, first: int) -> jax.Array:
-        """The hypergeometric series of (first - power, first + power; begin) at minus half the excess."""
+    def _series(self, power: jax.Array) -> jax.Array:
+        """Chebyshev's U of the order `power` - 1 about 1, where it is sinh(power y) / sinh(y)."""
         total = jnp.ones_like(self.excess)
         for k in reversed(range(_TERMS)):
-            factor = (jnp.square(power) - (k + first) ** 2) / ((k + begin) * (k + 1) * 2.0)
+            factor = (jnp.square(power) - (k + 1) ** 2) / ((k + 1.5) * (k + 1) * 2.0)
             total = 1.0 + factor * self.excess * total
-        return total
+        return power * total
 
 
 @jax.custom_jvp

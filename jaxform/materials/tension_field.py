@@ -58,12 +58,15 @@ def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
     pulled = jnp.maximum(larger, 1.0)
     narrow = jnp.sqrt(pulled)  # the determinant of uniaxial tension
     slack = determinant < narrow
-    inverse = 1.0 / (pulled * narrow)
+    # One division for both.
+    width, twice = pulled * narrow, 2.0 * half
+    both = 1.0 / (width * twice)
+    inverse = both * twice
     return Taut(
         trace=jnp.where(slack, pulled + pulled * inverse, trace),
         determinant=jnp.where(slack, narrow, determinant),
         slack=slack,
         larger=larger,
         half=half,
-        turn=(1.0 - inverse) / (2.0 * half),
+        turn=(1.0 - inverse) * (both * width),
     )
