@@ -18,6 +18,7 @@ from nbclient import NotebookClient
 FOLDER = Path(__file__).parent.parent / "notebooks"
 SMALL = "JAXFORM_SMALL"
 """Environment variable under which the notebooks take few elements and few steps."""
+_QUICKLY = "from jaxform.core import compiling as c; c._LEVEL = 0; import gc; gc.set_threshold(100_000, 50, 50)"
 
 
 def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
@@ -29,8 +30,9 @@ def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
     if small:
         # Compiling is nearly all of it; less careful, it takes two thirds.
         changes["XLA_FLAGS"] = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    options: dict[str, Any] = {"extra_arguments": [f"--IPKernelApp.exec_lines={_QUICKLY}"]} if small else {}
     with _environment(changes):
-        NotebookClient(notebook, timeout=3600, kernel_name="python3", record_timing=False).execute()
+        NotebookClient(notebook, timeout=3600, kernel_name="python3", record_timing=False, **options).execute()
     return cleaned(notebook)
 
 

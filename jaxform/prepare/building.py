@@ -95,7 +95,7 @@ def build_scene(
         refinement = with_room_for(refinement, forest, fine)
         grown = grown_forest(forest, refinement, sheet, mobility, bend, fine)
         bound = grown.bound
-    cold = parts.coldest(parison, cooling, solver, material)
+    cold, change = parts.coldest(parison, cooling, solver, material)
     planned = planned_windows(bound, material.at(cold), solver)
     tables = Tables(
         sheet=sheet,
@@ -106,7 +106,7 @@ def build_scene(
         grid=grid,
         forest=grown,
         lying=lying,
-        window_count=planned + spare_windows(grid, parts.cooled_by(parison, cold)),
+        window_count=planned + spare_windows(grid, change),
         longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest_window(planned, frames)),
         window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
         pairs_per_node=_pairs_per_node(mold, grid),

@@ -7,6 +7,7 @@ from collections.abc import Collection
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.errors import InputError, warn_of
@@ -69,6 +70,7 @@ def _shift(shift: Shift | None) -> Shift | None:
 
 
 _LEAST_WALL = 0.3  # of the initial thickness, of a wall that windows are planned for
+_ON_MOLD = 2 / 3  # of an element, that touches the mold while it still moves
 
 
 def cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
@@ -117,18 +119,20 @@ def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) 
         raise InputError(problem, "check material.shift and the units", "parison.temperature", lowest)
 
 
-def coldest(parison: Parison, cooling: Cooling | None, solver: Solver, material: Law) -> jax.Array | None:
-    """The temperature (n_node,) [degC] that windows are planned for: of a thin wall in the air, at the end."""
+def coldest(parison: Parison, cooling: Cooling | None, solver: Solver, material: Law) -> tuple[jax.Array | None, float]:
+    """The temperature (n_node,) [degC] that windows are planned for, and by how much the sheet cools at most [K].
+
+    Of a thin wall at the end, in the air and beside the mold.
+    """
     temperature = parison.temperature
     if cooling is None or temperature is None:
-        return temperature
-    wall = _LEAST_WALL * parison.thickness
-    return cooling.cooled(temperature, wall, as_real(0.0), material.density, solver.end_time)
-
-
-def cooled_by(parison: Parison, cold: jax.Array | None) -> float:
-    """By how much a sheet cools at most [K] until it is as cold."""
-    return 0.0 if cold is None else float(np.abs(np.asarray(parison.temperature) - np.asarray(cold)).max())
+        return temperature, 0.0
+    thin = temperature, _LEAST_WALL * parison.thickness
+    free, beside = (
+        cooling.cooled(*thin, as_real(share), material.density, solver.end_time) for share in (0.0, _ON_MOLD)
+    )
+    most = max(float(np.abs(np.asarray(temperature - each)).max()) for each in (free, beside))
+    return jnp.minimum(temperature, free), most
 
 
 def loading(pressure: Loading) -> Loading:
