@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxform
 from jaxform import molds, shapes
 from jaxform.adapt import refinement, remeshing
+from jaxform.io import files
 from jaxform.materials import Law
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
@@ -84,6 +87,15 @@ def at_rest(scene: Scene) -> Result:
     room = on_rungs(scene)
     state, sheet = begun(room.scene)
     return room.result(loop._make_result(state, room.scene, sheet))
+
+
+def assert_refused(folder: Path, text: str, words: str, named: str = "scene.toml") -> None:
+    """A scene file with that text, in the folder, is refused in words that match; they name what is to be named."""
+    path = folder / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(jaxform.InputError, match=words) as caught:
+        files.load(path)
+    assert named in str(caught.value)
 
 
 def real(value: float) -> jnp.ndarray:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.core.writing import whole
 from jaxform.io import earlier
+from jaxform.io.report.contents import formed_areas
 from jaxform.io.report.reading import Part, Results, read_results
-from jaxform.io.scales import color_range, formed_elements
+from jaxform.io.scales import color_range
 
 Array = NDArray[np.float64]
 
@@ -93,9 +94,7 @@ def _part(pyvista: Any, results: Results) -> Any:
 
 def _range(part: Part) -> tuple[float, float]:
     """Of the colours [mm]."""
-    formed = formed_elements(part.reference, part.positions, part.triangles)
-    corners = part.positions[part.triangles[formed]]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area, formed = formed_areas(part)
     low, high = color_range(part.cells["thickness"][formed], area)
     return 1e3 * low, 1e3 * high
 

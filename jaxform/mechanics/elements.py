@@ -207,14 +207,17 @@ def metrics_of(positions: jax.Array, elements: Elements) -> tuple[Metric, Metric
     Those that are not in use are as if not strained, so that nothing of them spoils a derivative.
     """
     _, edge1, edge2 = edges(positions, elements.triangles)
-    used = elements.area > 0.0
+    return masked_metrics(elements.area > 0.0, metric(edge1, edge2), elements.inverse_metric)
 
-    def safe(g: Metric) -> Metric:
-        a, b, c = (jnp.where(used, part, unit) for part, unit in zip(g, (1.0, 0.0, 1.0), strict=True))
+
+def masked_metrics(there: jax.Array, g: Metric, inverse: jax.Array) -> tuple[Metric, Metric]:
+    """Present metric and inverse of the initial one of the elements (n,) that are there; others as if not strained."""
+
+    def safe(g: Metric | jax.Array) -> Metric:
+        a, b, c = (jnp.where(there, part, unit) for part, unit in zip(g, (1.0, 0.0, 1.0), strict=True))
         return a, b, c
 
-    r = elements.inverse_metric
-    return safe(metric(edge1, edge2)), safe((r[0], r[1], r[2]))
+    return safe(g), safe(inverse)
 
 
 def normal_of(sides: Sides, own: Own) -> Vector:

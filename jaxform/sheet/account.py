@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import once, over_blocks
-from jaxform.materials import Law
+from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Elements, metrics_of
 from jaxform.mechanics.response import modes_of, strained
@@ -75,11 +75,7 @@ def account(
         first, edge1, edge2 = membrane.edges(rows, triangles)
         edge1, edge2 = once((edge1, edge2))
         g = membrane.metric(edge1, edge2)
-        strain = membrane.invariants(g, inverse)
-        density = membrane.energy_density(strain, material.with_zones(zones))
-        if modes is not None and memory is not None:
-            density += modes.energy(modes_of(memory), strained(g, inverse))
-        energy = area * thickness * density
+        energy = area * thickness * stored(g, inverse, material.with_zones(zones), modes, memory)
         share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
         share = share if orientation is None else orientation * share
         used = area > 0.0 if counted is None else counted & (area > 0.0)
@@ -89,6 +85,22 @@ def account(
     inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation
     _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
     return Held(energy, volume / 6.0)
+
+
+def stored(g: membrane.Metric, inverse: Any, material: Law, modes: Modes | None, memory: jax.Array | None) -> jax.Array:
+    """Strain energy of elements (n,) per reference volume [J/m^3], with that of viscous modes.
+
+    Args:
+        g: Present metric (n,).
+        inverse: Of the initial one (3, n).
+        material: Their law, its zones (n,).
+        modes: Viscous modes; None without.
+        memory: The stress of these (4 n_mode, n); None without.
+    """
+    density = membrane.energy_density(membrane.invariants(g, inverse), material)
+    if modes is not None and memory is not None:
+        density += modes.energy(modes_of(memory), strained(g, inverse))
+    return density
 
 
 def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 from jaxform.kernels.blocks import over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics import membrane
-from jaxform.mechanics.response import modes_of, strained
+from jaxform.mechanics.elements import masked_metrics
 from jaxform.model.scene import Scene
+from jaxform.sheet.account import stored
 from jaxform.sheet.active_set import ActiveSet, Begun
 from jaxform.sheet.heat import Heat, Walls, at_temperature, further, touching
 from jaxform.sheet.state import PackedState, can_move
@@ -41,7 +42,7 @@ def cooled(
         triangles, inverse, area, thickness = own
         _, *edges = membrane.edges(positions, triangles)
         there = can_move(nodes.stuck, triangles, area)
-        determinant = membrane.invariants(*_where(there, membrane.metric(*edges), inverse)).determinant
+        determinant = membrane.invariants(*masked_metrics(there, membrane.metric(*edges), inverse)).determinant
         share, now = touching(nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
         density = begun.zones.get("density", law.density)
         walls = Walls(begun.temperature, thickness / jnp.sqrt(determinant), share, density)
@@ -56,7 +57,7 @@ def cooled(
         sums, pace = [], jnp.where(there, jnp.abs(cooling.pace(begun.temperature + change, *walls[1:])), 0.0)
         if numbers is not None:
             rows += _rows(at_temperature(law, begun.zones, begun.temperature + after.felt))
-        if scene.stiffens:
+        if numbers is not None and scene.stiffens:
             ratio = _stiffening(law, begun.temperature, before, after)
             # Velocities are half a step behind the positions, and with the next step the new stress acts from there on.
             half = 0.5 * state.control.step_length
@@ -65,8 +66,8 @@ def cooled(
                 membrane.vector(x - half * v for x, v in zip(*pair, strict=True))
                 for pair in zip(edges, rates, strict=True)
             )
-            stored = _energy(*_where(there, membrane.metric(*behind), inverse), law, numbers, memory)
-            sums = [area * thickness * (1.0 - ratio) * stored]
+            metrics, (zones, modes) = masked_metrics(there, membrane.metric(*behind), inverse), numbers
+            sums = [area * thickness * (1.0 - ratio) * stored(*metrics, law.with_zones(zones), modes, memory)]
         if memory is not None:
             rows.append([ratio * row for row in memory])
         return rows, [*sums, jax.lax.stop_gradient(pace)]
@@ -94,16 +95,6 @@ def cooled(
     return state, dataclasses.replace(active, zones=numbers[0], modes=numbers[1])
 
 
-def _where(there: jax.Array, metric: membrane.Metric, inverse: jax.Array) -> tuple[membrane.Metric, membrane.Metric]:
-    """The present metric of elements (n,) and the inverse of the initial one; elsewhere as if not strained."""
-    unit = 1.0, 0.0, 1.0
-    g, r = (
-        membrane.vector(jnp.where(there, part, one) for part, one in zip(each, unit, strict=True))
-        for each in (metric, inverse)
-    )
-    return g, r
-
-
 def _rows(numbers: Any) -> list[list[jax.Array]]:
     """Numbers that vary (..., n), row by row."""
     return [list(values.reshape(-1, values.shape[-1])) for values in jax.tree.leaves(numbers)]
@@ -114,12 +105,3 @@ def _stiffening(law: Law, first: jax.Array, before: Heat, after: Heat) -> jax.Ar
     assert law.shift is not None
     old, new = (law.shift.factor(first + heat.felt) for heat in (before, after))
     return new / old
-
-
-def _energy(metric: Any, inverse: Any, law: Law, numbers: Any, memory: jax.Array | None) -> jax.Array:
-    """What elements (n,) store [J/m^3]."""
-    zones, modes = numbers
-    stored = membrane.energy_density(membrane.invariants(metric, inverse), law.with_zones(zones))
-    if memory is None:
-        return stored
-    return stored + modes.energy(modes_of(memory), strained(metric, inverse))

@@ -136,7 +136,7 @@ def discretize(scene: Scene) -> Discretization:
     zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
     warmth = _warmth(scene)
     warmth = None if warmth is None else membrane.element_mean(warmth, sheet.triangles)
-    zones, modes = at_temperature(scene.material, zones, None if _cools(scene) else warmth)
+    zones, modes, warmth = _begun(scene, zones, warmth)
     share = zones.get("density", scene.material.density) * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
     if tables.counts is not None:
@@ -144,7 +144,7 @@ def discretize(scene: Scene) -> Discretization:
     whole = pack(None, sheet, tables.assembly, tables.counts, stepped=not scene.packs_moving)
     compliance = tables.mobility / mass[None]
     own = sheet, tables.assembly, tables.bound, thickness, zones, mass, compliance, whole
-    return Discretization(*own, modes=modes, temperature=warmth if _cools(scene) else None)
+    return Discretization(*own, modes=modes, temperature=warmth)
 
 
 def present_discretization(
@@ -167,11 +167,16 @@ class Wood(NamedTuple):
 
 def _warmth(scene: Scene) -> jax.Array | None:
     """The temperature of the nodes (n_node,) [degC], where it matters."""
-    return scene.parison.temperature if _cools(scene) or scene.material.shift is not None else None
+    return None if scene.material.shift is None and scene.cooling is None else scene.parison.temperature
 
 
-def _cools(scene: Scene) -> bool:
-    return scene.cooling is not None
+def _begun(
+    scene: Scene, zones: dict[str, jax.Array], temperature: jax.Array | None
+) -> tuple[dict[str, jax.Array], Modes | None, jax.Array | None]:
+    """Zones, modes and temperature as `Discretization` has them, of elements with these zones and temperatures."""
+    if scene.cooling is not None:
+        return zones, None, temperature
+    return *at_temperature(scene.material, zones, temperature), None
 
 
 def _volumes(scene: Scene, forest: Forest) -> jax.Array:
@@ -261,7 +266,7 @@ def refined_discretization(
     volume = wood.volumes[element]
     zones = {name: own[..., element] for name, own in wood.zones.items()}
     warmth = None if wood.temperature is None else wood.temperature[element]
-    zones, modes = at_temperature(scene.material, zones, None if _cools(scene) else warmth)
+    zones, modes, warmth = _begun(scene, zones, warmth)
     density = zones.get("density", scene.material.density)
     share = jnp.where(used, forest.heavier[element] * density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
@@ -281,5 +286,5 @@ def refined_discretization(
         forest_zones=wood.zones,
         forest_temperature=wood.temperature,
         modes=modes,
-        temperature=warmth if _cools(scene) else None,
+        temperature=warmth,
     )

@@ -32,11 +32,7 @@ def _at_rest(sheet: shapes.Sheet, end_time: float = 1.0) -> tuple[jaxform.Scene,
         pressure=jaxform.make_pressure([0.0], [0.01]),
         solver=jaxform.make_solver(end_time=end_time),
     )
-    return scene, _result(scene)
-
-
-def _result(scene: jaxform.Scene) -> Result:
-    return scenes.at_rest(scene)
+    return scene, scenes.at_rest(scene)
 
 
 SHEETS = {
@@ -197,7 +193,7 @@ def test_a_picture_for_which_there_is_no_room_is_named_and_not_left_in_part(tmp_
 def test_pictures_of_a_search(tmp_path: Path) -> None:
     scene, result = _at_rest(SHEETS["disc"])
     other = jaxform.replace(scene, {"parison.thickness": 0.02, "pressure.value": 0.02})
-    plots.design_picture(tmp_path / "design.png", (scene, result), (other, _result(other)), 0.015)
+    plots.design_picture(tmp_path / "design.png", (scene, result), (other, scenes.at_rest(other)), 0.015)
     assert _colors(tmp_path / "design.png") > 50
     names = ("simulations", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv")
     text = [",".join(names), "3,0.5,0.1,0.2,0.4", "6,inf,,0.2,0.4", "9,0.1,0.15,0.2,0.1"]

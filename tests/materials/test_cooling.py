@@ -248,11 +248,7 @@ def test_cooling_in_a_file_and_in_the_part(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_is_refused_in_words(tmp_path: Path, cooling: str, words: str) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text(FILE.format(cooling=cooling))
-    with pytest.raises(jaxform.InputError, match=words) as caught:
-        files.load(path)
-    assert "scene.toml" in str(caught.value)
+    scenes.assert_refused(tmp_path, FILE.format(cooling=cooling), words)
 
 
 def test_what_is_doubtful_is_told(tmp_path: Path) -> None:

@@ -150,11 +150,7 @@ def test_temperature_in_a_file_and_in_the_part(tmp_path: Path, refined: bool) ->
     ],
 )
 def test_what_is_wrong_is_refused_in_words(tmp_path: Path, temperature: str, shift: str, words: str) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text(FILE.format(temperature=temperature, shift=shift))
-    with pytest.raises(jaxform.InputError, match=words) as caught:
-        files.load(path)
-    assert "scene.toml" in str(caught.value)
+    scenes.assert_refused(tmp_path, FILE.format(temperature=temperature, shift=shift), words)
 
 
 def test_a_temperature_that_changes_nothing_is_told(tmp_path: Path) -> None:

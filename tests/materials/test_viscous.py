@@ -316,11 +316,7 @@ def test_modes_in_a_file(tmp_path: Path) -> None:
     ],
 )
 def test_modes_that_are_wrong_are_refused_in_words(tmp_path: Path, viscous: str, words: str) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text(FILE.format(viscous=viscous))
-    with pytest.raises(jaxform.InputError, match=words) as caught:
-        files.load(path)
-    assert "material.viscous" in str(caught.value)
+    scenes.assert_refused(tmp_path, FILE.format(viscous=viscous), words, "material.viscous")
 
 
 def test_what_python_gives_is_checked_too() -> None:

@@ -191,8 +191,4 @@ def test_zones_in_a_file_and_designed_back_into_one(tmp_path: Path) -> None:
     ],
 )
 def test_zones_that_are_wrong_are_refused_in_words(tmp_path: Path, material: str, words: str) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text(FILE.format(material=material))
-    with pytest.raises(jaxform.InputError, match=words) as caught:
-        files.load(path)
-    assert "scene.toml" in str(caught.value)
+    scenes.assert_refused(tmp_path, FILE.format(material=material), words)
