@@ -29,7 +29,6 @@ from benchmarks import contact, formulations, peers, sheets
 from benchmarks.sheets import best_in_turns, best_seconds, whole_loop
 from jaxform import molds
 from jaxform.contact import candidates
-from jaxform.contact.broad_phase import LOOK_EVERY
 from jaxform.core.compiling import compiled, compiler_options
 from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows
@@ -299,8 +298,8 @@ def show_parts(window: int = 20) -> Table:
             state.nodes.positions,
             state.nodes.velocities,
             ~state.nodes.stuck,
-            SHORT_WINDOW * state.control.step_length,
-            LOOK_EVERY * state.control.step_length,
+            state.control.step_length,
+            jnp.int32(SHORT_WINDOW),
             scene.tables.grid,
         )
 

@@ -25,7 +25,7 @@ from jaxform.contact import broad_phase, candidates, sticking
 from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Scene, Tool
 from jaxform.results.summary import penetrated
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
@@ -96,17 +96,19 @@ def walk(
     count = begin.shape[1]
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
-    window = candidates.list_candidates(begin, way, ~stuck, once, once, grid)
+    window = candidates.list_candidates(begin, way, ~stuck, once / 16, jnp.int32(16), grid)
     due = broad_phase.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
-    there = end if differentiable else membrane.rows_of(end)
-    nodes = Nodes(there, way, stuck, -mass, none, None, {})
+    nodes = Nodes(membrane.rows_of(end), way, stuck, -mass, none, None, {})
     flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
     now = sticking.Step(once, once, jnp.int32(0))
-    room = None if differentiable else sticking.nothing_met(stuck.size, end.dtype)
-    landed, _ = sticking.land(flying, now, due, mass, window, wall, grid, room)
+    room = sticking.nothing_met(stuck.size, end.dtype)
+    landed, _ = sticking.land(flying, now, due, mass, window, Tool(wall, grid), room)
     nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
     landed = landed._replace(nodes=nodes)
+    if differentiable:
+        flying = flying._replace(nodes=dataclasses.replace(flying.nodes, positions=end))
+        landed = sticking.land_on(flying, now, jnp.abs(landed.nodes.wall) - 1, mass, wall)
     well = ~(
         window.overflow | jnp.any(broad_phase.missed(end, stuck, broad_phase.spheres(window), broad_phase.unseen()))
     )

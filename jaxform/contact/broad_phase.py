@@ -79,12 +79,12 @@ def look(
     """
 
     def work(stuck: Any, positions: Any, velocities: Any, spheres: Any) -> Any:
-        start, clear_square, near_square, center, alarm_square = spheres
+        start, clear_square, near_square, center, alarm_square, unwatched_square = spheres
         there, beyond = (
             [x + ahead * till_next * v for x, v in zip(positions, velocities, strict=True)] for ahead in (1.0, _AHEAD)
         )
         close = _gone(positions, start, near_square) | _gone(beyond, start, near_square)
-        close |= _gone(positions, center, alarm_square) | _gone(there, center, alarm_square)
+        close |= _gone(positions, center, unwatched_square) | _gone(there, center, alarm_square)
         return [], [~stuck & close, ~stuck & _gone(positions, start, clear_square)]
 
     spheres = (
@@ -93,6 +93,7 @@ def look(
         candidates.near_square,
         candidates.center,
         candidates.alarm_square,
+        candidates.unwatched_square,
     )
     inputs = stuck, positions, velocities, spheres
     _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)

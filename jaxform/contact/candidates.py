@@ -1,8 +1,9 @@
-"""Which nodes can meet which triangles of the mold within a window, found at its border.
+"""Which nodes can meet which triangles of the mold within the next steps.
 
 Each node gets a sphere in which it is expected to stay: about the middle of its expected path. The pairs of node and
-triangle that can meet in such a sphere are listed, and with each node how far it can go before it touches anything. A
-node that is about to leave its sphere halts the window: the next border gives it another.
+triangle that can meet in such a sphere are listed, and with each node how far it can go before it touches anything. The
+list holds until a node is about to leave its sphere; then another is made, as in Verlet's lists of neighbours. It is
+made for the rest of the window, or for fewer steps where that would be much more work than those steps are.
 """
 
 from __future__ import annotations
@@ -13,32 +14,37 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.contact.broad_phase import LOOK_EVERY
 from jaxform.contact.cells import cell_of, distance, distance_bound, looked_up, rows_of_table, touch_distance
 from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, Candidates, Lists, no_lists
 from jaxform.core.pytree import pytree
-from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, over_blocks, put
+from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, only_if, over_blocks, put
 from jaxform.mechanics.membrane import dot, gather
 from jaxform.tools.search import CLASSES, FarCells, SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
 # the room for them, and nothing is compiled twice. No derivative goes through these loops.
 _MARGIN = 0.15  # of the expected half path, of the longest path and of the grid's reach, added to the spheres
-# How far before a node leaves its sphere the window halts: of its path in the window, and of the sphere's radius.
-_GLANCE, _ALARM = 0.05, 0.1
-_MOST_HALVINGS = 10  # of the spheres, until the pairs find room
+# How far before a node leaves its sphere the list ends: of its expected path, of the sphere's radius, and of the way
+# of the fastest node in a step: any may become as fast.
+_GLANCE, _ALARM, _LEAP = 0.05, 0.1, 1.5
+_FEWEST_STEPS = 16  # that a list is made for
+_WORTH = 8  # for so many steps of a node a list may look at one triangle
+_MOST_ATTEMPTS = 13  # to shorten the paths, then to shrink the spheres, until the pairs find room
 
 
 @pytree
 class _Spheres:
     """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
 
-    Each with its cell, a lower bound on its center's distance to the mold [m], and whether the mold may be in it.
+    Each with the place in the grid's lists where the triangles begin that it may meet, and where they end; and whether
+    the mold may be in it.
     """
 
     center: jax.Array
     radius: jax.Array
-    cell: jax.Array
-    bound: jax.Array
+    begin: jax.Array
+    end: jax.Array
     near: jax.Array
 
 
@@ -58,10 +64,11 @@ def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) 
 class _Found(NamedTuple):
     """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance.
 
-    And the spheres, as `Lists` has them.
+    And the spheres, as `Lists` has them; and whether the pairs were not even looked for, since they are too many.
     """
 
     attempts: jax.Array
+    dear: jax.Array
     coarse: _Pairs
     kept: _Pairs
     planes: jax.Array
@@ -73,8 +80,8 @@ def list_candidates(
     positions: jax.Array,
     velocities: jax.Array,
     free: jax.Array,
-    duration: jax.Array,
-    till_look: jax.Array,
+    length: jax.Array,
+    steps: jax.Array,
     grid: SearchGrid,
     skip_far: bool = True,
     into: Lists | None = None,
@@ -86,9 +93,9 @@ def list_candidates(
         positions: (3, n_node) [m]; whole blocks of nodes.
         velocities: (3, n_node) [m/s].
         free: Nodes (n_node,) that can still move.
-        duration: Of the window [s]; a wrong guess of the paths costs time, not truth.
-        till_look: Time between two looks at the nodes [s].
-        grid: Its search structure.
+        length: Of a step [s].
+        steps: How many are to come, at most; a wrong guess of the paths costs time, not truth.
+        grid: The mold's search structure.
         skip_far: Whether the spheres are as small as the paths allow; else they are as large as the grid allows.
         into: What is written over, such as an old list's; a new one by default.
         blocks: How many blocks of nodes are in use; all by default.
@@ -97,37 +104,52 @@ def list_candidates(
     blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
     room, most = into.node.size - TEST_BLOCK, into.coarse[0].size - LANES * DEPTH
 
-    # Where there are too many pairs the spheres shrink, and the window will halt the sooner.
+    square = _fastest_square(velocities, blocks)
+    halvings = jnp.floor(jnp.log2(jnp.maximum(steps / _FEWEST_STEPS, 1.0))).astype(length.dtype)
+
+    def duration_of(attempts: jax.Array) -> jax.Array:
+        return length * steps * jnp.exp2(-jnp.minimum(attempts, halvings))
+
+    # Where there are too many pairs the list is made for fewer steps, then the spheres shrink: it will end the sooner.
     def too_many(found: _Found) -> jax.Array:
         full = (found.coarse.count > most) | (found.kept.count > room)
-        return (found.attempts == 0) | full & (found.attempts < _MOST_HALVINGS)
+        return (found.attempts == 0) | (found.dear | full) & (found.attempts < _MOST_ATTEMPTS)
 
     def attempt(found: _Found) -> _Found:
-        moving = positions, velocities, free, duration, half
-        arrays, clear = _bounding_spheres(
-            moving, 0.5**found.attempts, grid, skip_far, blocks, (*found.spheres, found.clear[None])
+        duration, shrinkings = duration_of(found.attempts), jnp.maximum(found.attempts - halvings, 0.0)
+        moving = positions, velocities, free, duration, _slip(square, 0.5 * duration), _LEAP * _slip(square, length)
+        arrays, clear, looks = _bounding_spheres(
+            moving, jnp.exp2(-shrinkings), grid, skip_far, blocks, (*found.spheres, found.clear[None])
         )
-        spheres = _Spheres(arrays[0][:3], arrays[0][3], arrays[1][0], arrays[0][4], arrays[2][0])
-        coarse = _coarse_pairs(spheres, grid, found.coarse, blocks)
-        last = jnp.minimum(coarse.count, most)
-        kept, planes, clear = _examined(coarse, last, positions, spheres, grid, found.kept, found.planes, clear)
-        return _Found(found.attempts + 1, coarse, kept, planes, clear, arrays)
+        dear = (_WORTH * looks > duration / length * BLOCK * blocks) & (found.attempts < halvings)
 
-    square = _fastest_square(velocities, blocks)
-    half = 0.5 * duration * jnp.sqrt(square)
+        def examine(found: _Found) -> _Found:
+            real, (begin, end), (near,) = found.spheres
+            spheres = _Spheres(real[:3], real[3], begin, end, near)
+            coarse = _coarse_pairs(spheres, grid, found.coarse, blocks)
+            last = jnp.minimum(coarse.count, most)
+            kept, planes, clear = _examined(
+                coarse, last, positions, spheres, grid, found.kept, found.planes, found.clear
+            )
+            return found._replace(coarse=coarse, kept=kept, planes=planes, clear=clear)
+
+        attempts = found.attempts + 1
+        return only_if(~dear, examine, found._replace(attempts=attempts, dear=dear, clear=clear, spheres=arrays))
+
     coarse, kept = _Pairs(*into.coarse, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
-    begun = _Found(jnp.int32(0), coarse, kept, into.planes, into.clear, into.spheres)
-    _, coarse, kept, planes, clear, spheres = jax.lax.while_loop(too_many, attempt, begun)
-    way = _slip(square, till_look)
+    begun = _Found(jnp.int32(0), jnp.asarray(False), coarse, kept, into.planes, into.clear, into.spheres)
+    attempts, _, coarse, kept, planes, clear, spheres = jax.lax.while_loop(too_many, attempt, begun)
+    leap, way, duration = _LEAP * _slip(square, length), _slip(square, LOOK_EVERY * length), duration_of(attempts - 1)
 
     def work(velocities: jax.Array, free: jax.Array, sphere: Any, near: jax.Array, clear: jax.Array) -> Any:
         radius, bound = sphere[3], sphere[4]
         limit = jnp.where(free, jnp.where(near[0], radius, bound), jnp.inf)
         path = duration * jnp.sqrt(dot(velocities, velocities))
-        alarm = jnp.maximum(limit - jnp.maximum(_GLANCE * path, _ALARM * radius), 0.0)
+        alarm = jnp.maximum(limit - jnp.maximum(jnp.maximum(_GLANCE * path, _ALARM * radius), leap), 0.0)
+        unwatched = jnp.maximum(alarm - way, 0.0)
         there = jnp.where(near[0], jnp.square(clear), jnp.inf)
         soon = jnp.where(near[0], jnp.square(jnp.maximum(clear - way, 0.0)), jnp.inf)
-        return [[there, soon, jnp.square(limit), jnp.square(alarm)]], []
+        return [[there, soon, jnp.square(limit), jnp.square(alarm), jnp.square(unwatched)]], []
 
     (squares,), _ = over_blocks(work, blocks, (velocities, free, spheres[0], spheres[2], clear), [into.squares])
     return Candidates(
@@ -147,13 +169,14 @@ def list_candidates(
         near_square=squares[1],
         limit_square=squares[2],
         alarm_square=squares[3],
+        unwatched_square=squares[4],
         overflow=(coarse.count > most) | (kept.count > room),
     )
 
 
-def _slip(square: jax.Array, till_look: jax.Array) -> jax.Array:
-    """How far [m] the fastest node goes between two looks: a slow one may become so fast meanwhile."""
-    return till_look * jnp.sqrt(square)
+def _slip(square: jax.Array, time: jax.Array) -> jax.Array:
+    """How far [m] the fastest node goes: a slow one may become so fast meanwhile."""
+    return time * jnp.sqrt(square)
 
 
 def _fastest_square(velocities: jax.Array, blocks: jax.Array) -> jax.Array:
@@ -169,35 +192,40 @@ def _bounding_spheres(
     skip_far: bool,
     blocks: jax.Array,
     into: Sequence[jax.Array],
-) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]:
+) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array, jax.Array]:
     """The spheres, as `Lists` has them, and the clear distance (n_node,) before any triangle is looked at.
 
+    And how many triangles are to be looked at.
+
     Args:
-        moving: Positions, velocities and whether nodes are free, as in `list_candidates`; the window's duration, and
-            half the longest path in it [m].
+        moving: Positions, velocities and whether nodes are free, as in `list_candidates`; for how long they are
+            expected to stay [s], half the longest path in it, and the least radius [m].
         scale: Of the spheres, so that the pairs find room.
         grid: The mold's search structure.
         skip_far: As in `list_candidates`.
         blocks: How many blocks of nodes are in use.
         into: What is written over.
     """
-    positions, velocities, free, duration, longest = moving
+    positions, velocities, free, duration, longest, least = moving
 
     def work(positions: jax.Array, velocities: jax.Array, free: jax.Array) -> Any:
         path = duration * velocities
         half = 0.5 * jnp.sqrt(dot(path, path))
         # The longest path covers what neighbours hand on, the reach's share the start from rest.
-        radius = half + _MARGIN * (half + 2 * longest + grid.reach)
+        radius = half + _MARGIN * (half + 2 * longest + grid.reach) + least
         if not skip_far:
             radius = jnp.maximum(radius, grid.reach)
         own = scale * jnp.minimum(1.0, grid.farthest / radius)
         center, radius = positions + (0.5 * own)[None] * path, own * radius
         cell, bound = looked_up(center, grid)
-        x, y, z = center
-        return [[x, y, z, radius, bound], [cell], [free & (bound < radius)], [jnp.full_like(x, jnp.inf)]], []
+        begin, end = _listed_nearby(center, radius, cell, grid)
+        near, (x, y, z) = free & (bound < radius), center
+        looks = jnp.where(near, end - begin, 0)
+        return [[x, y, z, radius, bound], [begin, end], [near], [jnp.full_like(x, jnp.inf)]], [looks]
 
-    (real, cell, near, clear), _ = over_blocks(work, blocks, (positions, velocities, free), list(into))
-    return (real, cell, near), clear[0]
+    arrays, (looks,) = over_blocks(work, blocks, (positions, velocities, free), list(into), sums=1)
+    real, places, near, clear = arrays
+    return (real, places, near), clear[0], looks
 
 
 def _listed_nearby(
@@ -226,8 +254,8 @@ def _coarse_pairs(spheres: _Spheres, grid: SearchGrid, into: _Pairs, blocks: jax
     def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
         first, found = carry
         node = cut(member, first, LANES)
-        center, radius, cell = gather(spheres.center, node), spheres.radius[node], spheres.cell[node]
-        begin, end = _listed_nearby(center, radius, cell, grid)
+        center, radius = gather(spheres.center, node), spheres.radius[node]
+        begin, end = spheres.begin[node], spheres.end[node]
         length = jnp.where(first + jnp.arange(LANES) < total, end - begin, 0)
         nodes = jnp.broadcast_to(node[:, None], (LANES, DEPTH)).ravel()
 

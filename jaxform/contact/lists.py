@@ -1,4 +1,4 @@
-"""What a window lists of the mold near the sheet: pairs of node and triangle, and each node's bounding sphere."""
+"""What is listed of the mold near the sheet: pairs of node and triangle, and each node's bounding sphere."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxform.core.pytree import pytree
 TEST_BLOCK = 128  # pairs that are tested together
 LANES, DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
 _CANDIDATES = 8  # for each of these pairs, from which they are chosen: where a mold is flat, many planes are near
-PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a window can hold, where nothing else is asked for
+PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a list can hold, where nothing else is asked for
 
 
 @pytree
@@ -21,10 +21,11 @@ class Lists:
         node, triangle: The pairs (room,) that can meet.
         planes: Geometry of the pairs' triangles (12, room).
         coarse: The pairs (room,) that these were chosen from, and others.
-        spheres: Of nodes, as `_Spheres` has them: three components, radius and bound (5, n_node), the cells
-            (1, n_node), and whether the mold may be in them (1, n_node).
+        spheres: Of nodes, as `_Spheres` has them: center, radius and a lower bound on the center's distance to the mold
+            (5, n_node) [m], where the triangles begin and end (2, n_node), and whether the mold may be in them
+            (1, n_node).
         clear: The distance (n_node,) [m] that a node can go without touching.
-        squares: The four squares of `Candidates`, in its order (4, n_node).
+        squares: The five squares of `Candidates`, in its order (5, n_node).
     """
 
     node: jax.Array
@@ -38,18 +39,19 @@ class Lists:
 
 @pytree
 class Candidates:
-    """What a window knows of the mold; of nodes beyond the blocks in use it knows nothing.
+    """What is known of the mold till a node is about to leave its sphere; of nodes beyond the blocks in use nothing.
 
     Attributes:
         lists: The pairs of node and triangle that can meet.
         count: How many they are.
-        start: Positions (3, n_node) [m] at the border.
+        start: Positions (3, n_node) [m] when they were listed.
         center: Of the spheres (3, n_node) [m].
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
         near_square: The same less what any node goes between two looks.
         limit_square: Square of the radius (n_node,) [m^2] of the spheres: inside, none but listed triangles can be met.
-        alarm_square: Square of the distance (n_node,) [m^2] from the center at which the window halts.
-        overflow: Whether pairs were lost, so that the window must not be trusted.
+        alarm_square: Square of the distance (n_node,) [m^2] from the center at which another list is made.
+        unwatched_square: The same less what any node goes between two looks.
+        overflow: Whether pairs were lost, so that the list must not be trusted.
     """
 
     lists: Lists
@@ -60,6 +62,7 @@ class Candidates:
     near_square: jax.Array
     limit_square: jax.Array
     alarm_square: jax.Array
+    unwatched_square: jax.Array
     overflow: jax.Array
 
 
@@ -76,9 +79,9 @@ def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_N
         coarse=(coarse, coarse),
         spheres=(
             jnp.zeros((5, node_count), real),
-            jnp.zeros((1, node_count), jnp.int32),
+            jnp.zeros((2, node_count), jnp.int32),
             jnp.zeros((1, node_count), bool),
         ),
         clear=jnp.zeros(node_count, real),
-        squares=jnp.zeros((4, node_count), real),
+        squares=jnp.zeros((5, node_count), real),
     )

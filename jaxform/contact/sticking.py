@@ -19,8 +19,8 @@ from jaxform.contact.lists import TEST_BLOCK, Candidates
 from jaxform.kernels.blocks import cut, entry, once, only_if, put, rows_read
 from jaxform.mechanics.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
 from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Tool
 from jaxform.tools.mold import Mold
-from jaxform.tools.search import SearchGrid
 
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 
@@ -74,39 +74,37 @@ def land(
     due: Due,
     mass: jax.Array,
     candidates: Candidates,
-    mold: Mold,
-    grid: SearchGrid,
-    room: Met | None = None,
-) -> tuple[Landing, Met | None]:
-    """Puts the nodes that crossed the mold in this step where they met it; they stay there.
+    tool: Tool,
+    room: Met,
+) -> tuple[Landing, Met]:
+    """Puts the nodes that crossed the mold in this step where they met it; they stay there. Not differentiable.
 
     Args:
         landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
         now: The step. Before it, a node was its length at its velocity away. Kept nowhere, the positions before
             need not be copied.
-        due: The blocks of the window's list with nodes that can touch in this step.
+        due: The blocks of the list with nodes that can touch in this step.
         mass: (n_node,) [kg].
-        candidates: The window's list.
-        mold: The mold.
-        grid: Its search structure.
-        room: From `nothing_met`, for nodes' meetings: then no derivative can be taken. It is given back as it was.
+        candidates: The list.
+        tool: The mold and its search structure.
+        room: From `nothing_met`, for nodes' meetings. It is given back as it was.
     """
-    touch = touch_distance(grid)
+    touch = touch_distance(tool.grid)
+    return only_if(
+        due.count > 0,
+        lambda both: _landed_in_place(*both, now, mass, candidates, due, tool.mold, touch),
+        (landing, room),
+    )
 
-    if room is not None:
-        return only_if(
-            due.count > 0,
-            lambda both: _landed_in_place(*both, now, mass, candidates, due, mold, touch),
-            (landing, room),
-        )
+
+def land_on(landing: Landing, now: Step, chosen: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
+    """The same where it is known on which triangle each node lands in this step, -1 for none; differentiable."""
 
     def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
-        paths, stuck = _paths(landing, now), landing.nodes.stuck
-        none = nothing_met(stuck.size, landing.nodes.velocities.dtype)
-        return landed(landing, now, mass, mold, _first_met(paths, stuck, candidates, due, touch, none).triangle)
+        return landed(landing, now, mass, mold, chosen)
 
-    met = _any_meets(_paths(landing, now), landing.nodes.stuck, candidates, due, touch)
-    return jax.lax.cond(met, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold), None
+    any_lands = jnp.any(chosen >= 0)
+    return jax.lax.cond(any_lands, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold)
 
 
 class _Paths(NamedTuple):
@@ -125,10 +123,6 @@ class _Paths(NamedTuple):
         return once((x, y, z)), after
 
 
-def _paths(landing: Landing, now: Step) -> _Paths:
-    return jax.lax.stop_gradient(_Paths(landing.nodes.positions, landing.nodes.velocities, now.length))
-
-
 def _block(
     number: jax.Array, paths: _Paths, stuck: jax.Array, candidates: Candidates, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
@@ -141,18 +135,6 @@ def _block(
     beta, meets = _meet(*paths.ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
     return node, triangle, beta, meets & used & ~gather(stuck, node)
-
-
-def _any_meets(paths: _Paths, stuck: jax.Array, candidates: Candidates, due: Due, touch: jax.Array) -> jax.Array:
-    """Whether any pair that is due meets in this step; looks no further than the first block where one does."""
-
-    def more(carry: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return (carry[0] < due.count) & ~carry[1]
-
-    def test(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        return carry[0] + 1, jnp.any(_block(entry(due.block, carry[0]), paths, stuck, candidates, touch)[3])
-
-    return jax.lax.while_loop(more, test, (jnp.int32(0), jnp.asarray(False)))[1]
 
 
 class Met(NamedTuple):

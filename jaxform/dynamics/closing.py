@@ -9,11 +9,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.broad_phase import (
-    missed,
-    spheres,
-)
-from jaxform.dynamics.step import FAR, Moving, Window
+from jaxform.dynamics.moving import Moving, Searched, Window
+from jaxform.dynamics.touching import FAR
 from jaxform.kernels.blocks import only_if, over_blocks
 from jaxform.mechanics import membrane
 from jaxform.mechanics.corners import Load, corner_forces
@@ -35,9 +32,11 @@ _QUIET = 1e-2  # of the largest work: where a window misses more energy, they be
 _JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
 
 
-def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Window) -> PackedState:
+def close(
+    state: PackedState, moving: Moving, end: End, searched: Searched | None, scene: Scene, now: Window
+) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    candidates, work = now.candidates, jax.lax.stop_gradient(moving.account.external_work)
+    work = jax.lax.stop_gradient(moving.account.external_work)
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
@@ -62,13 +61,14 @@ def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Windo
     unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
     # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
     # retried with half the step: the sheet may have stiffened within the window.
-    status = jnp.where(end.missed, Status.CONTACT_MISSED, status)
+    if searched is not None:
+        status = jnp.where(searched.missed, Status.CONTACT_MISSED, status)
     bad = (status != 0) | unsure
     status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
-    if candidates is not None:
+    if searched is not None:
         # Pairs were lost: the state is left as it was, for a run with more room.
-        bad |= candidates.overflow
-        status |= jnp.where(candidates.overflow, Status.CONTACT_OVERFLOW, 0)
+        bad |= searched.overflow
+        status |= jnp.where(searched.overflow, Status.CONTACT_OVERFLOW, 0)
     status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if now.row is not None:
@@ -84,18 +84,21 @@ def close(state: PackedState, moving: Moving, end: End, scene: Scene, now: Windo
         status=status.astype(jnp.int32),
         control=dataclasses.replace(
             kept.control,
-            span=_next_span(state, bad | (moving.count < now.most), jump <= _QUIET * new.account.peak_work, scene, now),
+            span=_next_span(
+                state, bad | (moving.count < now.most), jump <= _QUIET * new.account.peak_work, searched, scene, now
+            ),
             retries=retries,
             last_length=now.length,
             last_count=jnp.where(bad, 0, moving.count),
-            last_duration=now.duration,
         ),
         windows=new.windows,
         shortened=shortened,
     )
 
 
-def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scene, now: Window) -> jax.Array:
+def _next_span(
+    state: State, cut_short: jax.Array, quiet: jax.Array, searched: Searched | None, scene: Scene, now: Window
+) -> jax.Array:
     """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
 
     A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
@@ -104,10 +107,10 @@ def _next_span(state: State, cut_short: jax.Array, quiet: jax.Array, scene: Scen
     if scene.tables.window_room <= SHORT_WINDOW:
         return state.control.span
     longer = quiet & (jnp.abs(now.bound - state.control.bound) <= _STEADY * state.control.bound)
-    if now.candidates is not None:
+    if searched is not None:
         counts = scene.tables.counts
         nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
-        longer &= now.candidates.count <= _FEW_PAIRS * nodes
+        longer &= searched.pairs <= _FEW_PAIRS * nodes
     longest = jnp.int32(scene.tables.longest_window)
     twice, half = (
         jnp.minimum(2 * state.control.span, longest),
@@ -120,13 +123,12 @@ class End(NamedTuple):
     """What a window's end comes to.
 
     Kinetic energy [J], and that of the velocities, which are half a step behind; the largest coordinate [m], not finite
-    where any position is not; whether a node may have missed the mold.
+    where any position is not.
     """
 
     kinetic: jax.Array
     behind: jax.Array
     largest: jax.Array
-    missed: jax.Array | bool
 
 
 def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners]:
@@ -146,21 +148,17 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     room = no_corners(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any, sphere: Any) -> Any:
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any) -> Any:
         ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
         size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
-        if moving.seen is None:
-            return [], [*energies, size]
-        return [], [*energies, size, missed(positions, nodes[0], sphere, moving.seen)]
+        return [], [*energies, size]
 
     nodes = moving.nodes.stuck, active.mass, active.compliance
-    sphere = None if now.candidates is None else spheres(now.candidates)
-    inputs = shares(elements), nodes, positions, moving.nodes.velocities, sphere
-    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1 + (sphere is not None))
-    missing = False if moving.seen is None else moving.seen.missed | (found[3] > 0.0)
-    return End(*found[:3], missed=missing), corners
+    inputs = shares(elements), nodes, positions, moving.nodes.velocities
+    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1)
+    return End(*found), corners
 
 
 def _health(

@@ -73,7 +73,6 @@ def initial_state(scene: Scene) -> State:
             sharpness=zero,
             last_length=zero,
             last_count=none,
-            last_duration=zero,
             pace=None if scene.cooling is None else zero,
         ),
         replay=Replay(none, zero),

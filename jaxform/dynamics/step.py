@@ -11,20 +11,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact import sticking
-from jaxform.contact.broad_phase import (
-    LOOK_EVERY,
-    Seen,
-    Watched,
-    every_block,
-    look,
-    unwatched,
-    watch,
-)
 from jaxform.contact.lists import Candidates
-from jaxform.core.pytree import pytree
-from jaxform.kernels.blocks import once, only_if, over_blocks, total
-from jaxform.materials import Recursion
+from jaxform.dynamics.moving import Landings, Moving, Window
+from jaxform.dynamics.touching import flown, landed_again, looked, touched
+from jaxform.kernels.blocks import once, over_blocks, total
 from jaxform.mechanics import membrane
 from jaxform.mechanics.corners import (
     Load,
@@ -37,78 +27,19 @@ from jaxform.mechanics.corners import (
 from jaxform.mechanics.elements import Corners, assembled, shares
 from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
-from jaxform.mechanics.nodes import Nodes
 from jaxform.mechanics.response import Memory, present
 from jaxform.model.field import Surroundings, stepped
-from jaxform.model.scene import Scene, Tool
-from jaxform.sheet.active_set import ActiveSet
+from jaxform.model.scene import Scene
 from jaxform.sheet.scheme import kicked
-from jaxform.sheet.state import Account
-
-FAR = 1e4  # of the sheet's size: a sheet that gets there has run away
 
 
-@pytree
-class Moving:
-    """What changes from step to step inside a window, in packed order.
-
-    The memory is what elements remember from one step to the next (4 n_mode, room), before the first step and at the
-    window's end the stress of their viscous modes; None where they have none. Positions (3, place) [m] are three rows
-    where no derivative is taken: else they would be taken apart in every step. `landed` is the step in which a node
-    landed, NEVER where it has not in this window, and the impact that of `sticking.Landing`, None where it is not kept.
-    What was seen last of the mold is None where there is none, the room where derivatives are taken, and that for
-    meetings in either case.
-    """
-
-    nodes: Nodes
-    fields: dict[str, jax.Array]
-    account: Account
-    memory: jax.Array | None
-    landed: jax.Array
-    impact: jax.Array | None
-    count: jax.Array
-    halted: jax.Array
-    seen: Seen | None
-    room: Corners | None
-    met: sticking.Met | None
-
-    @property
-    def last_look(self) -> Seen:
-        """What was seen last of the mold, where there is one."""
-        assert self.seen is not None
-        return self.seen
-
-
-@pytree
-class Window:
-    """What stays the same within a window, in packed order.
-
-    Attributes:
-        active: The elements and nodes that are active.
-        begin: Its begin [s].
-        length: The step [s].
-        bound: The elements' bound on it [s].
-        most: How many steps it takes, unless it is cut short.
-        row: Of a schedule that is followed; None where none is.
-        duration: What it is to last [s].
-        candidates: The list of nodes near the mold; None where there is no mold.
-        wary: Whether no look at the nodes is trusted, since the last window was not taken.
-        recursion: How viscous modes go over a step; None where there are none.
-    """
-
-    active: ActiveSet
-    begin: jax.Array
-    length: jax.Array
-    bound: jax.Array
-    most: jax.Array
-    row: Row | None
-    duration: jax.Array
-    candidates: Candidates | None
-    wary: jax.Array
-    recursion: Recursion | None
-
-
-def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Window) -> Moving:
+def step(
+    moving: Moving,
+    pressures: tuple[jax.Array, ...],
+    scene: Scene,
+    now: Window,
+    contact: Candidates | Landings | None = None,
+) -> Moving:
     """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
 
     Args:
@@ -117,12 +48,12 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
             velocity takes [s].
         scene: The scene.
         now: The window.
+        contact: Among what contact is searched for, or what is known of it; None where there is no mold.
     """
     pressure, mean_pressure, kick = pressures
-    length = now.length
-    candidates, tool = now.candidates, scene.tool
-    if candidates is not None:
-        moving = _looked(moving, now, candidates)
+    length, tool = now.length, scene.tool
+    if isinstance(contact, Candidates):
+        moving = looked(moving, now, contact)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
@@ -154,10 +85,12 @@ def step(moving: Moving, pressures: tuple[jax.Array, ...], scene: Scene, now: Wi
         count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
     )
-    if candidates is not None and tool is not None:
-        moved = _touch(moved, length, tool, candidates, scene, now)
+    if tool is not None and isinstance(contact, Candidates):
+        moved = touched(moved, length, tool, contact, scene, now)
+    elif tool is not None and isinstance(contact, Landings):
+        moved = landed_again(moved, length, tool, contact, now)
     elif moving.room is None:
-        moved = dataclasses.replace(moved, halted=_flown(moved, scene, now))
+        moved = dataclasses.replace(moved, halted=flown(moved, scene, now))
     return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
 
 
@@ -221,25 +154,6 @@ def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Sce
     return dataclasses.replace(moved, fields=kept)
 
 
-def _watched(moved: Moving, candidates: Candidates, scene: Scene, now: Window) -> Watched:
-    """The listed pairs that are tested in this step, and whether a node is about to leave the range of its list."""
-    state = jax.lax.stop_gradient((moved.nodes.positions, moved.nodes.stuck, candidates))
-    blocks = now.active.packed.elements.node_block_count
-    found = only_if(
-        moved.last_look.close,
-        lambda _: watch(*state, blocks),
-        unwatched(candidates),
-        differentiable=moved.room is None,
-    )
-    return found if scene.solver.skip_far else found._replace(due=every_block(candidates))
-
-
-def _flown(moved: Moving, scene: Scene, now: Window) -> jax.Array:
-    """Whether a window without contact halts: a sheet that flies off must not overflow where derivatives are taken."""
-    far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.nodes.positions))) > FAR * scene.tables.size
-    return moved.halted | far | (moved.count >= now.most)
-
-
 class _Taken(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
@@ -292,50 +206,3 @@ def _taken_in_blocks(
     new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4, kept=False)
     positions = vector(row for (row,) in new[:3])
     return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners, rest)
-
-
-def _looked(moving: Moving, now: Window, candidates: Candidates) -> Moving:
-    """Every few steps a look at where the nodes are, and where they will be at the next one.
-
-    What it says of the mold holds until then, unless a node has become so much faster that it may have touched unseen:
-    that shows in the next look, or at the window's end.
-    """
-    nodes = moving.nodes
-
-    def again(last: Seen) -> Seen:
-        till_next = jnp.minimum(LOOK_EVERY, now.most - moving.count) * now.length
-        state = jax.lax.stop_gradient((nodes.positions, nodes.velocities, nodes.stuck, till_next, candidates))
-        new = look(*state, last, now.active.packed.elements.node_block_count)
-        return new._replace(close=new.close | now.wary)
-
-    due = (moving.count > 0) & (moving.count % LOOK_EVERY == 0) & ~moving.halted
-    seen = only_if(due, again, moving.last_look, differentiable=moving.room is None)
-    # Read before they are written (docs/explanation/kernels.md).
-    seen, positions, velocities = once((seen, nodes.positions, nodes.velocities))
-    return dataclasses.replace(
-        moving, seen=seen, nodes=dataclasses.replace(nodes, positions=positions, velocities=velocities)
-    )
-
-
-def _touch(moved: Moving, length: jax.Array, tool: Tool, candidates: Candidates, scene: Scene, now: Window) -> Moving:
-    """Contact of one step; halts the window when a node is about to leave the range of its list."""
-    flying = sticking.Landing(moved.nodes, moved.landed, moved.account.contact_loss, moved.impact)
-    due, leaving = _watched(moved, candidates, scene, now)
-    this = sticking.Step(length, now.begin + moved.count * now.length, moved.count - 1)
-    landing, met = sticking.land(flying, this, due, now.active.mass, candidates, tool.mold, tool.grid, moved.met)
-    return dataclasses.replace(
-        moved,
-        nodes=landing.nodes,
-        landed=landing.step,
-        impact=landing.impact,
-        account=dataclasses.replace(moved.account, contact_loss=landing.loss),
-        met=met,
-        halted=moved.halted | leaving | moved.last_look.missed | (moved.count >= now.most),
-    )
-
-
-class Row(NamedTuple):
-    """The row of a schedule whose steps are taken, and the time that is left of it [s]."""
-
-    number: jax.Array
-    left: jax.Array

@@ -15,15 +15,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact import sticking
-from jaxform.contact.broad_phase import (
-    LOOK_EVERY,
-    unseen,
-)
+from jaxform.contact.broad_phase import unseen
 from jaxform.contact.candidates import list_candidates
 from jaxform.contact.lists import Candidates, Lists, no_lists
 from jaxform.dynamics.closing import SLACK, close, looked_over
-from jaxform.dynamics.step import Moving, Row, Window, settled, step
+from jaxform.dynamics.moving import Landings, Moving, Row, Searched, Window
+from jaxform.dynamics.step import settled, step
 from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
+from jaxform.dynamics.touching import any_missed
 from jaxform.kernels.blocks import as_one, entry
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners, no_corners
@@ -48,9 +47,8 @@ def window(
 ) -> State:
     """A fixed number of steps with the decisions taken at its border, or as a schedule has them.
 
-    A design may move faster than the one whose schedule it follows: contact then cuts its window short, and the next
-    one goes on with the steps that are left; or it is retried with shorter ones, as any other. Where no derivative
-    is asked for, a halted window ends at once; else its remaining steps change nothing.
+    A design may move faster than the one whose schedule it follows: then its window is retried with shorter steps, as
+    any other. Where no derivative is asked for, a halted window ends at once; else its remaining steps change nothing.
     """
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed, active = cooled(active.taken(state), scene, active, differentiable=differentiable)
@@ -76,7 +74,7 @@ def with_room(active: ActiveSet, scene: Scene) -> ActiveSet:
     """With room for what is worked out in every window."""
     places, elements = active.compliance, active.packed.elements
     basis = no_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
-    lists = _no_lists(scene, places)
+    lists = None if scene.mold is None else _no_lists(scene, places)
     return dataclasses.replace(active, room=Room(no_corners(places, elements), basis, lists))
 
 
@@ -106,7 +104,7 @@ def _stepped(
     differentiable: bool,
     impacts: bool = False,
 ) -> tuple[PackedState, Moving, Room | None]:
-    (length, most, limit, room), duration, row = decisions
+    (length, most, limit, room), row = decisions
     modes = active.viscous(scene.material)
     now = Window(
         active=active,
@@ -115,39 +113,97 @@ def _stepped(
         bound=limit.bound,
         most=most,
         row=row,
-        duration=duration,
-        candidates=_list_candidates(state, scene, active, duration, length, room),
         wary=state.control.last_count == 0,
         recursion=None if modes is None else modes.recursion(length),
     )
-    nodes = state.nodes
-    corners = None if differentiable else no_corners(nodes.positions, active.packed.elements)
-    moving = _begun(state, now, corners if room is None else room.corners, impacts)
-
-    def advance(moving: Moving, pressures: tuple[jax.Array, ...]) -> tuple[Moving, None]:
-        return step(moving, pressures, scene, now), None
-
     timing = Timing(state.time, state.control.step_length, length)
     longest = scene.tables.window_room
     steps = *pressures(scene.pressure, timing, longest), kicks(timing, longest)
+    lists = None
     if differentiable:
-        moving = _in_short_ones(advance, moving, steps)
+        moving, searched = _taken_again(state, scene, now, steps)
     else:
-        moving = _with_positions(moving, membrane.rows_of(nodes.positions))
-        moving = _until_halted(
-            lambda moving, taken: advance(moving, jax.tree.map(lambda x: entry(x, taken), steps))[0], moving, now.most
-        )
-        moving = _with_positions(moving, jnp.stack(moving.nodes.positions))
+        moving, searched, lists = _taken(state, scene, now, steps, room, impacts)
     moving = settled(moving, scene, now)
     found = dataclasses.replace(
         state,
-        nodes=dataclasses.replace(nodes, mode=limit.mode),
+        nodes=dataclasses.replace(state.nodes, mode=limit.mode),
         control=dataclasses.replace(state.control, sharpness=limit.sharpness),
     )
     end, corners = looked_over(moving, scene, now)
     if room is not None:
-        room = Room(corners, room.basis, None if now.candidates is None else now.candidates.lists)
-    return close(found, moving, end, scene, now), moving, room
+        room = Room(corners, room.basis, lists)
+    return close(found, moving, end, searched, scene, now), moving, room
+
+
+_Steps = tuple[jax.Array, ...]
+"""What `step` takes of all steps of a window."""
+
+
+def _taken(
+    state: PackedState, scene: Scene, now: Window, steps: _Steps, room: Room | None, impacts: bool
+) -> tuple[Moving, Searched | None, Lists | None]:
+    """The steps of a window, with its contact searched for; not differentiable."""
+    corners = no_corners(state.nodes.positions, now.active.packed.elements) if room is None else room.corners
+    moving = _begun(state, scene, now, corners, impacts)
+    moving = _with_positions(moving, membrane.rows_of(state.nodes.positions))
+    if scene.tool is None:
+        moving, searched, lists = _until_halted(moving, scene, now, steps), None, None
+    else:
+        lists = _no_lists(scene, state.nodes.positions) if room is None or room.lists is None else room.lists
+        moving, searched, lists = _from_list_to_list(moving, scene, now, steps, lists)
+    return _with_positions(moving, jnp.stack(moving.nodes.positions)), searched, lists
+
+
+def _from_list_to_list(
+    moving: Moving, scene: Scene, now: Window, steps: _Steps, lists: Lists
+) -> tuple[Moving, Searched, Lists]:
+    """The steps of a window with a mold: as long as one list of candidates holds, then with another."""
+
+    def with_another(carry: tuple[Moving, Searched, Lists]) -> tuple[Moving, Searched, Lists]:
+        moving, searched, lists = carry
+        candidates = _list_candidates(moving, scene, now, lists)
+        halted = moving.halted | candidates.overflow
+        moving = dataclasses.replace(moving, halted=halted, stale=jnp.asarray(False), seen=unseen())
+        moving = _until_halted(moving, scene, now, steps, candidates)
+        missed = any_missed(moving, candidates, now)
+        pairs, overflow = jnp.maximum(searched.pairs, candidates.count), searched.overflow | candidates.overflow
+        moving = dataclasses.replace(moving, halted=moving.halted | missed)
+        return moving, Searched(pairs, overflow, searched.missed | missed), candidates.lists
+
+    none = Searched(jnp.int32(0), jnp.asarray(False), jnp.asarray(False))
+    return jax.lax.while_loop(lambda carry: _going(carry[0], now), with_another, (moving, none, lists))
+
+
+def _until_halted(
+    moving: Moving, scene: Scene, now: Window, steps: _Steps, candidates: Candidates | None = None
+) -> Moving:
+    """The steps of a window, as far as a list of candidates holds."""
+
+    def going(moving: Moving) -> jax.Array:
+        more = _going(moving, now)
+        return more if moving.stale is None else more & ~moving.stale
+
+    def advance(moving: Moving) -> Moving:
+        return step(moving, jax.tree.map(lambda x: entry(x, moving.count), steps), scene, now, candidates)
+
+    return jax.lax.while_loop(going, advance, moving)
+
+
+def _going(moving: Moving, now: Window) -> jax.Array:
+    return (moving.count < now.most) & ~moving.halted
+
+
+def _taken_again(state: PackedState, scene: Scene, now: Window, steps: _Steps) -> tuple[Moving, Searched | None]:
+    """The steps of a window, differentiable: where there is a mold, with the landings that a search has found."""
+    searched = known = None
+    moving = _begun(state, scene, now)
+    if scene.tool is not None:
+        found, searched, _ = _taken(*jax.lax.stop_gradient((state, scene, now, steps)), None, False)
+        known = Landings(found.landed, found.nodes.wall, found.count)
+        moving = dataclasses.replace(moving, halted=found.count == 0)
+    moving = _in_short_ones(lambda moving, own: (step(moving, own, scene, now, known), None), moving, steps)
+    return moving, searched
 
 
 def _with_positions(moving: Moving, positions: Any) -> Moving:
@@ -155,14 +211,9 @@ def _with_positions(moving: Moving, positions: Any) -> Moving:
 
 
 class _Decisions(NamedTuple):
-    """What is decided at a window's border.
-
-    The steps, and how long they or those of the schedule were to last [s]; the row they belong to, where one is
-    followed.
-    """
+    """What is decided at a window's border: the steps, and the row they belong to, where a schedule is followed."""
 
     chosen: Chosen
-    duration: jax.Array
     row: Row | None = None
 
 
@@ -185,7 +236,7 @@ def _decided(state: PackedState, scene: Scene, active: ActiveSet, schedule: Sche
         own = jnp.where(fresh, jnp.minimum(length, even), even)
         most = jnp.clip(steps, 1, most_steps(own, scene))
         limit = Limit(state.nodes.mode, bound, state.control.sharpness)
-        return _Decisions(Chosen(own, most, limit), schedule.durations[row], Row(row, left))
+        return _Decisions(Chosen(own, most, limit), Row(row, left))
 
     def beyond(*now: Any) -> _Decisions:
         return _decided_freely(*now)._replace(row=Row(row, jnp.full_like(state.time, jnp.inf)))
@@ -195,13 +246,13 @@ def _decided(state: PackedState, scene: Scene, active: ActiveSet, schedule: Sche
 
 
 def _decided_freely(state: PackedState, scene: Scene, active: ActiveSet) -> _Decisions:
-    chosen = choose_step(state, scene, active)
-    return _Decisions(chosen, chosen.most * chosen.length)
+    return _Decisions(choose_step(state, scene, active))
 
 
-def _begun(state: PackedState, now: Window, room: Corners | None, impacts: bool) -> Moving:
-    active = now.active
-    places, positions = active.mass.size, state.nodes.positions
+def _begun(state: PackedState, scene: Scene, now: Window, room: Corners | None = None, impacts: bool = False) -> Moving:
+    """Before the first step; with room for corner forces where contact is searched for."""
+    places, positions = now.active.mass.size, state.nodes.positions
+    searches = scene.tool is not None and room is not None
     return Moving(
         nodes=state.nodes.stepped(),
         fields=state.nodes.fields,
@@ -211,9 +262,10 @@ def _begun(state: PackedState, now: Window, room: Corners | None, impacts: bool)
         impact=jnp.zeros((6, places), positions.dtype) if impacts else None,
         count=jnp.int32(0),
         halted=jnp.asarray(False),
-        seen=None if now.candidates is None else unseen(),
+        stale=jnp.asarray(False) if searches else None,
+        seen=unseen() if searches else None,
         room=room,
-        met=None if now.candidates is None or room is None else sticking.nothing_met(places, positions.dtype),
+        met=sticking.nothing_met(places, positions.dtype) if searches else None,
     )
 
 
@@ -232,28 +284,22 @@ def _in_short_ones(advance: Callable[..., Any], moving: Moving, steps: tuple[jax
     return jax.lax.scan(unless_halted, moving, short)[0]
 
 
-def _until_halted(advance: Callable[[Moving, jax.Array], Moving], moving: Moving, most: jax.Array) -> Moving:
-    def going(moving: Moving) -> jax.Array:
-        return (moving.count < most) & ~moving.halted
-
-    return jax.lax.while_loop(going, lambda moving: advance(moving, moving.count), moving)
-
-
-def _list_candidates(
-    state: PackedState, scene: Scene, active: ActiveSet, duration: jax.Array, length: jax.Array, room: Room | None
-) -> Candidates | None:
-    if scene.tool is None:
-        return None
-    positions, velocities, grid, duration = jax.lax.stop_gradient(
-        (state.nodes.positions, state.nodes.velocities, scene.tool.grid, duration)
+def _list_candidates(moving: Moving, scene: Scene, now: Window, into: Lists) -> Candidates:
+    """For the steps that are left of a window."""
+    assert scene.tool is not None
+    nodes, grid = jax.lax.stop_gradient((moving.nodes, scene.tool.grid))
+    return list_candidates(
+        jnp.stack(nodes.positions),
+        nodes.velocities,
+        ~nodes.stuck,
+        jax.lax.stop_gradient(now.length),
+        now.most - moving.count,
+        grid,
+        scene.solver.skip_far,
+        into,
+        now.active.packed.elements.node_block_count,
     )
-    into = _no_lists(scene, positions) if room is None or room.lists is None else room.lists
-    till_look, skip_far = LOOK_EVERY * length, scene.solver.skip_far
-    blocks = active.packed.elements.node_block_count
-    return list_candidates(positions, velocities, ~state.nodes.stuck, duration, till_look, grid, skip_far, into, blocks)
 
 
-def _no_lists(scene: Scene, positions: jax.Array) -> Lists | None:
-    if scene.mold is None:
-        return None
+def _no_lists(scene: Scene, positions: jax.Array) -> Lists:
     return no_lists(positions.shape[1], positions.dtype, scene.tables.pairs_per_node)

@@ -52,7 +52,7 @@ def begin(scene: Scene) -> tuple[State, Discretization, Taken]:
     count = scene.tables.window_count
     state = initial_state(scene)
     none = jnp.zeros(count, state.time.dtype)
-    return state, discretize(scene), (none, jnp.zeros(count, jnp.int32), none, none)
+    return state, discretize(scene), (none, jnp.zeros(count, jnp.int32), none)
 
 
 @jax.jit
@@ -99,7 +99,7 @@ class _Going(NamedTuple):
 
 def latest(state: State) -> Taken:
     """Of the last window."""
-    return state.control.last_length, state.control.last_count, state.control.bound, state.control.last_duration
+    return state.control.last_length, state.control.last_count, state.control.bound
 
 
 def unless_full[T](

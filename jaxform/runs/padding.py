@@ -41,7 +41,7 @@ from jaxform.runs.arrays import (
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.state import Schedule
 
-_OF_WINDOWS = ("lengths", "counts", "bounds", "durations")
+_OF_WINDOWS = ("lengths", "counts", "bounds")
 
 
 class Padded(NamedTuple):

@@ -32,7 +32,7 @@ class Status(enum.IntFlag):
     INPUT = 512
 
 
-Taken = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)
+Taken = tuple[jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)
 
 
 @pytree
@@ -43,14 +43,12 @@ class Schedule:
         lengths: Of the steps of each window (n_window,) [s].
         counts: Steps of each window (n_window,); 0 for windows that were not taken, or rejected.
         bounds: The elements' bound on the step at their begin (n_window,) [s].
-        durations: What they were to last (n_window,) [s], before contact cut them short: where nodes were expected.
         split_at: The window (n_triangle,) at whose border each triangle of the forest was bisected; None without one.
     """
 
     lengths: jax.Array
     counts: jax.Array
     bounds: jax.Array
-    durations: jax.Array
     split_at: jax.Array | None
 
     def upcoming(self, row: jax.Array) -> jax.Array:
@@ -114,7 +112,6 @@ class Control:
         retries: Times that the present window was retried with half the step: it blew up, or may have missed the mold.
         bound, sharpness: The elements' bound on the step [s], and how many times as long the measured one is; 0 before.
         last_length, last_count: Step length [s] and steps of the last window; no steps where it was rejected.
-        last_duration: What it was to last [s].
         pace: How fast the sheet cools at most [K/s]; None where it does not.
     """
 
@@ -125,7 +122,6 @@ class Control:
     sharpness: jax.Array
     last_length: jax.Array
     last_count: jax.Array
-    last_duration: jax.Array
     pace: jax.Array | None = None
 
 

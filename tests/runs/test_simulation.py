@@ -238,7 +238,7 @@ def test_the_run_ends_when_nothing_can_move() -> None:
         parison=jaxform.make_parison(disc.positions, disc.triangles, 0.01, disc.clamped, disc.fixed),
         material=scenes.mooney(0.0),
         pressure=jaxform.make_pressure([0.0, 40.0], [0.0, 0.05]),
-        solver=jaxform.make_solver(end_time=50.0, damping=1.0),
+        solver=jaxform.make_solver(end_time=50.0, damping=1.0, safety=0.5),
         mold=jaxform.make_mold(wall.vertices, wall.triangles),
     )
     result = jaxform.run(scene)
