@@ -1,10 +1,10 @@
-"""Which of the listed pairs are tested in a step: the watch over the nodes between two borders.
+"""Which of the listed pairs are tested in a step: the watch over the nodes while one list holds.
 
 Every few steps a look at all nodes says whether any can touch the mold, or leave its sphere, before the next look.
 While none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from
-where the window began, and the window halts where a node is about to leave its sphere. A look trusts the velocities;
-where one was wrong, so that a node may have touched unseen, the next one sees that it was, or the window's end does,
-and the window is retried without trust in any look.
+where they were listed, and another list is made where a node is about to leave its sphere. A look trusts the
+velocities; where one was wrong, so that a node may have touched unseen, the next one sees that it was, or the end of
+the list does, and the window is retried without trust in any look.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def look(
         velocities: (3, n_node) [m/s].
         stuck: Nodes (n_node,) that do not move any more.
         till_next: Time until the next look [s].
-        candidates: The window's list.
+        candidates: The list.
         last: What the last look found.
         node_block_count: How many blocks of nodes are in use.
     """
@@ -101,7 +101,7 @@ def look(
 
 
 def spheres(candidates: Candidates) -> tuple[jax.Array, ...]:
-    """What `missed` needs of the window's list, node by node."""
+    """What `missed` needs of a list, node by node."""
     return candidates.start, candidates.clear_square, candidates.center, candidates.limit_square
 
 
@@ -111,7 +111,7 @@ def missed(positions: Any, stuck: jax.Array, spheres: Any, last: Seen) -> jax.Ar
     Args:
         positions: (3, n) [m].
         stuck: Nodes (n,) that do not move any more.
-        spheres: What are `spheres` of the window's list at these nodes.
+        spheres: What are `spheres` of the list at these nodes.
         last: What the last look found.
     """
     start, clear_square, center, limit_square = spheres
@@ -130,7 +130,7 @@ def watch(positions: Any, stuck: jax.Array, candidates: Candidates, node_block_c
     Args:
         positions: After the step, (3, n_node) or three times (n_node,) [m].
         stuck: Nodes (n_node,) that do not move any more.
-        candidates: The window's list.
+        candidates: The list.
         node_block_count: How many blocks of nodes are in use.
     """
 

@@ -1,8 +1,8 @@
 """Sticking contact: which nodes cross which triangle of the mold in a step, and where they land (paper, 3.2).
 
-Only those of the pairs that the border listed are tested that the watch says. The choice of the triangle carries no
-gradient; the landing point is then computed differentiably from it, and since it is the point where the path meets the
-triangle, its gradient is that of the time of impact.
+Only those of the listed pairs are tested that the watch says. The choice of the triangle carries no gradient; the
+landing point is then computed differentiably from it, and since it is the point where the path meets the triangle, its
+gradient is that of the time of impact.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Result:
         added_mass: What fine elements were given to keep the step long, relative to it.
         energy: The energy account.
         time: Simulated time [s].
-        steps, windows, shortened: Steps and windows taken, and windows cut short by contact.
+        steps, windows, shortened: Steps and windows taken, and windows that were rejected and retried.
         status: Bits of `Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.

@@ -145,7 +145,7 @@ class State:
         mesh: Which triangles of the forest there are; None without refinement.
         memory: The stress of viscous modes now (4 n_mode, n_element), as `materials.viscous` has it; None without.
         time: [s].
-        steps, windows, shortened: Steps and windows taken; windows cut short because a node left its list's range.
+        steps, windows, shortened: Steps and windows taken; windows that were rejected and retried.
         status: Bits of `Status`.
         heat: How far the elements have cooled; None where they do not.
     """
