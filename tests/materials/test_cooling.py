@@ -136,7 +136,7 @@ def _cup(skip_stuck: bool = True, refined: bool = True) -> jaxform.Scene:
         parison=dataclasses.replace(plain.parison, temperature=jnp.asarray(135.0 + 10.0 * places[:, 0])),
         material=jaxform.NeoHookean(real(1.0), real(1.0), viscous=modes, shift=shift),
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.8]),
-        solver=dataclasses.replace(plain.solver, skip_stuck=skip_stuck),
+        solver=dataclasses.replace(plain.solver, skip_stuck=skip_stuck, safety=real(0.7)),
         mold=plain.mold,
         refinement=limits if refined else None,
         cooling=_cooling(air=1e-4, mold=1e-3, conductivity=1e-5),

@@ -149,7 +149,7 @@ def _cup(kind: Any) -> jaxform.Scene:
         material=_law(kind),
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
         parison=plain.parison,
-        solver=plain.solver,
+        solver=dataclasses.replace(plain.solver, safety=real(0.7)),
         mold=plain.mold,
     )
 
