@@ -13,8 +13,7 @@ import trimesh
 import jaxform
 from benchmarks import contact as figures
 from jaxform import molds, shapes
-from jaxform.contact import broad_phase, cells, lists
-from jaxform.contact import candidates as nearness
+from jaxform.contact import broad_phase, cells, lists, spheres
 from jaxform.contact.cells import cell_of
 from jaxform.core.store import Store
 from jaxform.dynamics import touching
@@ -282,7 +281,7 @@ def test_what_touches_between_two_looks_unseen_is_retried(monkeypatch: pytest.Mo
     seen = jaxform.run(scene)
     monkeypatch.setattr(broad_phase, "_AHEAD", 0.0)
     monkeypatch.setattr(touching, "LOOK_EVERY", 16)
-    monkeypatch.setattr(nearness, "LOOK_EVERY", 0)
+    monkeypatch.setattr(spheres, "LOOK_EVERY", 0)
     jax.clear_caches()
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
     jax.clear_caches()
