@@ -29,7 +29,7 @@ quick: environment
 lint: environment
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
-	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 .venv/bin/pyright
+	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 .venv/bin/pyright --threads 2
 
 lock:
 	@tools/environment.sh lock
