@@ -18,6 +18,7 @@ from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, Candidates, Lists, n
 from jaxform.contact.spheres import Ahead, Spheres, bounding_spheres, squares_of
 from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, only_if, put
 from jaxform.mechanics.membrane import gather
+from jaxform.mechanics.nodes import highest_speed
 from jaxform.tools.search import SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
@@ -80,7 +81,7 @@ def list_candidates(
     """
     into = into or no_lists(free.size, positions.dtype)
     blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
-    ahead = Ahead.of(length, steps, velocities, blocks)
+    ahead = Ahead(length, steps, highest_speed(velocities, blocks))
     found, full = _found((positions, velocities, free), ahead, grid, skip_far, into, blocks)
     arrays = found.spheres, found.clear
     squares = squares_of((velocities, free), ahead, found.attempts - 1, arrays, into.squares, blocks)

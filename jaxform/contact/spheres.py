@@ -48,11 +48,11 @@ class Spheres:
 
 
 class Ahead(NamedTuple):
-    """The steps that a list is made for: their length [s], how many, and the square of the highest speed [m^2/s^2]."""
+    """The steps that a list is made for: their length [s], how many, and the nodes' highest speed [m/s]."""
 
     length: jax.Array
     steps: jax.Array
-    square: jax.Array
+    speed: jax.Array
 
     @property
     def halvings(self) -> jax.Array:
@@ -65,13 +65,7 @@ class Ahead(NamedTuple):
 
     def way(self, steps: jax.Array | float) -> jax.Array:
         """How far [m] the fastest node goes in so many: a slow one may become so fast meanwhile."""
-        return steps * self.length * jnp.sqrt(self.square)
-
-    @classmethod
-    def of(cls, length: jax.Array, steps: jax.Array, velocities: jax.Array, blocks: jax.Array) -> Ahead:
-        """Of nodes that move at these velocities (3, n_node) [m/s]."""
-        _, (square,) = over_blocks(lambda v: ([], [dot(v, v)]), blocks, (velocities,), [], most=1)
-        return cls(length, steps, square)
+        return steps * self.length * self.speed
 
 
 Arrays = tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]

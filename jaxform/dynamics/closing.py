@@ -51,7 +51,6 @@ def close(
         time=state.time + moving.count * now.length,
         steps=state.steps + moving.count,
         windows=state.windows + 1,
-        shortened=state.shortened + (moving.count < now.most),
     )
     rounding = energy_rounding(scene, now.active.substance)
     status, imbalance = _health(new, end, rounding, scene, now.active)
@@ -78,26 +77,23 @@ def close(
         new = dataclasses.replace(new, replay=Replay(now.row.number + whole, row_time))
     # Chosen as a whole: leaf by leaf it would be a kernel for each.
     kept = only_if(bad, lambda _: state, new, differentiable=moving.room is None)
-    shortened = jnp.where(bad, state.shortened + 1, new.shortened)
     return dataclasses.replace(
         kept,
         status=status.astype(jnp.int32),
         control=dataclasses.replace(
             kept.control,
-            span=_next_span(
-                state, bad | (moving.count < now.most), jump <= _QUIET * new.account.peak_work, searched, scene, now
-            ),
+            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, now),
             retries=retries,
             last_length=now.length,
             last_count=jnp.where(bad, 0, moving.count),
         ),
         windows=new.windows,
-        shortened=shortened,
+        shortened=state.shortened + bad,
     )
 
 
 def _next_span(
-    state: State, cut_short: jax.Array, quiet: jax.Array, searched: Searched | None, scene: Scene, now: Window
+    state: State, rejected: jax.Array, quiet: jax.Array, searched: Searched | None, scene: Scene, now: Window
 ) -> jax.Array:
     """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
 
@@ -116,7 +112,7 @@ def _next_span(
         jnp.minimum(2 * state.control.span, longest),
         jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
     )
-    return jnp.where(cut_short, jnp.minimum(SHORT_WINDOW, longest), jnp.where(longer, twice, half))
+    return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), jnp.where(longer, twice, half))
 
 
 class End(NamedTuple):

@@ -20,6 +20,7 @@ from jaxform.kernels.blocks import Part, once, only_if, over_blocks
 from jaxform.mechanics import membrane, stiffness
 from jaxform.mechanics.corners import Load, corner_changes
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
+from jaxform.mechanics.nodes import highest_speed
 from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
 from jaxform.model.tables import MOST_COOLING, SHORT_WINDOW
@@ -75,7 +76,8 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
     if scene.tables.grid is not None:
         # No node passes more of the range of its list in one step than can be watched.
         range_per_step = _RANGE_PER_STEP * scene.tables.grid.farthest
-        longest = jnp.minimum(longest, range_per_step / jnp.maximum(_fastest(state, active), 1e-30))
+        speed = highest_speed(state.nodes.velocities, active.packed.elements.node_block_count)
+        longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:
         # Every change of the step changes the energy of the fast modes, which nothing takes away.
@@ -100,16 +102,6 @@ def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
     taken = jnp.log1p(half) - jnp.log1p(-jnp.minimum(half, 0.5))  # of a velocity's logarithm, in a step
     most = -math.log(LEAST_LEFT) / jnp.maximum(taken, jnp.finfo(taken.dtype).eps)
     return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
-
-
-def _fastest(state: PackedState, active: ActiveSet) -> jax.Array:
-    """The highest speed [m/s]."""
-
-    def work(velocities: jax.Array) -> Any:
-        return [], [membrane.dot(velocities, velocities)]
-
-    _, (square,) = over_blocks(work, active.packed.elements.node_block_count, (state.nodes.velocities,), [], most=1)
-    return jnp.sqrt(square)
 
 
 def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, Limit, Room | None]:

@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import pytree
+from jaxform.kernels.blocks import over_blocks
+from jaxform.mechanics.membrane import dot
 
 
 class Rule(NamedTuple):
@@ -74,3 +76,9 @@ class Nodes:
             return jnp.concatenate([values, jnp.full(shape, rule.beyond or 0, values.dtype)], axis=-1)
 
         return self.mapped(longer)
+
+
+def highest_speed(velocities: jax.Array, blocks: jax.Array) -> jax.Array:
+    """Of nodes with these velocities (3, n_node) [m/s], so many blocks of them; not differentiable."""
+    _, (square,) = over_blocks(lambda v: ([], [dot(v, v)]), blocks, (velocities,), [], most=1)
+    return jnp.sqrt(square)

@@ -13,11 +13,13 @@ import trimesh
 import jaxform
 from benchmarks import contact as figures
 from jaxform import molds, shapes
-from jaxform.contact import broad_phase, cells, lists, spheres
+from jaxform.contact import broad_phase, candidates, cells, lists, spheres
 from jaxform.contact.cells import cell_of
 from jaxform.core.store import Store
 from jaxform.dynamics import touching
 from jaxform.dynamics import window as windows
+from jaxform.kernels.blocks import BLOCK
+from jaxform.model.scene import Tool
 from jaxform.prepare import building
 from jaxform.results.summary import penetrated
 from jaxform.runs import loop
@@ -291,17 +293,29 @@ def test_what_touches_between_two_looks_unseen_is_retried(monkeypatch: pytest.Mo
     np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
 
+def _listed(tool: Tool) -> lists.Candidates:
+    """A list of nodes near the mold, on random paths."""
+    begin, end = (
+        jnp.asarray(place.T[:, :BLOCK]) for place in figures.random_paths(tool.mold, tool.grid, BLOCK, seed=2)
+    )
+    step, free = jnp.asarray(1 / 16), jnp.ones(BLOCK, bool)
+    return candidates.list_candidates(begin, end - begin, free, step, jnp.int32(16), tool.grid)
+
+
 def test_where_pairs_find_no_room_lists_are_shorter_and_nothing_is_missed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = scenes.cup()
-    roomy = jax.jit(jaxform.simulate)(scene)
+    assert scene.tool is not None
+    roomy, wide = jax.jit(jaxform.simulate)(scene), _listed(scene.tool)
     # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
     monkeypatch.setattr(lists, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
     monkeypatch.setattr(lists, "PAIRS_PER_NODE", 1)
     monkeypatch.setattr(lists, "_CANDIDATES", 1)
-    tight = jax.jit(jaxform.simulate)(narrow)
+    tight, slim = jax.jit(jaxform.simulate)(narrow), _listed(scene.tool)
+    assert int(wide.count) > slim.lists.node.size - lists.TEST_BLOCK and not (wide.overflow or slim.overflow)
+    assert np.all(slim.limit_square < wide.limit_square)  # so that nodes leave their spheres sooner
     assert jaxform.explain(tight) == "ok"
     assert penetrated(tight, scene).nodes < 1e-12
     np.testing.assert_allclose(tight.thickness, roomy.thickness, rtol=1e-9)
