@@ -43,11 +43,11 @@ pictures: environment
 
 # What refinement buys and costs, against exact and fine solutions; about ten minutes.
 refine: environment
-	.venv/bin/python -m benchmarks.refinement
+	.venv/bin/python -m benchmarks.accuracy.refinement
 
 # How thin the soap bottle becomes, and what that depends on; a few minutes.
 scenes: environment
-	.venv/bin/python -m benchmarks.scenes
+	.venv/bin/python -m benchmarks.paper.bottle
 
 # The paper's figures, animations and tables of docs/scenes.md, from our own runs; about ten minutes.
 paper: environment
@@ -59,9 +59,9 @@ notebooks: environment
 
 # Errors against exact and independent solutions at three meshes each, what an error costs in time, how slow is slow
 # enough; writes docs/accuracy.md from docs/accuracy.json; about ten minutes. Parts by name:
-# `.venv/bin/python -m benchmarks.validate cases`.
+# `.venv/bin/python -m benchmarks.accuracy cases`.
 validate: environment
-	.venv/bin/python -m benchmarks.validate
+	.venv/bin/python -m benchmarks.accuracy
 
 # The built-in studies' figures, and the search beside Nelder-Mead, CMA-ES and others; writes docs/design.md from
 # docs/design.json; about half an hour. Parts by name: `.venv/bin/python -m benchmarks.design pressure`.
@@ -75,40 +75,40 @@ stability: environment
 	.venv/bin/python -m benchmarks.stability
 
 # Damaged scenes, studies, meshes, caches and journals in thousands: no traceback, no hang, no memory without bounds; about half
-# an hour. Parts by name: `.venv/bin/python -m benchmarks.fuzz meshes=100`; one case: `... meshes:17`.
+# an hour. Parts by name: `.venv/bin/python -m benchmarks.hostile.fuzz meshes=100`; one case: `... meshes:17`.
 fuzz: environment
-	.venv/bin/python -m benchmarks.fuzz
-	.venv/bin/python -m benchmarks.fuzz_journals 200
+	.venv/bin/python -m benchmarks.hostile.fuzz
+	.venv/bin/python -m benchmarks.hostile.fuzz_journals 200
 
 # What `kill -9` at random moments loses: simulate and optimize killed 40 times each, then run again; ten minutes.
 killed: environment
-	.venv/bin/python -m benchmarks.killed
+	.venv/bin/python -m benchmarks.hostile.killed
 
 # Contact: hits against brute force, its cost, gradients through it, penetration; about five minutes.
 contact: environment
-	.venv/bin/python -m benchmarks.contact
+	.venv/bin/python -m benchmarks.speed.contact
 
 # Molds whose flange lies in the sheet's plane or a rounding error beside it: sixty scenes, stable and within one percent
 # of a fine uniform sheet; about a quarter of an hour on a quiet machine, `--few` an eighth of it.
 flanges: environment
-	.venv/bin/python -m benchmarks.flanges
+	.venv/bin/python -m benchmarks.strangers.flanges
 
 # Molds from a CAD kernel through `jaxform check` and `jaxform simulate`: forty scenes, about half an hour. Gmsh is in no
 # lock: it is 90 MB and needs libraries of a desktop, so whoever runs this installs it (`pip install gmsh`).
 cad: environment
-	.venv/bin/python -m benchmarks.cad
+	.venv/bin/python -m benchmarks.strangers.cad
 
 # Speed beside C++, NumPy and numba, cost of gradients, what each skip saves; about ten minutes.
 bench: environment
-	.venv/bin/python -m benchmarks.bench
+	.venv/bin/python -m benchmarks.speed
 
 # What a command does beside the steps, for sheets of 100 000 and 400 000 elements; a few minutes.
 beside: environment
-	.venv/bin/python -m benchmarks.beside
+	.venv/bin/python -m benchmarks.speed.beside
 
 # How long one waits before the first step: first and second scenes of a kind, the command, a sweep; some minutes.
 waiting: environment
-	.venv/bin/python -m benchmarks.waiting
+	.venv/bin/python -m benchmarks.speed.waiting
 
 # Removes what the other targets made, results of other runs under out/ excepted.
 clean:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import bench, formulations, peers, pictures, refinement, sheets
+from benchmarks.accuracy import refinement
+from benchmarks.speed import bench, formulations, peers, pictures, sheets
 
 
 def test_every_formulation_and_peer_steps_alike() -> None:

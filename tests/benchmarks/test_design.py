@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import optimize
-from benchmarks import design, design_page
+from benchmarks.design import figures, page
 from tests import scenes
 
 BUDGET = 12
 
 
-def _case() -> design.Case:
+def _case() -> figures.Case:
     scene = scenes.cup()
     variable = optimize.ThicknessProfile(scene, along="radius", bounds=(0.004, 0.03), knots=3)
     study = optimize.Study(scene, (variable,), optimize.Target(scene, 0.006))
@@ -23,12 +23,12 @@ def _case() -> design.Case:
         "least squares": {"method": "least-squares", "iterations": 2},
         "fixed point": {"method": "fixed-point", "iterations": 3},
     }
-    return design.Case("a cup", "deviation, rms [%]", study, design.deviation, own)
+    return figures.Case("a cup", "deviation, rms [%]", study, figures.deviation, own)
 
 
 def test_searches_are_compared_from_the_same_start_and_the_page_says_so(tmp_path: Path) -> None:
     others = ["Nelder-Mead", "random search"] + ["CMA-ES"] * (importlib.util.find_spec("cma") is not None)
-    found = design.compare(_case(), BUDGET, tuple(others))
+    found = figures.compare(_case(), BUDGET, tuple(others))
     curves = found["curves"]
     assert set(curves) == {"least squares", "fixed point", *others} and found["variables"] == 3
     for name, curve in curves.items():
@@ -38,23 +38,23 @@ def test_searches_are_compared_from_the_same_start_and_the_page_says_so(tmp_path
         if name != "CMA-ES":  # which never tries its start itself
             np.testing.assert_allclose(merits[0], curves["fixed point"][0][1], rtol=1e-9)
     assert curves["least squares"][-1][1] < curves["random search"][-1][1]
-    design_page.write({"searches": {"cup": found}}, tmp_path)
-    page = (tmp_path / "design.md").read_text()
-    assert f"{curves['Nelder-Mead'][-1][1]:.4g}" in page and "a cup (3 variables)" in page
+    page.write({"searches": {"cup": found}}, tmp_path)
+    text = (tmp_path / "design.md").read_text()
+    assert f"{curves['Nelder-Mead'][-1][1]:.4g}" in text and "a cup (3 variables)" in text
     assert (tmp_path / "search.png").stat().st_size > 10_000
 
 
 def test_when_a_ramp_comes_to_the_same_deviation() -> None:
     rows = [{"units": units, "error": 0.2 / units} for units in (1.0, 2.0, 4.0, 8.0)]
-    np.testing.assert_allclose(design_page.equal_deviation(rows, 0.04), 5.0, rtol=1e-12)
-    assert np.isnan(design_page.equal_deviation(rows, 0.001))
+    np.testing.assert_allclose(page.equal_deviation(rows, 0.04), 5.0, rtol=1e-12)
+    assert np.isnan(page.equal_deviation(rows, 0.001))
 
 
 def test_only_new_bests_are_kept() -> None:
     tried = [(1.0, 5.0), (2.0, 6.0), (3.0, np.inf), (4.0, 4.0), (5.0, 4.0)]
-    assert design.best_so_far(tried) == [[1.0, 5.0], [4.0, 4.0]]
+    assert figures.best_so_far(tried) == [[1.0, 5.0], [4.0, 4.0]]
 
 
 @pytest.mark.parametrize(("least", "expected"), [(0.3e-4, 4.0), (0.6e-4, 2.0), (0.9e-4, 2.0)])
 def test_mass_is_told_at_the_minimum_wall(least: float, expected: float) -> None:
-    np.testing.assert_allclose(design.equal_mass({"mass": 2e-3, "wall_min": least}), expected, rtol=1e-12)
+    np.testing.assert_allclose(figures.equal_mass({"mass": 2e-3, "wall_min": least}), expected, rtol=1e-12)

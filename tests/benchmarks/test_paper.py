@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 import jaxform
-from benchmarks import paper
-from benchmarks import scenes as tables
+from benchmarks.paper import bottle as tables
+from benchmarks.paper import figures
 from jaxform import molds, shapes
 from jaxform.cli import command, session
 from jaxform.mesh.bottle import Bottle
@@ -43,14 +43,14 @@ def test_stretches_along_and_around_a_cone() -> None:
     radius = np.hypot(*start[:, :2].T)
     cone = start * [0.8, 0.8, 1.0] + np.outer(2.0 * (1.0 - radius), [0.0, 0.0, 1.0])
     moved = dataclasses.replace(part, positions=jnp.asarray(cone))
-    place, radial, hoop = paper.directional_stretches(scene, moved)
+    place, radial, hoop = figures.directional_stretches(scene, moved)
     away = place > 0.3
     np.testing.assert_allclose(hoop[away], 0.8, rtol=0.02)
     np.testing.assert_allclose(radial[away], np.hypot(0.8, 2.0), rtol=0.02)
 
 
 def test_exact_stretches_keep_the_volume() -> None:
-    exact = paper.exact_dish()
+    exact = figures.exact_dish()
     np.testing.assert_allclose(exact["hoop"] * exact["radial"] * exact["ratio"], 1.0, rtol=1e-12)
     np.testing.assert_allclose([exact["hoop"][-1], exact["hoop"][0] / exact["radial"][0]], 1.0, rtol=0.02)
 
@@ -84,21 +84,21 @@ def test_stages_are_even_in_the_wall_and_end_with_the_last() -> None:
     scene, part = _at_rest(shapes.disc(radius=1.0, elements=60, symmetry="quarter"))
     walls = 0.01 * np.linspace(1.0, 0.2, 81)
     parts = [(scene, dataclasses.replace(part, element_thickness=jnp.full(len(part.triangles), h))) for h in walls]
-    shown = [float(each.element_thickness[0]) for _, each in paper.evenly(parts, 4)]
+    shown = [float(each.element_thickness[0]) for _, each in figures.evenly(parts, 4)]
     np.testing.assert_allclose(shown, [0.008, 0.006, 0.004, 0.002], atol=2e-4)
 
 
 def test_the_page_has_the_tables_of_its_numbers() -> None:
     """Nobody typed them: made anew from the file of numbers they are the same."""
     text, found = (DOCS / "scenes.md").read_text(), json.loads((DOCS / "scenes.json").read_text())
-    assert set(found["counts"]) == set(paper.SCENES) and set(paper.TABLES) - {"checks"} <= set(found)
-    assert paper.with_tables(text, found) == text
+    assert set(found["counts"]) == set(figures.SCENES) and set(figures.TABLES) - {"checks"} <= set(found)
+    assert figures.with_tables(text, found) == text
     with pytest.raises(ValueError, match="no marks"):
-        paper.with_tables("nothing", found)
+        figures.with_tables("nothing", found)
 
 
 def test_the_animations_move_and_are_small() -> None:
-    for name in paper.SCENES:
+    for name in figures.SCENES:
         with Image.open(DOCS / f"{name}.gif") as picture:
             assert getattr(picture, "n_frames", 1) >= 8
         assert (DOCS / f"{name}.gif").stat().st_size < 1_000_000

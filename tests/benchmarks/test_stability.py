@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks import random_scenes, stability, stability_page, stress
+from benchmarks.stability import figures, page, random_scenes, stress
 from jaxform.dynamics import closing
 from jaxform.results.summary import summarize
 from jaxform.runs import loop
@@ -141,9 +141,9 @@ def test_the_page_is_drawn_from_what_was_found(tmp_path: Path) -> None:
          "balance": 1e-3, "elements_beyond": 0.0, "stretch": 2.0},
         {"seed": 1, "class": "refused", "refused": "scene.toml: material.c = -1.0: must be positive", "seconds": 0.0},
     ]  # fmt: skip
-    found = {"random": stability.summary_of(rows)}
+    found = {"random": figures.summary_of(rows)}
     assert found["random"]["classes"] == {"ok": 1, "refused": 1}
-    stability_page.write(found, tmp_path)
+    page.write(found, tmp_path)
     text = (tmp_path / "stability.md").read_text()
     assert "| refused | 1 | 1 |" in text
     assert (tmp_path / "stability-random.png").stat().st_size > 1000

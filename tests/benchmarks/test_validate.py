@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks import accuracy, membranes, validate, validate_page
+from benchmarks.accuracy import cases, membranes, page, validate
 from jaxform.results.summary import SLOW_ENOUGH, warnings_of
 from tests import scenes
 
 
 def test_shooting_gives_the_tabled_discs_and_the_limit_point() -> None:
-    table = accuracy.exact_table("discs")
+    table = cases.exact_table("discs")
     for row in range(0, len(table["alpha"]), 3):
         disc = membranes.free_disc(table["alpha"][row], table["pole_stretch"][row])
         got = disc.pressure, disc.height[0], disc.thickness[-1]
@@ -32,12 +32,12 @@ def test_the_spectral_rectangle_converges_and_the_elements_agree_with_it() -> No
     np.testing.assert_allclose(coarse.height, fine.height, rtol=1e-3)
     places = np.array([[1.0, 0.5], [0.4, 0.3]])
     np.testing.assert_allclose(coarse.thickness(places), fine.thickness(places), rtol=2e-3)
-    measured = accuracy.rectangle_errors(128, pressure, alpha, ratio)
+    measured = cases.rectangle_errors(128, pressure, alpha, ratio)
     assert abs(measured.errors["height"]) < 4e-3 and measured.errors["nodal thickness"] < 0.01
 
 
 def test_sticking_in_a_cone() -> None:
-    measured = accuracy.show_cone(600)
+    measured = cases.show_cone(600)
     assert measured.errors["thickness at the tabled places"] < 0.005
 
 
@@ -57,7 +57,7 @@ def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
         slow = jaxform.run(_hurried(40.0))
     assert float(slow.energy.quasi_static_error) < SLOW_ENOUGH < float(fast.energy.quasi_static_error)
     off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
-    moved = accuracy.rms(off, np.asarray(fast.element_volume))
+    moved = cases.rms(off, np.asarray(fast.element_volume))
     # A shallow cup: its wall feels haste less than that of the deep ones from which the prediction comes.
     assert moved < float(fast.energy.quasi_static_error) < 20 * moved
     assert warnings_of(fast, scenes.cup(end_time=50.0)) == []
@@ -73,7 +73,7 @@ def test_haste_is_the_same_in_both_loops() -> None:
 def test_the_page_is_drawn_from_its_figures(tmp_path: Path) -> None:
     found = json.loads((validate.DOCS / "accuracy.json").read_text())
     assert set(found) == set(validate.PARTS)
-    validate_page.write(found, tmp_path)
+    page.write(found, tmp_path)
     assert (tmp_path / "accuracy.md").read_text() == (validate.DOCS / "accuracy.md").read_text()
     pictures = {path.name for path in tmp_path.glob("*.png")}
     assert {"convergence.png", "precision-dish.png", "precision-box.png", "haste.png", "ramps.png"} <= pictures

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 import jaxform
-from benchmarks import contact as figures
+from benchmarks.speed import contact as figures
 from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, cells, lists, spheres
 from jaxform.contact.cells import cell_of

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.bench import without
+from benchmarks.speed.bench import without
 from jaxform import shapes
 from jaxform.dynamics import timestep
 from jaxform.dynamics.initial import initial_state

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.bench import with_windows_of, without
+from benchmarks.speed.bench import with_windows_of, without
 from jaxform import shapes
 from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows

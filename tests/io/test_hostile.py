@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks import fuzz
+from benchmarks.hostile import fuzz
 from jaxform import molds, shapes
 from jaxform.cli import command, session
 from jaxform.core import cachefolder, disk, lastresort

@@ -14,7 +14,7 @@ import pytest
 from scipy import integrate
 
 import jaxform
-from benchmarks import accuracy
+from benchmarks.accuracy import cases
 from jaxform.adapt import inheritance, remeshing
 from jaxform.io import files
 from jaxform.materials import Modes
@@ -128,7 +128,7 @@ def test_a_sphere_under_a_step_of_pressure(kind: Any) -> None:
 def test_a_sheet_formed_into_a_cup(time: float, wall: list[float]) -> None:
     """The wall over the material away from the corner, within 0.8 % of the exact cup of 80 degrees, at two ramps."""
     law = _law(jaxform.Christensen, modulus=(4.0, 2.0), time=(10.0, 100.0))
-    scene = accuracy.cup_scene(600, law, 0.8, 0.45, 150.0)
+    scene = cases.cup_scene(600, law, 0.8, 0.45, 150.0)
     scene = jaxform.replace(scene, {"pressure.time": [0.0, time], "solver.end_time": 1.02 * time})
     result = jaxform.run(scene)
     places = np.linalg.norm(np.asarray(scene.parison.positions), axis=1)

@@ -11,7 +11,7 @@ import pytest
 
 import jaxform
 import optimize
-from benchmarks import accuracy
+from benchmarks.accuracy import cases
 from jaxform.io import files, rewriting
 from tests import scenes
 from tests.scenes import real
@@ -43,7 +43,7 @@ def test_a_free_disc_of_two_stiffnesses_in_one() -> None:
 
 def test_a_cup_of_a_sheet_that_is_stiffer_outside() -> None:
     """The wall over the material, away from the corner, within 0.8 % of the exact cup of 80 degrees."""
-    scene = _stiffening(accuracy.cup_scene(600, scenes.mooney(0.1), 0.8, 0.45, 40.0))
+    scene = _stiffening(cases.cup_scene(600, scenes.mooney(0.1), 0.8, 0.45, 40.0))
     result, places = jaxform.run(scene), _radius(scene)
     assert int(result.status) == 0
     ratio = np.asarray(result.thickness) / np.asarray(scene.parison.thickness)

@@ -28,7 +28,7 @@ from optimize.fitting.tables import Bubble, Pull, Table
 from tests.scenes import FILE, real
 
 TRELOAR = Path(__file__).parent / "treloar"
-DISCS = Path(__file__).parents[2] / "benchmarks" / "exact" / "discs.csv"
+DISCS = Path(__file__).parents[2] / "benchmarks" / "accuracy" / "exact" / "discs.csv"
 
 
 def _pull(state: str, stretch: np.ndarray, stress: np.ndarray, time: np.ndarray | None = None) -> Pull:

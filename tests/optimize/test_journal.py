@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import fuzz_journals
+from benchmarks.hostile import fuzz_journals
 from jaxform import InputError
 from jaxform.core.writing import PREFIX, whole
 from optimize import Journal, write_history

@@ -7,7 +7,7 @@ import functools
 import pytest
 
 import jaxform
-from benchmarks import accuracy
+from benchmarks.accuracy import cases
 from jaxform.io import files
 from jaxform.results.result import Result, only_used
 
@@ -16,7 +16,7 @@ SIZES = (38, 150, 600)
 
 @functools.cache
 def _disc(elements: int, alpha: float, stretch: float) -> tuple[dict[str, float], Result]:
-    return accuracy.disc_errors(elements, alpha, stretch)
+    return cases.disc_errors(elements, alpha, stretch)
 
 
 @pytest.mark.parametrize("case", [(0.0, 1.2), (0.0, 1.3), (0.5, 1.5)])
@@ -31,7 +31,7 @@ def test_a_free_disc_converges_at_second_order() -> None:
     # At pole stretch 1.5, where errors are well above what time integration leaves.
     rows = [_disc(elements, 0.0, 1.5) for elements in SIZES]
     counts = [len(result.element_thickness) for _, result in rows]
-    order = {name: accuracy.order(counts, [errors[name] for errors, _ in rows])[-1] for name in rows[0][0]}
+    order = {name: cases.order(counts, [errors[name] for errors, _ in rows])[-1] for name in rows[0][0]}
     assert order["pole height"] > 1.8, order
     assert order["nodal thickness"] > 1.8 and order["nodal thickness, inside"] > 1.8, order
     assert order["nodal thickness, rim"] > 1.3, order
@@ -39,13 +39,13 @@ def test_a_free_disc_converges_at_second_order() -> None:
 
 def test_static_sphere_of_the_modified_law() -> None:
     # Below the sphere's limit point, beyond which the pressure does not fix the stretch.
-    error, _ = accuracy.static_sphere_error(500, accuracy.modified(0.01), 1.2)
+    error, _ = cases.static_sphere_error(500, cases.modified(0.01), 1.2)
     assert abs(error) < 3e-3
 
 
-@pytest.mark.parametrize("case", accuracy.SPHERES)
+@pytest.mark.parametrize("case", cases.SPHERES)
 def test_sphere_under_a_pressure_step(case: tuple[float, float, float, float]) -> None:
-    largest, period, _ = accuracy.sphere_step_errors(1000, *case)
+    largest, period, _ = cases.sphere_step_errors(1000, *case)
     assert abs(largest) < 3e-3
     assert abs(period) < 5e-3
 
@@ -58,4 +58,4 @@ def test_dish_against_the_exact_cup(name: str, most: float) -> None:
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
     assert float(result.energy.balance_error) < 1e-2
-    assert accuracy.wall_error(*only_used(scene, result), reference) < most
+    assert cases.wall_error(*only_used(scene, result), reference) < most

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxform
-from benchmarks import waiting
+from benchmarks.speed import waiting
 from jaxform.kernels import sizes
 from jaxform.runs import loop, padding
 from tests.scenes import cup

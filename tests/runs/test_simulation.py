@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.bench import without
+from benchmarks.speed.bench import without
 from jaxform import molds, shapes
 from jaxform.dynamics import initial
 from jaxform.dynamics import window as windows

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import cad, cad_molds, flanges, random_scenes, strangers, stress
+from benchmarks.stability import random_scenes, stress
+from benchmarks.strangers import cad, cad_molds, flanges, scenes
 from jaxform.core.errors import InputError
 from jaxform.io import files, schema
 from jaxform.mesh import meshes, topology
@@ -68,16 +69,16 @@ def test_units_that_are_off_are_a_thousand_times_off_and_must_be_told() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                scene = strangers.own_meshes("own mold", np.random.default_rng(seed), tags)
+                scene = scenes.own_meshes("own mold", np.random.default_rng(seed), tags)
             except InputError:
                 continue  # a tiny mold that the sheet starts through
         assert scene.mold is not None
         sizes = [np.ptp(np.asarray(x)[:, :2], axis=0).max() for x in (scene.mold.vertices, scene.parison.positions)]
         off = abs(np.log10(sizes[0] / sizes[1])) > 2
-        assert off == (strangers.OFF in tags)
+        assert off == (scenes.OFF in tags)
         seen.add(off)
     assert seen == {True, False}
-    row = {"tags": [strangers.OFF], "status": 0, "finite": True, "balance": 0.0, "warned": False, "done": 1.0,
+    row = {"tags": [scenes.OFF], "status": 0, "finite": True, "balance": 0.0, "warned": False, "done": 1.0,
            "nodes_beyond": 0.0, "elements_beyond": 0.0, "stuck": 0.0}  # fmt: skip
     assert stress.classify(row | {"told": []}) == "units off, not a word"
     assert stress.classify(row | {"told": ["nothing touched the mold"]}) == "ok"

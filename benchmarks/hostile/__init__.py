@@ -1,0 +1,1 @@
+"""Damaged files, journals and caches, and runs that are killed."""

@@ -1,0 +1,1 @@
+"""Speed: of the step, contact, laws, gradients, the command, other devices."""

@@ -1,0 +1,361 @@
+"""Figures of contact: hits against brute force, what a step and the search structure cost, gradients, penetration.
+
+Run it with `make contact`, or parts of it by name: `python -m benchmarks.speed.contact costs waffles`; it prints one
+line per figure. Nothing here decides a test; the tests import what they check from here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import trimesh
+
+import jaxform
+from benchmarks.timing import best_in_turns, whole_loop
+from jaxform import molds, shapes
+from jaxform.contact import broad_phase, candidates, sticking
+from jaxform.kernels.blocks import BLOCK
+from jaxform.mechanics import membrane
+from jaxform.mechanics.nodes import Nodes
+from jaxform.model.scene import Scene, Tool
+from jaxform.results.summary import penetrated
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid, build_grid
+
+BATCH = 128  # paths that are looked at together: few, so that all their pairs find room
+
+
+def real(value: float) -> jax.Array:
+    """A number as a leaf of a scene."""
+    return jnp.asarray(value, float)
+
+
+def mold_of(shape: molds.MoldShape) -> Mold:
+    """The shape as a mold."""
+    return jaxform.make_mold(shape.vertices, shape.triangles)
+
+
+def mold_from_mesh(mesh: trimesh.Trimesh) -> Mold:
+    """A mesh of the mesh library as a mold."""
+    return jaxform.make_mold(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+MOLDS: dict[str, Callable[[], Mold]] = {
+    "box-insert": lambda: mold_of(molds.box_insert()),
+    "bottle-half": lambda: mold_of(molds.bottle_half()),
+    "ribs": lambda: mold_of(
+        molds.revolved(
+            profile=[[0, 1], [0.3, 1], [0.31, 0.6], [0.4, 0.6], [0.41, 1.0], [0.9, 1.0], [1.0, 0.0]], segments=40
+        )
+    ),
+    "icosphere": lambda: mold_from_mesh(trimesh.creation.icosphere(subdivisions=3)),
+    "annulus": lambda: mold_from_mesh(trimesh.creation.annulus(r_min=0.3, r_max=1.0, height=0.2, sections=250)),
+    "torus": lambda: mold_from_mesh(trimesh.creation.torus(1.0, 0.3, major_sections=400, minor_sections=250)),
+}
+
+
+class Paths(NamedTuple):
+    """How random paths fared against brute force."""
+
+    triangles: int
+    paths: int
+    hits: int
+    missed: int
+    invented: int
+    worst_beta: float
+    worst_place: float
+
+
+def random_paths(wall: Mold, grid: SearchGrid, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Begin and end (count, 3) of paths near the wall, about as many across it as not."""
+    random = np.random.default_rng(seed)
+    corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
+    on_wall = np.einsum(
+        "ij,ijk->ik", random.dirichlet([1.0, 1.0, 1.0], count), corners[random.integers(len(corners), size=count)]
+    )
+    reach = float(grid.farthest)
+    begin = on_wall + 0.4 * reach * random.uniform(-1, 1, (count, 3))
+    path = random.normal(size=begin.shape)
+    path *= reach * random.uniform(0.01, 1, (count, 1)) / np.linalg.norm(path, axis=1, keepdims=True)
+    return begin, begin + path
+
+
+@functools.partial(jax.jit, static_argnames="differentiable")
+def walk(
+    begin: jax.Array, end: jax.Array, wall: Mold, grid: SearchGrid, *, differentiable: bool = False
+) -> tuple[sticking.Landing, jax.Array]:
+    """One step of all nodes from begin to end (3, n), as a simulation takes it: the landing; is all well?"""
+    count = begin.shape[1]
+    begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
+    stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
+    window = candidates.list_candidates(begin, way, ~stuck, once / 16, jnp.int32(16), grid)
+    due = broad_phase.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
+    none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
+    nodes = Nodes(membrane.rows_of(end), way, stuck, -mass, none, None, {})
+    flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
+    now = sticking.Step(once, once, jnp.int32(0))
+    room = sticking.nothing_met(stuck.size, end.dtype)
+    landed, _ = sticking.land(flying, now, due, mass, window, Tool(wall, grid), room)
+    nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
+    landed = landed._replace(nodes=nodes)
+    if differentiable:
+        flying = flying._replace(nodes=dataclasses.replace(flying.nodes, positions=end))
+        landed = sticking.land_on(flying, now, jnp.abs(landed.nodes.wall) - 1, mass, wall)
+    well = ~(
+        window.overflow | jnp.any(broad_phase.missed(end, stuck, broad_phase.spheres(window), broad_phase.unseen()))
+    )
+    return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
+
+
+@jax.jit
+def brute_force(begin: jax.Array, end: jax.Array, corners: jax.Array) -> jax.Array:
+    """Least beta (n,) of paths (n, 3) over all triangles (m, 3, 3), infinite where none is met: Eqs 11 and 12."""
+    path = end - begin
+
+    def nearer(least: jax.Array, corner: jax.Array) -> tuple[jax.Array, None]:
+        # Cramer's rule on beta NN' + gamma DE + delta DF = DN' of one triangle with all paths.
+        d, e, f = corner
+        first, second, third, right = -path, e - d, f - d, begin - d
+        across = jnp.cross(second, third)
+        determinant = first @ across
+        flat = determinant == 0.0
+        scale = 1.0 / jnp.where(flat, 1.0, determinant)
+        beta = (right @ across) * scale
+        gamma = jnp.sum(first * jnp.cross(right, third), axis=1) * scale
+        delta = jnp.sum(first * jnp.cross(second, right), axis=1) * scale
+        hit = ~flat & (beta >= 0) & (beta <= 1) & (gamma >= 0) & (delta >= 0) & (gamma + delta <= 1)
+        return jnp.minimum(least, jnp.where(hit, beta, jnp.inf)), None
+
+    return jax.lax.scan(nearer, jnp.full(len(begin), jnp.inf), corners)[0]
+
+
+def compare(wall: Mold, count: int, seed: int = 0) -> Paths:
+    """Random paths through the search structure and by brute force."""
+    grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
+    begin, end = random_paths(wall, grid, -(-count // BATCH) * BATCH, seed)
+    landed, stuck = np.empty_like(begin), np.empty(len(begin), bool)
+    for first in range(0, len(begin), BATCH):
+        part = slice(first, first + BATCH)
+        landing, well = walk(jnp.asarray(begin[part].T), jnp.asarray(end[part].T), wall, grid)
+        assert well, "the pairs did not find room"
+        landed[part], stuck[part] = np.asarray(landing.nodes.positions).T, landing.nodes.stuck
+    corners = wall.vertices[wall.triangles]
+    least = np.concatenate(
+        [
+            np.asarray(brute_force(b, e, corners))
+            for b, e in zip(*(np.array_split(x, 8) for x in (begin, end)), strict=True)
+        ]
+    )
+    met, path = np.isfinite(least), end - begin
+    both = met & stuck
+    beta = np.einsum("ij,ij->i", landed - begin, path)[both] / np.einsum("ij,ij->i", path, path)[both]
+    gap = np.linalg.norm(landed[both] - (begin + least[:, None] * path)[both], axis=1) / float(grid.size)
+    worst = float(np.abs(beta - least[both]).max()), float(gap.max())
+    return Paths(
+        len(wall.triangles), len(begin), int(met.sum()), int((met & ~stuck).sum()), int((stuck & ~met).sum()), *worst
+    )
+
+
+def show_paths() -> None:
+    """Hits of random paths, mold by mold."""
+    for name, make in MOLDS.items():
+        wall = make()
+        found = compare(wall, 1_000_000 if len(wall.triangles) <= 2100 else 10_000)
+        print(
+            f"{name:12} {found.triangles:7} triangles, {found.paths:8} paths, {found.hits:7} hits: "
+            f"{found.missed} missed, {found.invented} invented, beta within {found.worst_beta:.1e}, "
+            f"place within {found.worst_place:.1e} of the size",
+            flush=True,
+        )
+
+
+def bottle(mold: Mold | None, element_size: float = 0.0071) -> Scene:
+    """Half a bottle's parison blown into a mold, or freely."""
+    sheet = shapes.bottle_half(element_size=element_size)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 2.25e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(real(0.2e6), real(0.5), real(1350.0)),
+        pressure=jaxform.make_pressure([0.0, 0.1], [0.0, 2.0e5]),
+        solver=jaxform.make_solver(end_time=0.12, damping=200.0),
+        mold=mold,
+        name="bottle",
+    )
+
+
+def box(mold: Mold | None, elements: int = 300) -> Scene:
+    """A quarter of a sheet drawn over the box with an insert."""
+    sheet = shapes.rectangle(size=[0.3, 0.2], elements=elements, symmetry="quarter")
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 2.0e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(real(0.2e6), real(0.1), real(1000.0)),
+        pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 2.0e4]),
+        solver=jaxform.make_solver(end_time=0.24, damping=100.0),
+        mold=mold,
+        name="box",
+    )
+
+
+def step_times(scenes: dict[str, Scene], rounds: int = 7) -> dict[str, float]:
+    """Microseconds per step of whole runs, compiled, the best of so many rounds; the scenes take turns."""
+    loops = {name: whole_loop(scene) for name, scene in scenes.items()}
+    seconds = best_in_turns(loops, rounds)
+    return {name: 1e6 * seconds[name] / int(loop().steps) for name, loop in loops.items()}
+
+
+def show_costs() -> None:
+    """Time per step without mold, with the bottle's and with it in 200 000 triangles, and the builds."""
+    shape = molds.bottle_half()
+    fine = molds.divided(shape, 13)
+    began = time.perf_counter()
+    build_grid(fine.vertices, fine.triangles)
+    print(f"search structure of {len(fine.triangles)} triangles: {time.perf_counter() - began:.1f} s")
+    coarse_name, fine_name = (str(len(s.triangles)) for s in (shape, fine))
+    scenes = {"none": bottle(None), coarse_name: bottle(mold_of(shape)), fine_name: bottle(mold_of(fine))}
+    times = step_times(scenes)
+    print(
+        f"time per step, {len(scenes['none'].parison.triangles)} elements: {times['none']:.1f} us without mold, "
+        f"{times[coarse_name]:.1f} us with {coarse_name} triangles ({times[coarse_name] / times['none']:.2f} x), "
+        f"{times[fine_name]:.1f} us with {fine_name} ({times[fine_name] / times[coarse_name]:.2f} x that)",
+        flush=True,
+    )
+
+
+WAFFLES = {2240: (40, 28), 19_992: (119, 84), 100_016: (266, 188), 200_032: (376, 266)}
+"""Cells along both sides of the waffle mold, by its number of triangles."""
+
+
+def waffle(cells: tuple[int, int], *, refined: bool) -> Scene:
+    """A sheet drawn onto a mold of hills and hollows, meshed finely or coarsely."""
+    a, b = 0.16, 0.12
+    x, y = np.meshgrid(*(np.linspace(-0.01, side + 0.01, n + 1) for side, n in zip((a, b), cells, strict=True)),
+                       indexing="ij")  # fmt: skip
+    rim = np.clip(5 * np.maximum(np.abs(2 * x / a - 1), np.abs(2 * y / b - 1)) - 4, 0.0, 1.0)
+    height = (1 - rim) * (0.03 + 0.006 * np.cos(6 * np.pi * x / a) * np.cos(4 * np.pi * y / b))
+    number = np.arange(x.size).reshape(x.shape)
+    corner = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
+    triangles = np.concatenate([np.stack([corner[k] for k in three], 1) for three in ((0, 1, 2), (0, 2, 3))])
+    vertices = np.stack([x, y, height], -1).reshape(-1, 3).astype(np.float32)
+    sheet = shapes.rectangle(size=[a, b], element_size=0.005 if refined else 0.0025)
+    refinement = jaxform.make_refinement(angle=12.0, interval=100, max_level=4, elements=16384) if refined else None
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1.0e-3, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(real(0.2e6), real(0.1), real(1000.0)),
+        pressure=jaxform.make_pressure([0.0, 0.3], [0.0, 3.0e4], "cubic-ramp"),
+        solver=jaxform.make_solver(end_time=0.32, damping=100.0),
+        mold=jaxform.make_mold(vertices, triangles),
+        refinement=refinement,
+    )
+
+
+def show_waffles(rounds: int = 5) -> None:
+    """Time per step and of the whole run on finer and finer molds, and how many windows are cut short."""
+    for refined in (False, True):
+        loops = {count: whole_loop(waffle(cells, refined=refined)) for count, cells in WAFFLES.items()}
+        seconds = best_in_turns({str(count): loop for count, loop in loops.items()}, rounds)
+        first = min(loops)
+        per_step = {count: seconds[str(count)] / int(loop().steps) for count, loop in loops.items()}
+        for count, loop in loops.items():
+            state = loop()
+            print(
+                f"waffle, {'refined' if refined else 'uniform'}, {count} triangles: {1e6 * per_step[count]:.1f} us per "
+                f"step ({per_step[count] / per_step[first]:.2f} x), run {seconds[str(count)]:.3f} s "
+                f"({seconds[str(count)] / seconds[str(first)]:.2f} x), {int(state.steps)} steps, "
+                f"{int(state.windows)} windows, {int(state.shortened)} shortened, status {int(state.status)}",
+                flush=True,
+            )
+
+
+def wall_gradient(scene: Scene, seed: int = 0) -> tuple[float, list[float]]:
+    """Derivative of a smooth measure of the wall along a random thickness direction, and its differences' deviations.
+
+    The deviations, relative, are of central differences over 1e-4 to 1e-8 of the thickness.
+    """
+    thickness = scene.parison.thickness
+    direction = thickness * np.random.default_rng(seed).uniform(0.5, 1.0, thickness.shape)
+
+    def measure(thickness: jax.Array) -> jax.Array:
+        result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}))
+        return jnp.mean(jnp.square(result.thickness / jnp.mean(scene.parison.thickness)))
+
+    both = jax.jit(jax.value_and_grad(measure))  # a program for the value alone would take longer to compile
+    slope = float(jnp.vdot(both(thickness)[1], direction))
+    deviations = []
+    for size in (1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
+        up, down = (float(both(thickness + sign * size * direction)[0]) for sign in (1, -1))
+        deviations.append(abs((up - down) / (2 * size) / slope - 1))
+    return slope, deviations
+
+
+def show_gradients() -> None:
+    """Gradients through contact on the box and on the bottle against central differences."""
+    for scene in (box(mold_of(molds.box_insert())), bottle(mold_of(molds.bottle_half()))):
+        slope, deviations = wall_gradient(scene)
+        words = ", ".join(f"{deviation:.1e}" for deviation in deviations)
+        print(f"{scene.name}: gradient {slope:.6g}, differences over 1e-4 ... 1e-8 deviate by {words}", flush=True)
+
+
+def show_penetration() -> None:
+    """How far nodes and elements are beyond the mold in each scene."""
+    scenes = [jaxform.load(name) for name in ("bowl", "dish-coarse", "dish")]
+    scenes += [box(mold_of(molds.box_insert()), elements) for elements in (150, 600, 2400)]
+    scenes += [bottle(mold_of(molds.bottle_half()), size) for size in (0.0071, 0.004)]
+    for scene in scenes:
+        result = jaxform.run(scene)
+        assert scene.tables.grid is not None
+        beyond = penetrated(result, scene)
+        print(
+            f"{scene.name}: {len(scene.parison.triangles)} elements, {jaxform.explain(result)}: nodes beyond the mold "
+            f"by {beyond.nodes / float(scene.tables.grid.size):.1e} of its size, "
+            f"elements by {1e3 * beyond.elements:.3g} mm",
+            flush=True,
+        )
+
+
+def same_part(scene: Callable[[Mold], Scene], coarse: molds.MoldShape, fine: molds.MoldShape) -> float:
+    """Largest difference of the wall, relative, between runs with two meshes of one mold."""
+    walls = [np.asarray(jaxform.run(scene(mold_of(shape))).thickness) for shape in (coarse, fine)]
+    return float(np.abs(walls[1] / walls[0] - 1).max())
+
+
+def show_finer_molds() -> None:
+    """The same part against a mold meshed twice as fine, with the same surface and with a rounder one."""
+    block, half = molds.box_insert(), molds.bottle_half()
+    finer = molds.bottle_half(element_size=0.5 * 0.00595)
+    print(f"box, flat facets divided: wall within {same_part(box, block, molds.divided(block, 2)):.1e}")
+    print(f"bottle, flat facets divided: wall within {same_part(bottle, half, molds.divided(half, 2)):.1e}")
+    walls = [np.asarray(jaxform.run(bottle(mold_of(shape))).thickness) for shape in (half, finer)]
+    spread = np.sqrt(np.mean(np.square(walls[1] / walls[0] - 1)))
+    print(
+        f"bottle, {len(half.triangles)} and {len(finer.triangles)} triangles on the round shape: rms {spread:.1e}",
+        flush=True,
+    )
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    "costs": show_costs,
+    "waffles": show_waffles,
+    "paths": show_paths,
+    "gradients": show_gradients,
+    "penetration": show_penetration,
+    "finer": show_finer_molds,
+}
+
+
+def main(names: list[str]) -> int:
+    """Prints the named figures, or all."""
+    jax.config.update("jax_enable_x64", True)
+    for name in names or PARTS:
+        PARTS[name]()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,1 @@
+"""Robustness: random scenes, the edge of stability, energy, gradients."""

@@ -1,0 +1,208 @@
+"""Gradients of random scenes against central differences, how they grow along a run, and where they are rough."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxform
+from benchmarks.accuracy.cases import real, scene_of
+from benchmarks.accuracy.refinement import box
+from benchmarks.stability import stress
+from benchmarks.stability.random_scenes import NAMES
+from jaxform import molds, shapes
+from jaxform.model.scene import Scene
+from jaxform.sheet.state import Schedule
+
+Found = dict[str, Any]
+LEAVES = ("parison.thickness", "pressure.value")
+SIZES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+CHOSEN = (
+    "free disc",
+    "free disc, no damping",
+    "cup",
+    "whole cup",
+    "box",
+    "free sphere",
+    "sphere in a can",
+    "refined cup",
+)
+LONGEST = 8000  # steps of a scene that is differentiated
+
+
+def unevenness(result: jaxform.Result, wall: jax.Array) -> jax.Array:
+    """Mean-square deviation of the wall from a wall [m], relative to that, weighted by volume."""
+    apart = jnp.square(result.element_thickness / wall - 1.0)
+    return jnp.sum(result.element_volume * apart) / jnp.sum(result.element_volume)
+
+
+def _objective(scene: Scene, changes: dict[str, jax.Array], schedule: Schedule | None, wall: jax.Array) -> jax.Array:
+    changed = jaxform.replace(scene, changes)
+    return unevenness(jaxform.simulate(changed, schedule=schedule), wall)
+
+
+@jax.jit
+def value(scene: Scene, changes: dict[str, jax.Array], schedule: Schedule | None, wall: jax.Array) -> jax.Array:
+    return _objective(scene, changes, schedule, wall)
+
+
+@jax.jit
+def slope(scene: Scene, changes: dict[str, jax.Array], schedule: Schedule | None, wall: jax.Array) -> Any:
+    return jax.value_and_grad(_objective, argnums=1)(scene, changes, schedule, wall)
+
+
+def compare(scene: Scene, schedule: Schedule, wall: jax.Array, seed: int) -> Found:
+    """The gradient with respect to thickness and pressure along a random direction, and by differences."""
+    random = np.random.default_rng(seed)
+    present = {"parison.thickness": scene.parison.thickness, "pressure.value": scene.pressure.value}
+    base, found = slope(scene, present, schedule, wall)
+    row: Found = {"value": float(base), "finite": all(bool(jnp.all(jnp.isfinite(g))) for g in found.values())}
+    for name in LEAVES:
+        scale = present[name] if name == "parison.thickness" else jnp.max(jnp.abs(present[name]))
+        direction = jnp.asarray(random.normal(size=present[name].shape)) * scale
+        along = float(jnp.sum(found[name] * direction))
+        apart = []
+        for size in SIZES:
+            ends = [value(scene, present | {name: present[name] + sign * size * direction}, schedule, wall)
+                    for sign in (1.0, -1.0)]  # fmt: skip
+            difference = float(ends[0] - ends[1]) / (2.0 * size)
+            apart.append(abs(difference - along))
+        row[name] = {"along": along, "apart": float(np.nanmin(apart)) / max(abs(along), 1e-8 * float(base), 1e-300)}
+    return row
+
+
+def growth(scene: Scene, schedule: Schedule, wall: jax.Array, shares: tuple[float, ...]) -> list[float]:
+    """Norm of the gradient with respect to the relative thickness, where the run ends after shares of its time."""
+    norms = []
+    for share in shares:
+        short = jaxform.replace(scene, {"solver.end_time": share * scene.solver.end_time})
+        present = {"parison.thickness": scene.parison.thickness, "pressure.value": scene.pressure.value}
+        _, found = slope(short, present, schedule, wall)
+        norms.append(float(jnp.linalg.norm(found["parison.thickness"] * present["parison.thickness"])))
+    return norms
+
+
+def show_gradients(count: int = 100) -> Found:
+    """Of random scenes that end well."""
+    rows, curves, shares = [], [], (0.1, 0.25, 0.5, 0.75, 1.0)
+    # Family by family, so that each is compiled for once and then forgotten.
+    each = -(-count // len(CHOSEN))
+    for name in CHOSEN:
+        jax.clear_caches()
+        done, seed = 0, NAMES.index(name)
+        while done < each and len(rows) < count:
+            seed += len(NAMES)
+            found = stress.ended_well(seed, LONGEST, 20.0)
+            if found is None:
+                continue
+            scene, result = found[0].scene, found[1]
+            assert result.schedule is not None
+            schedule, wall = result.schedule, mean_wall(result)
+            row = {"seed": seed, "family": name} | compare(scene, schedule, wall, seed)
+            rows.append(row)
+            done += 1
+            print(f"{name} {seed}: " + ", ".join(f"{row[leaf]['apart']:.1e}" for leaf in LEAVES), flush=True)
+            if done <= 3:
+                curves.append({"seed": seed, "family": name, "norms": growth(scene, schedule, wall, shares)})
+    return {"rows": rows, "growth": {"shares": shares, "curves": curves}, "rough": roughness()}
+
+
+def mean_wall(result: jaxform.Result) -> jax.Array:
+    """The wall [m], weighted by volume."""
+    return jnp.sum(result.element_volume * result.element_thickness) / jnp.sum(result.element_volume)
+
+
+# --- Along a line -----------------------------------------------------------------------------------------------------
+
+
+def cup(elements: int, limits: dict[str, Any] | None = None) -> Scene:
+    """A damped cup, a quarter; refined where there are limits."""
+    sheet = shapes.disc(radius=1.0, elements=elements, symmetry="quarter")
+    mold = molds.revolved(profile=[[0.0, 0.5], [0.55, 0.5], [1.0, 0.0]], segments=48)
+    return scene_of(
+        sheet,
+        jaxform.NeoHookean(real(1.0), real(1.0)),
+        jaxform.make_pressure([0.0, 16.0], [0.0, 0.2], "cubic-ramp"),
+        jaxform.make_mold(mold.vertices, mold.triangles),
+        refinement=None if limits is None else jaxform.make_refinement(**limits),
+        end_time=20.0,
+        damping=2.0,
+    )
+
+
+def along_a_line(scene: Scene, *, replayed: bool, points: int = 30, span: float = 0.01) -> Found:
+    """Value and slope along a line of sheets, a little thicker in the middle and thinner there; and their spread.
+
+    The spread is that of the slopes about a smooth curve (a parabola), over their mean size.
+    """
+    result = jaxform.run(scene)
+    wall = mean_wall(result)
+    schedule = result.schedule if replayed else None
+    radius = jnp.linalg.norm(scene.parison.positions[:, :2], axis=1)
+    radius = radius / jnp.max(radius)
+    direction = scene.parison.thickness * (1.0 - 2.0 * jnp.square(radius))
+    line = np.linspace(-span, span, points)
+    values, slopes = [], []
+    for place in line:
+        changes = {"parison.thickness": scene.parison.thickness + place * direction,
+                   "pressure.value": scene.pressure.value}  # fmt: skip
+        value, found = slope(scene, changes, schedule, wall)
+        values.append(float(value))
+        slopes.append(float(jnp.sum(found["parison.thickness"] * direction)))
+    return {"line": line.tolist(), "values": values, "slopes": slopes} | spread(line, values, slopes)
+
+
+def spread(line: np.ndarray, values: list[float], slopes: list[float]) -> Found:
+    """How far slopes are from a smooth curve, and from the differences of the values, over their mean size."""
+    size = float(np.mean(np.abs(slopes)))
+    smooth = np.polyval(np.polyfit(line, slopes, 2), line)
+    differences = np.gradient(np.asarray(values), line)
+    return {
+        "spread": float(np.std(np.asarray(slopes) - smooth)) / size,
+        "against_differences": float(np.median(np.abs(differences - slopes)[1:-1])) / size,
+    }
+
+
+def lines() -> dict[str, Callable[[], Found]]:
+    """Cups and boxes whose slopes along a line are compared."""
+    finer = {"angle": 8.0, "interval": 64, "max_level": 4, "base_level": 4, "elements": 512}
+
+    def uniform(elements: int, replayed: bool) -> Found:
+        return along_a_line(cup(elements), replayed=replayed)
+
+    def refined(replayed: bool, at_rest: bool) -> Found:
+        return along_a_line(cup(24, finer | {"at_rest": at_rest}), replayed=replayed)
+
+    found = {f"{n} elements": functools.partial(uniform, n, False) for n in (24, 96, 384)}
+    found["96 elements, replayed"] = functools.partial(uniform, 96, True)
+    found["refined"] = functools.partial(refined, False, True)
+    found["refined, replayed"] = functools.partial(refined, True, True)
+    found["refined, replayed, new nodes in motion"] = functools.partial(refined, True, False)
+    found["box with insert, 494 elements"] = functools.partial(_on_a_box, lambda: box(500))
+    found["box with insert, refined"] = functools.partial(_on_a_box, lambda: _fitting("box-insert"))
+    return found
+
+
+def _on_a_box(make: Callable[[], Scene]) -> Found:
+    return along_a_line(make(), replayed=True, span=1e-3)
+
+
+def _fitting(name: str) -> Scene:
+    """A built-in scene that is refined, with room for what it needs."""
+    scene = jaxform.load(name)
+    return jaxform.fitted(scene, int(jaxform.run(scene).used.sum()))
+
+
+def roughness() -> Found:
+    """Slopes along a line for several scenes."""
+    found = {}
+    for name, look in lines().items():
+        found[name] = look()
+        print(f"{name}: spread {found[name]['spread']:.1e}, against differences "
+              f"{found[name]['against_differences']:.1e}", flush=True)  # fmt: skip
+    return found
