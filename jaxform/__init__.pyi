@@ -5,7 +5,7 @@ from .core.compiling import compiler_options
 from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
-from .loads import Loading, Pressure, loading, make_pressure
+from .loads import Interval, Loading, Pressure, loading, make_pressure
 from .materials import (
     Arrhenius,
     ArrheniusStiffness,
@@ -56,6 +56,7 @@ __all__ = [
     "Gent",
     "InputError",
     "InputWarning",
+    "Interval",
     "Law",
     "Loading",
     "Maxwell",

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxform.dynamics.moving import Moving, Searched, Window
 from jaxform.dynamics.touching import FAR
 from jaxform.kernels.blocks import only_if, over_blocks
+from jaxform.loads import Interval, next_pressure
 from jaxform.mechanics import membrane
 from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
@@ -136,8 +137,12 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
     active, elements = now.active, now.active.packed.elements
     positions = moving.nodes.positions
-    volume = None if moving.account.pressure is None else active.volume(positions)
-    pressure = scene.pressure.at(now.begin + moving.count * now.length, volume)
+    time, last = now.begin + moving.count * now.length, moving.account.pressed
+    if last is None:
+        pressure = scene.pressure.at(time, None)
+    else:
+        interval = Interval(time, now.length, moving.account.volume, active.volume(positions))
+        pressure = next_pressure(scene.pressure, last, interval).pressure
     modes = scene.material.viscous
     memory = None if modes is None or moving.memory is None else present(moving.memory, modes)
     load = Load(positions, active.thickness, pressure, *active.response(scene.material, memory))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from jaxform.adapt.remeshing import started_mesh
 from jaxform.core.pytree import as_real
+from jaxform.loads import first_pressure
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
@@ -47,7 +48,7 @@ def initial_state(scene: Scene) -> State:
     elements = sheet.area.size if mesh is None else mesh.element.size
     heat = None if scene.cooling is None else none_lost(elements)
     volume = enclosed_volume(positions, sheet)
-    pressure = scene.pressure.at(zero, volume) if scene.pressure.follows_volume else None
+    pressed = first_pressure(scene.pressure, volume) if scene.pressure.follows_volume else None
     return State(
         nodes=Nodes(
             positions=positions,
@@ -60,7 +61,7 @@ def initial_state(scene: Scene) -> State:
         ),
         account=Account(
             volume,
-            pressure,
+            pressed,
             *[zero] * 8,
             viscous_loss=None if scene.material.viscous is None else zero,
             cooling_loss=zero if scene.stiffens else None,

@@ -15,6 +15,7 @@ from jaxform.contact.lists import Candidates
 from jaxform.dynamics.moving import Landings, Moving, Window
 from jaxform.dynamics.touching import flown, landed_again, looked, touched
 from jaxform.kernels.blocks import once, over_blocks, total
+from jaxform.loads import Interval, Pressed, next_pressure
 from jaxform.mechanics import membrane
 from jaxform.mechanics.corners import (
     Load,
@@ -57,9 +58,11 @@ def step(
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    if moving.account.pressure is not None:
-        pressure = _pressure_inside(moving, scene, now)
-        mean_pressure = 0.5 * (moving.account.pressure + pressure)
+    last = pressed = moving.account.pressed
+    if last is not None:
+        # The velocity's step is half of the last one and half of this one.
+        pressed = _pressed(moving, last, 2.0 * kick - length, scene, now)
+        pressure, mean_pressure = pressed.pressure, 0.5 * (last.pressure + pressed.pressure)
     response = now.active.response(scene.material, _memory(moving, scene, now))
     load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
     if moving.room is None:
@@ -76,7 +79,7 @@ def step(
         account=dataclasses.replace(
             account,
             volume=volume,
-            pressure=None if account.pressure is None else jnp.where(moving.halted, account.pressure, pressure),
+            pressed=jax.tree.map(lambda old, new: jnp.where(moving.halted, old, new), last, pressed),
             external_work=account.external_work + mean_pressure * (volume - account.volume),
             damping_loss=account.damping_loss + taken.loss,
             viscous_loss=_with_loss(moving, length, taken.remembered),
@@ -132,10 +135,11 @@ def settled(moving: Moving, scene: Scene, now: Window) -> Moving:
     )
 
 
-def _pressure_inside(moving: Moving, scene: Scene, now: Window) -> jax.Array:
-    """The pressure [Pa] that goes with the volume enclosed as the step begins."""
+def _pressed(moving: Moving, last: Pressed, length: jax.Array, scene: Scene, now: Window) -> Pressed:
+    """How the loading presses as the step begins, so long after the last one began [s]."""
     volume = now.active.volume(jnp.asarray(moving.nodes.positions))
-    return scene.pressure.at(now.begin + moving.count * now.length, volume)
+    interval = Interval(now.begin + moving.count * now.length, length, moving.account.volume, volume)
+    return next_pressure(scene.pressure, last, interval)
 
 
 def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Scene, now: Window) -> Moving:

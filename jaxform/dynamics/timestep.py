@@ -24,6 +24,7 @@ from jaxform.mechanics.nodes import highest_speed
 from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
 from jaxform.model.tables import MOST_COOLING, SHORT_WINDOW
+from jaxform.sheet.account import present_pressure
 from jaxform.sheet.active_set import ActiveSet, Room
 from jaxform.sheet.discretization import law_of
 from jaxform.sheet.state import PackedState, any_mode, can_move
@@ -172,7 +173,7 @@ def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.A
 def _falling(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
     """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
     volume, rise = jax.value_and_grad(active.volume)(state.nodes.positions)
-    slope = jax.grad(lambda volume: scene.pressure.at(state.time, volume))(volume)
+    slope = jax.grad(lambda volume: present_pressure(state, scene, volume).pressure)(volume)
     return slope, rise, jnp.where(state.nodes.stuck, 0.0, active.compliance)
 
 
@@ -220,7 +221,7 @@ def _highest(
     volume, falling = None, None
     if scene.pressure.follows_volume:
         volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
-    pressure = scene.pressure.at(state.time, volume)
+    pressure = present_pressure(state, scene, volume).pressure
     modes = active.viscous(scene.material)
     memory = None if modes is None or state.memory is None else at_once(state.memory, modes)
     load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material.stiffest, memory))

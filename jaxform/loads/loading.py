@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, dataclass_transform
+from typing import Any, ClassVar, NamedTuple, dataclass_transform
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxform.core.errors import InputError
 from jaxform.core.parameters import declared_part, parameter, within
-from jaxform.core.pytree import as_real, static
+from jaxform.core.pytree import as_real, pytree, static
 
 _LOOKS = 17
+
+
+class Interval(NamedTuple):
+    """The time from the begin of one step to the begin of the next, as a loading sees it.
+
+    Attributes:
+        time: At its end [s].
+        length: [s]; 0 before the first step.
+        before, volume: What the sheet encloses at its begin and at its end [m^3].
+    """
+
+    time: jax.Array
+    length: jax.Array
+    before: jax.Array
+    volume: jax.Array
 
 
 class Loading:
@@ -30,18 +47,30 @@ class Loading:
 
     The stable step knows how the pressure falls with the volume; gradients are by checkpoints (`jaxform.Checkpointed`).
 
+    It may have a state of its own, such as a gas' temperature: an array, or a tree of arrays, that `start` gives, that
+    `after` takes from the begin of each step to the begin of the next, and that `at` is then given as well.
+
     Attributes:
         follows_volume: Whether the pressure depends on the enclosed volume; where it does not, no step works it out.
     """
 
     follows_volume: ClassVar[bool] = True
 
-    def at(self, time: jax.Array, volume: Any) -> jax.Array:
+    def at(self, time: jax.Array, volume: Any, *own: Any) -> jax.Array:
         """Pressure [Pa] at a time [s], with so much volume [m^3] of the modelled part between the sheet and its origin.
 
-        The volume is not worked out, but None, where the pressure does not follow it.
+        The volume is not worked out, but None, where the pressure does not follow it; its own state is not given where
+        it has none.
         """
         raise NotImplementedError
+
+    def start(self, volume: jax.Array) -> Any:
+        """Its own state at time 0, with so much volume [m^3]; None where it has none, as by default."""
+        return None
+
+    def after(self, own: Any, interval: Interval) -> Any:
+        """Its own state at the end of an interval; by default what it was."""
+        return own
 
     def pushes(self, end_time: float, volume: float) -> np.ndarray:
         """Pressures [Pa] of the process, by which one tells how much and which way it pushes; of numbers, not traced.
@@ -50,8 +79,46 @@ class Loading:
             end_time: When it ends [s].
             volume: What the sheet encloses at first [m^3].
         """
-        times = np.linspace(0.0, end_time, _LOOKS)
-        return np.asarray([self.at(as_real(time), as_real(volume)) for time in times], float)
+        length, same = as_real(end_time / (_LOOKS - 1)), as_real(volume)
+        now, found = first_pressure(self, same), []
+        for look in range(_LOOKS):
+            now = next_pressure(self, now, Interval(look * length, length * (look > 0), same, same))
+            found.append(now.pressure)
+        return np.asarray(found, float)
+
+
+@pytree
+class Pressed:
+    """How a loading presses that follows the volume, at the begin of a step.
+
+    Attributes:
+        pressure: [Pa].
+        own: Its own state; None where it has none.
+    """
+
+    pressure: jax.Array
+    own: Any
+
+
+def first_pressure(loading: Loading, volume: jax.Array) -> Pressed:
+    """At time 0, with so much volume [m^3]."""
+    own = jax.tree.map(_array, loading.start(volume))
+    return Pressed(_pressure(loading, jnp.zeros_like(volume), volume, own), own)
+
+
+def next_pressure(loading: Loading, last: Pressed, interval: Interval) -> Pressed:
+    """At the end of an interval, with what it was at its begin."""
+    own = None if last.own is None else jax.tree.map(_array, loading.after(last.own, interval))
+    return Pressed(_pressure(loading, interval.time, interval.volume, own), own)
+
+
+def _array(values: Any) -> jax.Array:
+    """What a user gives, of the type that it keeps from step to step."""
+    return as_real(values) if jnp.issubdtype(jnp.result_type(values), jnp.inexact) else jnp.asarray(values)
+
+
+def _pressure(loading: Loading, time: jax.Array, volume: jax.Array, own: Any) -> jax.Array:
+    return loading.at(time, volume) if own is None else loading.at(time, volume, own)
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
@@ -59,6 +126,11 @@ def loading[T: Loading](cls: type[T]) -> type[T]:
     """Makes a class a loading: a frozen dataclass and a pytree, its numbers known to `replace` and to designs.
 
     Raises:
-        InputError: It does not derive from `Loading`, gives no pressure, or has an undeclared number.
+        InputError: It does not derive from `Loading`, gives no pressure, has an undeclared number, or has a state of
+            its own but does not follow the volume.
     """
-    return declared_part(cls, Loading, "at", "derive it from jaxform.Loading and give it a pressure, `at`", "pressure")
+    remedy = "derive it from jaxform.Loading and give it a pressure, `at`"
+    made = declared_part(cls, Loading, "at", remedy, "pressure")
+    if made.start is not Loading.start and not made.follows_volume:
+        raise InputError("has a state of its own, which no step works out", "set follows_volume = True", "pressure")
+    return made

@@ -14,7 +14,7 @@ from jaxform.core.errors import InputError, warn_of
 from jaxform.core.parameters import is_declared, listed_numbers, nodal_numbers, ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import as_numbers, check, check_one
-from jaxform.loads import Loading
+from jaxform.loads import Interval, Loading, first_pressure, next_pressure
 from jaxform.materials import Cooling, Law, Modes, Shift
 from jaxform.mesh import bisection
 from jaxform.model.field import Field
@@ -145,11 +145,24 @@ def loading(pressure: Loading) -> Loading:
         remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
         raise InputError("is no loading", remedy, "pressure")
     made = _with_arrays(pressure, "pressure")
-    one = as_real(0.0)
-    shape = _shape("pressure", made.at, one, one)
-    if shape != ():
-        raise InputError(f"gives pressures of shape {shape}", "let `at` give one number", "pressure")
+    none = as_real(0.0)
+    first = _shapes("pressure", first_pressure, made, none)
+    if first.pressure.shape != ():
+        raise InputError(f"gives pressures of shape {first.pressure.shape}", "let `at` give one number", "pressure")
+    later = _shapes("pressure", next_pressure, made, first, Interval(none, none, none, none))
+    if _kinds(later) != _kinds(first):
+        problem = f"has another state of its own after a step, {_words(later.own)}, than at first, {_words(first.own)}"
+        raise InputError(problem, "let `after` give arrays of the same shapes as `start`", "pressure")
     return made
+
+
+def _kinds(tree: Any) -> Any:
+    return jax.tree.structure(tree), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
+
+
+def _words(own: Any) -> str:
+    shapes = [str(leaf.shape) for leaf in jax.tree.leaves(own)]
+    return f"of shapes {', '.join(shapes)}" if shapes else "none"
 
 
 def field(name: str, given: Field, count: int, forest: bisection.Forest | None) -> Field:
@@ -174,7 +187,7 @@ def field(name: str, given: Field, count: int, forest: bisection.Forest | None) 
             values = bisection.extended(values, forest.ends, forest.depth)
         new[part] = as_real(np.broadcast_to(values, (whole,)))
     made = _replaced(made, new)
-    shape = _shape(key, made.start, as_real(np.zeros((whole, 3))))
+    shape = _shapes(key, made.start, as_real(np.zeros((whole, 3)))).shape
     if shape != (whole,):
         raise InputError(f"starts with values of shape {shape}", f"let `start` give ({whole},)", key)
     return made
@@ -200,10 +213,10 @@ def _replaced[T](part: T, values: dict[str, Any]) -> T:
     return dataclasses.replace(part, **values)  # pyright: ignore[reportArgumentType, reportReturnType]
 
 
-def _shape(key: str, function: Any, *arguments: jax.Array) -> tuple[int, ...]:
-    """The shape of what a user's function gives; it is not worked out."""
+def _shapes(key: str, function: Any, *arguments: Any) -> Any:
+    """The shapes of what a user's function gives; it is not worked out."""
     try:
-        return jax.eval_shape(function, *arguments).shape
+        return jax.eval_shape(function, *arguments)
     except (TypeError, ValueError, AttributeError) as error:
         reason = str(error).strip().split("\n")[0]
         raise InputError(f"cannot be traced by JAX ({reason})", "use jax.numpy, and return one array", key) from error

@@ -20,6 +20,7 @@ from jaxform.sheet.account import (
     energy_rounding,
     kinetic_energy,
     last_work,
+    present_pressure,
     strain_energy,
 )
 from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
@@ -69,6 +70,7 @@ class Result:
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
         temperature: At the nodes (n_node,) [degC], where the sheet cools; None where it keeps what it has at first.
+        loading: The state that the loading has of its own, now; None where it has none.
         out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.
     """
@@ -97,6 +99,7 @@ class Result:
     status: jax.Array
     schedule: Schedule | None = None
     seconds: Seconds | None = None
+    loading: Any = None
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
 
@@ -147,6 +150,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
 
     nodes = dataclasses.replace(state.nodes, mode=None).mapped(ordered)
     change = _change_of_temperature(state, scene, now, ratio)
+    volume = enclosed_volume(state.nodes.positions, sheet)
     return Result(
         positions=nodes.positions.T,
         thickness=nodal(ratios, 0.0) * scene.parison.thickness,
@@ -167,8 +171,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         energy=Energy(
             strain=strain_energy(state, scene, now),
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
-            external_work=state.account.external_work
-            + last_work(state, scene, enclosed_volume(state.nodes.positions, sheet)),
+            external_work=state.account.external_work + last_work(state, scene, volume),
             **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
@@ -179,6 +182,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         windows=state.windows,
         shortened=state.shortened,
         status=state.status,
+        loading=None if state.account.pressed is None else present_pressure(state, scene, volume).own,
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
         temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )

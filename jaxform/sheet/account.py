@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.kernels.blocks import once, over_blocks
+from jaxform.loads import Interval, Pressed, next_pressure
 from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Elements, metrics_of
@@ -103,12 +104,20 @@ def stored(g: membrane.Metric, inverse: Any, material: Law, modes: Modes | None,
     return density
 
 
+def present_pressure(state: State, scene: Scene, volume: jax.Array | None) -> Pressed:
+    """How the loading presses now, with the volume that is enclosed now [m^3], None where it does not follow it."""
+    last, length = state.account.pressed, state.control.step_length
+    if last is None or volume is None:
+        return Pressed(scene.pressure.at(state.time, None), None)
+    return next_pressure(scene.pressure, last, Interval(state.time, length, state.account.volume, volume))
+
+
 def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
     """Mean pressure over the last step [Pa], with the volume that is enclosed now [m^3]."""
-    before = state.account.pressure
-    if before is None:
-        return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.control.step_length, state.time])))
-    return 0.5 * (before + scene.pressure.at(state.time, volume))
+    last = state.account.pressed
+    if last is None:
+        return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.control.step_length, state.time]), None))
+    return 0.5 * (last.pressure + present_pressure(state, scene, volume).pressure)
 
 
 def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:

@@ -19,7 +19,7 @@ from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.response import present
 from jaxform.model.scene import Scene
-from jaxform.sheet.account import enclosed_volume, last_work
+from jaxform.sheet.account import enclosed_volume, last_work, present_pressure
 from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import State
@@ -91,8 +91,8 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
     modes = scene.material.viscous
     memory = None if packed.memory is None or modes is None else present(packed.memory, modes)
-    pressure = scene.pressure.at(state.time, volume)
-    load = Load(packed.nodes.positions, active.thickness, pressure, *active.response(scene.material, memory))
+    pressed = present_pressure(state, scene, volume)
+    load = Load(packed.nodes.positions, active.thickness, pressed.pressure, *active.response(scene.material, memory))
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
     nodal, _ = force(load, active.packed.elements)
     velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
@@ -104,7 +104,7 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
         account=dataclasses.replace(
             account,
             volume=volume,
-            pressure=None if account.pressure is None else load.pressure,
+            pressed=None if account.pressed is None else pressed,
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
         ),

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import as_real, marked, pytree
+from jaxform.loads import Pressed
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
@@ -67,7 +68,7 @@ class Account:
 
     Attributes:
         volume: Enclosed before the last step [m^3].
-        pressure: Before the last step [Pa]; None where it follows from the time alone.
+        pressed: How the loading pressed before the last step; None where it follows from the time alone.
         external_work: Sum of P dV.
         damping_loss, contact_loss: Taken by damping, and by the mold.
         refinement_loss: Strain and kinetic energy that new nodes took away.
@@ -81,7 +82,7 @@ class Account:
     """
 
     volume: jax.Array
-    pressure: jax.Array | None
+    pressed: Pressed | None
     external_work: jax.Array
     damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
     contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
@@ -226,9 +227,9 @@ def carries(state: State) -> State:
     """Which leaves of a state carry a derivative."""
     none: Any = jax.tree.map(lambda _: False, state)
     smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
-    pressure = None if state.account.pressure is None else True
+    pressed: Any = jax.tree.map(lambda x: jnp.issubdtype(x.dtype, jnp.inexact), state.account.pressed)
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
-    account = dataclasses.replace(none.account, **terms, pressure=pressure)
+    account = dataclasses.replace(none.account, **terms, pressed=pressed)
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)
     return dataclasses.replace(none, nodes=smooth, account=account, memory=memory, heat=heat)

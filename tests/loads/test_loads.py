@@ -20,6 +20,7 @@ from jaxform.results.result import Result
 from jaxform.sheet.active_set import active_set_of
 from tests import scenes
 from tests.examples.sealed_gas import SealedGas
+from tests.examples.warm_gas import WarmGas
 from tests.scenes import real
 
 THICKNESS = 0.01
@@ -132,6 +133,38 @@ def test_gradients_by_a_loadings_numbers(cup: jaxform.Scene) -> None:
         np.testing.assert_allclose(along, (both[0] - both[1]) / (2 * step), rtol=1e-6)
 
 
+def test_a_gas_keeps_account_of_its_temperature_and_has_gradients() -> None:
+    """Its internal energy changes by what flows in and by what work it does, outside and on the sheet."""
+    gas = WarmGas(*map(real, (DEAD, 1.0, 0.02, 16.0, 1.5, 1.0, 2.5, DEAD, 1.0)))
+    scene = scenes.loaded(gas)
+    recorded = jaxform.run(scene)
+
+    def figure(values: dict[str, jax.Array]) -> tuple[jax.Array, Result]:
+        result = jaxform.simulate(jaxform.replace(scene, values), schedule=recorded.schedule)
+        return jnp.mean(jnp.square(result.positions)) + result.loading.temperature, result
+
+    def lifted(positions: jax.Array) -> float:
+        place = np.asarray(positions) + 0.0
+        return reference.enclosed_volume(place, np.asarray(scene.parison.triangles))
+
+    at = {"pressure.inflow_temperature": gas.inflow_temperature, "pressure.capacity": gas.capacity}
+    at["material.c"] = scene.material.c
+    whole = jax.jit(jax.value_and_grad(figure, has_aux=True))
+    (_, result), slopes = whole(at)
+    assert int(recorded.status) == int(result.status) == 0 and np.mean(np.asarray(result.contact_time) > 0) > 0.3
+    assert float(result.energy.balance_error) < 2e-3
+    more = 0.02 * min(16.0, float(result.time))
+    work = float(result.energy.external_work) + lifted(result.positions)
+    held = float(result.loading.mass * result.loading.temperature) * 2.5
+    np.testing.assert_allclose(result.loading.mass, DEAD + more, rtol=1e-12)
+    np.testing.assert_allclose(held, 2.5 * DEAD + more * 3.5 * 1.5 - work, rtol=1e-5)
+    np.testing.assert_allclose(recorded.loading.temperature, result.loading.temperature, rtol=1e-10)
+    for path, slope in slopes.items():
+        both = [float(whole(at | {path: at[path] + step})[0][0]) for step in (1e-6, -1e-6)]
+        assert abs(float(slope)) > 1e-5
+        np.testing.assert_allclose(slope, (both[0] - both[1]) / 2e-6, rtol=1e-6)
+
+
 def test_what_is_no_loading_is_refused_in_words() -> None:
     with pytest.raises(InputError, match="is no loading"):
         jaxform.loading(cast("Any", type("Nothing", (), {})))
@@ -160,6 +193,21 @@ def test_plain_numbers_are_enough_and_a_pressure_is_one_number() -> None:
 
     with pytest.raises(InputError, match=r"pressure: gives pressures of shape \(4,\)"):
         scenes.loaded(Several())
+
+    class Growing(jaxform.Loading):
+        def start(self, volume: jax.Array) -> jax.Array:
+            return jnp.zeros(1)
+
+        def after(self, own: jax.Array, interval: jaxform.Interval) -> jax.Array:
+            return jnp.append(own, interval.volume)
+
+        def at(self, time: jax.Array, volume: jax.Array, own: jax.Array) -> jax.Array:
+            return own[0]
+
+    with pytest.raises(InputError, match=r"another state of its own after a step, of shapes \(2,\), than at first"):
+        scenes.loaded(jaxform.loading(Growing)())
+    with pytest.raises(InputError, match=r"state of its own.*follows_volume = True"):
+        jaxform.loading(type("Timed", (Growing,), {"follows_volume": False}))
     with pytest.raises(InputError, match="pressure: cannot be traced by JAX"):
         scenes.loaded(Untraced())
     with pytest.raises(InputError, match=r"pressure\.content.*is a text"):
