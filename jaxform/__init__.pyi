@@ -44,6 +44,7 @@ from .runs.padding import padded
 from .runs.simulation import simulate
 from .sheet.state import Schedule
 from .tools.mold import Mold, make_mold
+from .tools.motion import Motion, make_motion
 
 __all__ = [
     "Adjoint",
@@ -64,6 +65,7 @@ __all__ = [
     "Mold",
     "Moment",
     "MooneyRivlin",
+    "Motion",
     "NeoHookean",
     "Ogden",
     "Parison",
@@ -88,6 +90,7 @@ __all__ = [
     "load",
     "loading",
     "make_mold",
+    "make_motion",
     "make_parison",
     "make_pressure",
     "make_refinement",

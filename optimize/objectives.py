@@ -264,7 +264,7 @@ class KineticEnergy(Objective):
     def deviations(self, scene: Scene, result: Result) -> jax.Array:
         """The root of that share (1,)."""
         energy = result.energy
-        share = (energy.contact_loss + energy.kinetic) / jnp.abs(energy.external_work)
+        share = (energy.contact_loss + energy.kinetic) / jnp.abs(energy.work)
         return jnp.sqrt(jnp.maximum(share, 1e-30))[None]
 
 

@@ -29,6 +29,7 @@ from jaxform.model.tables import Forest
 from jaxform.sheet.discretization import Mesh
 from jaxform.sheet.state import State, at_start
 from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Frame
 
 _BEFORE = 64  # times the distance at which a node touches, before its wall: where a node that sticks looks from
 _BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin wall
@@ -137,15 +138,31 @@ def insert_nodes(
         return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
 
     # The loop over blocks carries no more than it changes.
-    nodes = dataclasses.replace(state.nodes, mode=None)
-    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, forest, volumes))
+    frame, nodes = frame_of(state, scene), dataclasses.replace(state.nodes, mode=None)
+    if frame is not None:
+        nodes = _seen_in(nodes, frame)
+    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, forest, volumes, frame))
     if tool is not None:
         older, time = _Older(mesh, old.node_count), state.time
         nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, tool, adaptivity, older, time))
+    if frame is not None:
+        nodes = _seen_in(nodes, Frame(-frame.offset, -frame.velocity))
     return dataclasses.replace(state, nodes=nodes).with_nodes(mode=state.nodes.mode)
 
 
-def _between(nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, volumes: jax.Array) -> Nodes:
+def frame_of(state: State, scene: Scene) -> Frame | None:
+    """The tool's frame of now; None where it rests."""
+    return None if scene.motion is None else scene.motion.frame(state.time - state.control.last_length, state.time)
+
+
+def _seen_in(nodes: Nodes, frame: Frame) -> Nodes:
+    positions, velocities = jnp.stack(frame.places(nodes.positions)), jnp.stack(frame.speeds(nodes.velocities))
+    return dataclasses.replace(nodes, positions=positions, velocities=velocities)
+
+
+def _between(
+    nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, volumes: jax.Array, frame: Frame | None
+) -> Nodes:
     """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
     A bisection takes from the edge's ends the mass of the parts that they do not belong to any more: with velocities
@@ -163,6 +180,12 @@ def _between(nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, vo
         forest.depth,
     )
     start = at_start(scene, births.node)
+    moves, speeds = jnp.where(start.stuck, 0.0, middle), jnp.where(start.stuck, 0.0, velocities)
+    if frame is not None:
+        # In the frame of the tool it is what is clamped that moves.
+        clamped = start.stuck & (start.wall == 0)
+        moves = jnp.where(clamped, -frame.offset[:, None], moves)
+        speeds = jnp.where(clamped, -frame.velocity[:, None], speeds)
     fields = {
         name: births.put(
             values, births.chained([values[end] for end in births.ends], scene.fields[name].between, forest.depth)
@@ -171,8 +194,8 @@ def _between(nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, vo
     }
     return dataclasses.replace(
         nodes,
-        positions=births.put(nodes.positions, reference[births.node].T + jnp.where(start.stuck, 0.0, middle)),
-        velocities=births.put(nodes.velocities, jnp.where(start.stuck, 0.0, velocities)),
+        positions=births.put(nodes.positions, reference[births.node].T + moves),
+        velocities=births.put(nodes.velocities, speeds),
         stuck=births.put(nodes.stuck, start.stuck),
         contact_time=births.put(nodes.contact_time, start.contact_time),
         wall=births.put(nodes.wall, start.wall),

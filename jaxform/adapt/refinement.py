@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.adapt.inheritance import ancestry, inherited
-from jaxform.adapt.insertion import insert_nodes
+from jaxform.adapt.insertion import frame_of, insert_nodes
 from jaxform.adapt.remeshing import Queue, bisected, closed, queued
 from jaxform.contact.cells import cell_of
 from jaxform.kernels import sizes
@@ -54,7 +54,7 @@ def refined(
         due = jnp.any(planned & (mesh.split_at == NEVER))
         wanted = functools.partial(_planned, planned=planned)
     else:
-        due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, grid=scene.tables.grid)
+        due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, scene=scene)
 
     def look(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         return _grown(now[0], scene, adaptivity, now[1], *wanted(*now, adaptivity), None)
@@ -76,9 +76,7 @@ def refined_in_place(
     def look(now: Any) -> tuple[PackedState, Discretization, Any]:
         packed, body, _ = now
         state = active.put_back(packed)
-        state, body = _grown(
-            state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene.tables.grid), active
-        )
+        state, body = _grown(state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene), active)
         idle = active.idle
         if idle is not None and state.memory is not None:
             idle = dataclasses.replace(idle, stress=state.memory[:, idle.element], since=state.time)
@@ -106,12 +104,10 @@ def _planned(state: State, _: Discretization, adaptivity: Adaptivity, planned: j
     return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
 
 
-def _wanted(
-    state: State, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None
-) -> tuple[jax.Array, Queue]:
+def _wanted(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
     mesh = state.refined_mesh
-    place, count = listed(_marked(state, discrete, adaptivity, grid), mesh.element.size)
+    place, count = listed(_marked(state, discrete, adaptivity, scene), mesh.element.size)
     return closed(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
 
 
@@ -183,11 +179,12 @@ def _padded(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
+def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
     """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
-    state, discrete, adaptivity, grid = jax.lax.stop_gradient((state, discrete, adaptivity, grid))
-    (limits, forest), mesh = adaptivity, state.refined_mesh
-    shapes = _shapes(state, discrete, adaptivity, grid)
+    state, discrete, adaptivity, scene = jax.lax.stop_gradient((state, discrete, adaptivity, scene))
+    (limits, forest), mesh, frame = adaptivity, state.refined_mesh, frame_of(state, scene)
+    positions = state.nodes.positions if frame is None else frame.places(state.nodes.positions)
+    shapes = _shapes(positions, discrete, adaptivity, scene.tables.grid)
     sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < limits.min_area
     room = padded(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
@@ -209,10 +206,10 @@ def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, grid
     return marks[0, : mesh.element.size]
 
 
-def _shapes(state: State, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
+def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
     """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
     elements, bend = discrete.whole.elements, adaptivity.forest.bend
-    rows = membrane.rows_of(state.nodes.positions)
+    rows = membrane.rows_of(positions)
     thickness = discrete.thickness[discrete.whole.element]
 
     def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:

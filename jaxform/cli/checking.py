@@ -123,6 +123,12 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
         return
     dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
     yield f"mold: {len(scene.mold.triangles)} triangles{dropped}; {seen.mold}"
+    if scene.motion is not None:
+        motion = scene.motion
+        way = ", ".join(f"{value:.4g}" for value in np.asarray(motion.direction, float))
+        far, time = float(motion.displacement[-1]), float(motion.time[-1])
+        yield f"the mold moves along ({way}), by {far:.4g} m at {time:.4g} s"
+        return
     on = 1.0 - seen.ahead - seen.behind
     sides = f"{100 * seen.ahead:.3g} % of the mold's area lies on that side"
     sides += f", {100 * seen.behind:.3g} % on the other, {100 * on:.3g} % next to the sheet"

@@ -21,6 +21,7 @@ from jaxform.mechanics.membrane import Vector, columns, cross, dot, gather, minu
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Tool
 from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Frame
 
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 
@@ -52,20 +53,23 @@ class Landing(NamedTuple):
 
     The number of the step in which each landed (n_node,); the kinetic energy lost so far [J]. Where it is kept, the
     impact (6, n_node): where each node that landed was before that step [m], and the velocity that it came with [m/s].
+    Where the tool moves, the work that it did on nodes as they landed [J].
     """
 
     nodes: Nodes
     step: jax.Array
     loss: jax.Array
     impact: jax.Array | None = None
+    work: jax.Array | None = None
 
 
 class Step(NamedTuple):
-    """One step: its length [s], the time at its end [s], and its number in the window."""
+    """One step: its length [s], the time at its end [s], its number in the window; the tool's frame if that moves."""
 
     length: jax.Array
     end: jax.Array
     number: jax.Array
+    frame: Frame | None = None
 
 
 def land(
@@ -108,17 +112,23 @@ def land_on(landing: Landing, now: Step, chosen: jax.Array, mass: jax.Array, mol
 
 
 class _Paths(NamedTuple):
-    """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s]."""
+    """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s].
+
+    And the frame of the tool, in which their paths are looked at; None where it rests.
+    """
 
     after: Any
     velocities: jax.Array
     length: jax.Array
+    frame: Frame | None
 
     def ends(self, node: jax.Array) -> tuple[Vector, Vector]:
         """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
         # The barriers keep what is looked up, and worked out from it, for all its uses.
         looked_up = columns(self.after, node), columns(self.velocities, node)
         after, velocities = once(looked_up)
+        if self.frame is not None:
+            after, velocities = once((self.frame.places(after), self.frame.speeds(velocities)))
         x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
         return once((x, y, z)), after
 
@@ -214,7 +224,7 @@ def _landed_in_place(
     touch: jax.Array,
 ) -> tuple[Landing, Met]:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    paths = _Paths(landing.nodes.positions, landing.nodes.velocities, now.length)
+    paths = _Paths(landing.nodes.positions, landing.nodes.velocities, now.length, now.frame)
     met = _first_met(paths, landing.nodes.stuck, candidates, due, touch, room)
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
@@ -243,6 +253,9 @@ def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax
     """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
     lands, nodes = chosen >= 0, landing.nodes
     after, velocities = jnp.asarray(nodes.positions), nodes.velocities
+    frame, work = now.frame, landing.work
+    if frame is not None:
+        after, velocities = jnp.stack(frame.places(after)), jnp.stack(frame.speeds(velocities))
     before = after - now.length * velocities
     point, fall, beta = _landing_point(before, after, mold, jnp.maximum(chosen, 0), lands)
     # Signed, one more than the triangle's number: positive where the node came from the side of its normal.
@@ -251,12 +264,19 @@ def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax
     impact = landing.impact
     if impact is not None:
         impact = jnp.where(lands, jnp.concatenate([before, velocities]), impact)
+    landing_velocity: jax.Array | float = 0.0
+    if frame is not None and work is not None:
+        # The tool gives them its own velocity; what they had beside it is lost.
+        offset, speed = frame.offset[:, None], frame.velocity[:, None]
+        work = work - jnp.sum(jnp.where(lands, mass * dot(velocities, speed), 0.0))
+        point, landing_velocity = point + offset, speed
+        after, velocities = jnp.asarray(nodes.positions), nodes.velocities
     time = now.end - (1.0 - jnp.maximum(beta, _SOONEST)) * now.length
     return Landing(
         nodes=dataclasses.replace(
             nodes,
             positions=jnp.where(lands, point, after),
-            velocities=jnp.where(lands, 0.0, velocities),
+            velocities=jnp.where(lands, landing_velocity, velocities),
             stuck=nodes.stuck | lands,
             contact_time=jnp.where(lands, time, nodes.contact_time),
             wall=jnp.where(lands, wall, nodes.wall),
@@ -264,6 +284,7 @@ def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax
         step=jnp.where(lands, now.number, landing.step),
         loss=landing.loss + jnp.sum(jnp.where(lands, kinetic, 0.0)),
         impact=impact,
+        work=work,
     )
 
 

@@ -72,6 +72,8 @@ RANGES: dict[str, Range] = {
     "parison.thickness": Range("m", above=0.0),
     "pressure.time": Range("s", increasing=True),
     "pressure.value": Range("Pa"),
+    "mold.motion.time": Range("s", increasing=True),
+    "mold.motion.displacement": Range("m"),
     "material.c": Range("Pa", above=0.0),
     "material.alpha": Range(least=0.0),
     "material.a01": Range("Pa", above=0.0),
@@ -130,6 +132,8 @@ DESIGNABLE = [
     "cooling.conductivity",
     "solver.end_time",
     "solver.damping",
+    "mold.motion.time",
+    "mold.motion.displacement",
 ]
 """What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
 WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each

@@ -21,7 +21,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.account import account, energy_rounding, last_work
 from jaxform.sheet.active_set import ActiveSet
-from jaxform.sheet.scheme import kicked
+from jaxform.sheet.scheme import carried, kicked
 from jaxform.sheet.state import PackedState, Replay, State, Status
 
 _MOST_RETRIES = 12
@@ -37,7 +37,7 @@ def close(
     state: PackedState, moving: Moving, end: End, searched: Searched | None, scene: Scene, now: Window
 ) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    work = jax.lax.stop_gradient(moving.account.external_work)
+    work = jax.lax.stop_gradient(moving.account.external_work + moving.account.tool_whole)
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
@@ -47,6 +47,7 @@ def close(
             peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
             kinetic_peak=jnp.maximum(state.account.kinetic_peak, end.kinetic),
             kinetic_excess=end.behind - end.kinetic,
+            tool_last=end.tool,
         ),
         control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
         time=state.time + moving.count * now.length,
@@ -120,12 +121,13 @@ class End(NamedTuple):
     """What a window's end comes to.
 
     Kinetic energy [J], and that of the velocities, which are half a step behind; the largest coordinate [m], not finite
-    where any position is not.
+    where any position is not. The work of the tool with the force of now [J]; None where it rests.
     """
 
     kinetic: jax.Array
     behind: jax.Array
     largest: jax.Array
+    tool: jax.Array | None
 
 
 def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners]:
@@ -149,17 +151,28 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     room = no_corners(positions, elements) if moving.room is None else moving.room
     corners, _ = corner_forces(load, elements, room)
 
-    def work(own: Any, nodes: Any, positions: Any, velocities: Any) -> Any:
-        ahead, _ = kicked(assembled(corners, own), velocities, nodes, now.length, scene.solver.damping)
+    frame = None if scene.motion is None else scene.motion.frame(time, time + now.length)
+
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any) -> Any:
+        nodal, done = assembled(corners, own), []
+        ahead, _ = kicked(nodal, velocities, nodes, now.length, scene.solver.damping)
+        if frame is not None:
+            # Half of what it does from now to the next force, at the velocity that it has had.
+            ahead, held, _ = carried(nodal, (velocities, ahead), nodes, wall, now.length, frame.velocity)
+            triples = zip(nodal, velocities, ahead, strict=True)
+            pulls = [(nodes[1] * (new - old) - now.length * own) * old for own, old, new in triples]
+            done = [jnp.where(held, 0.5 * sum(pulls), 0.0)]
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
         size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
-        return [], [*energies, size]
+        return [], [*energies, *done, size]
 
     nodes = moving.nodes.stuck, active.mass, active.compliance
-    inputs = shares(elements), nodes, positions, moving.nodes.velocities
-    _, found = over_blocks(work, elements.node_block_count, inputs, [], sums=2, most=1)
-    return End(*found), corners
+    wall = None if frame is None else moving.nodes.wall
+    inputs = shares(elements), nodes, positions, moving.nodes.velocities, wall
+    sums = 2 if frame is None else 3
+    _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
+    return End(kinetic, behind, largest, tool[0] if tool else None), corners
 
 
 def _health(
@@ -171,7 +184,7 @@ def _health(
     inside = account(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
     strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
-    excess = held - state.account.external_work - last_work(state, scene, volume)
+    excess = held - state.account.external_work - last_work(state, scene, volume) - state.account.tool_whole
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
     finite = jnp.isfinite(end.largest + end.kinetic)

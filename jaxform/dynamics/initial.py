@@ -65,6 +65,8 @@ def initial_state(scene: Scene) -> State:
             *[zero] * 8,
             viscous_loss=None if scene.material.viscous is None else zero,
             cooling_loss=zero if scene.stiffens else None,
+            tool_work=None if scene.motion is None else zero,
+            tool_last=None if scene.motion is None else zero,
         ),
         control=Control(
             step_length=zero,

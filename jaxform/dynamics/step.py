@@ -31,7 +31,8 @@ from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.response import Memory, present
 from jaxform.model.field import Surroundings, stepped
 from jaxform.model.scene import Scene
-from jaxform.sheet.scheme import kicked
+from jaxform.sheet.scheme import carried, kicked
+from jaxform.tools.motion import Frame
 
 
 def step(
@@ -54,7 +55,7 @@ def step(
     pressure, mean_pressure, kick = pressures
     length, tool = now.length, scene.tool
     if isinstance(contact, Candidates):
-        moving = looked(moving, now, contact)
+        moving = looked(moving, scene, now, contact)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
@@ -63,12 +64,14 @@ def step(
         # The velocity's step is half of the last one and half of this one.
         pressed = _pressed(moving, last, 2.0 * kick - length, scene, now)
         pressure, mean_pressure = pressed.pressure, 0.5 * (last.pressure + pressed.pressure)
+    begin = now.begin + moving.count * now.length
+    frame = None if scene.motion is None else scene.motion.frame(begin, begin + length)
     response = now.active.response(scene.material, _memory(moving, scene, now))
     load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
     if moving.room is None:
-        taken = _taken(load, moving, kick, length, scene, now)
+        taken = _taken(load, moving, kick, length, scene, now, frame)
     else:
-        taken = _taken_in_blocks(load, moving, moving.room, kick, length, scene, now)
+        taken = _taken_in_blocks(load, moving, moving.room, kick, length, scene, now, frame)
     volume, account = taken.volume + now.active.idle_volume, moving.account
     if moving.room is None:
         # So that the account is that of a loop which ends with the last step.
@@ -82,6 +85,7 @@ def step(
             pressed=jax.tree.map(lambda old, new: jnp.where(moving.halted, old, new), last, pressed),
             external_work=account.external_work + mean_pressure * (volume - account.volume),
             damping_loss=account.damping_loss + taken.loss,
+            tool_work=None if account.tool_work is None else account.tool_work + taken.work,
             viscous_loss=_with_loss(moving, length, taken.remembered),
         ),
         memory=_kept(moving, taken.remembered),
@@ -89,9 +93,9 @@ def step(
         room=taken.room,
     )
     if tool is not None and isinstance(contact, Candidates):
-        moved = touched(moved, length, tool, contact, scene, now)
+        moved = touched(moved, length, tool, contact, scene, now, frame)
     elif tool is not None and isinstance(contact, Landings):
-        moved = landed_again(moved, length, tool, contact, now)
+        moved = landed_again(moved, length, tool, contact, now, frame)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=flown(moved, scene, now))
     return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
@@ -161,7 +165,7 @@ def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Sce
 class _Taken(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
-    And what elements remember; None where they have no viscous modes.
+    And what elements remember, None where they have no viscous modes; and the work of the tool where it moves [J].
     """
 
     positions: jax.Array | membrane.Vector
@@ -170,22 +174,41 @@ class _Taken(NamedTuple):
     loss: jax.Array | float
     room: Corners | None
     remembered: Remembered | None
+    work: jax.Array | float = 0.0
 
 
-def _taken(load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window) -> _Taken:
+def _taken(
+    load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window, frame: Frame | None
+) -> _Taken:
     nodal, volume = force(load, now.active.packed.elements)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
     velocities, losses = kicked(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
+    work: jax.Array | float = 0.0
+    if frame is not None:
+        both = moving.nodes.velocities, velocities
+        velocities, held, done = carried(nodal, both, nodes, moving.nodes.wall, kick, frame.velocity)
+        work, losses = total(done), None if losses is None else jnp.where(held, 0.0, losses)
+        if moving.room is None:
+            # Of a halted window nothing moves, and nothing is done.
+            velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
+            work = jnp.where(moving.halted, 0.0, work)
     positions = moving.nodes.positions + length * jnp.stack(velocities)
     loss = total(losses) if losses is not None else 0.0
     rest, modes = None, now.active.viscous(scene.material)
     if modes is not None and now.recursion is not None:
         rest = remembered(load, now.active.packed.elements, modes, now.recursion)
-    return _Taken(positions, jnp.stack(velocities), volume, loss, None, rest)
+    return _Taken(positions, jnp.stack(velocities), volume, loss, None, rest, work)
 
 
 def _taken_in_blocks(
-    load: Load, moving: Moving, room: Corners, kick: jax.Array, length: jax.Array, scene: Scene, now: Window
+    load: Load,
+    moving: Moving,
+    room: Corners,
+    kick: jax.Array,
+    length: jax.Array,
+    scene: Scene,
+    now: Window,
+    frame: Frame | None,
 ) -> _Taken:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
     elements = now.active.packed.elements
@@ -196,17 +219,20 @@ def _taken_in_blocks(
         corners, volume, rest = corner_forces_remembered(load, elements, room, modes, now.recursion)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
 
-    def work(old: Any, own: Any, nodes: Any) -> Any:
-        (x,), (y,), (z,), velocities = old
-        nodal = assembled(corners, own)
-        velocities, losses = kicked(nodal, velocities, nodes, kick, scene.solver.damping)
+    def work(old: Any, own: Any, nodes: Any, wall: Any) -> Any:
+        (x,), (y,), (z,), before = old
+        nodal, sums = assembled(corners, own), []
+        velocities, losses = kicked(nodal, before, nodes, kick, scene.solver.damping)
+        if frame is not None:
+            velocities, held, done = carried(nodal, (before, velocities), nodes, wall, kick, frame.velocity)
+            sums, losses = [done], None if losses is None else jnp.where(held, 0.0, losses)
         new = once(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
-        return [*([x] for x in new), velocities], [] if losses is None else [losses]
+        return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]
 
-    inputs = shares(elements), nodes
+    inputs = shares(elements), nodes, None if frame is None else moving.nodes.wall
     into = [*(x[None] for x in moving.nodes.positions), moving.nodes.velocities]
-    damped = scene.solver.damping is not None
+    damped, moves = scene.solver.damping is not None, frame is not None
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
-    new, losses = over_blocks(work, elements.node_block_count, inputs, into, sums=int(damped), update=4, kept=False)
+    new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=damped + moves, update=4, kept=False)
     positions = vector(row for (row,) in new[:3])
-    return _Taken(positions, new[3], volume, losses[0] if damped else 0.0, corners, rest)
+    return _Taken(positions, new[3], volume, sums[0] if damped else 0.0, corners, rest, sums[-1] if moves else 0.0)

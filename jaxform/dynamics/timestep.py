@@ -78,6 +78,8 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
         # No node passes more of the range of its list in one step than can be watched.
         range_per_step = _RANGE_PER_STEP * scene.tables.grid.farthest
         speed = highest_speed(state.nodes.velocities, active.packed.elements.node_block_count)
+        if scene.motion is not None:
+            speed += scene.motion.highest_speed()
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:

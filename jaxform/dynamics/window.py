@@ -22,7 +22,7 @@ from jaxform.dynamics.closing import SLACK, close, looked_over
 from jaxform.dynamics.moving import Landings, Moving, Row, Searched, Window
 from jaxform.dynamics.step import settled, step
 from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
-from jaxform.dynamics.touching import any_missed
+from jaxform.dynamics.touching import any_missed, seen_by_tool
 from jaxform.kernels.blocks import as_one, entry
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners, no_corners
@@ -166,7 +166,7 @@ def _from_list_to_list(
         halted = moving.halted | candidates.overflow
         moving = dataclasses.replace(moving, halted=halted, stale=jnp.asarray(False), seen=unseen())
         moving = _until_halted(moving, scene, now, steps, candidates)
-        missed = any_missed(moving, candidates, now)
+        missed = any_missed(moving, candidates, scene, now)
         pairs, overflow = jnp.maximum(searched.pairs, candidates.count), searched.overflow | candidates.overflow
         moving = dataclasses.replace(moving, halted=moving.halted | missed)
         return moving, Searched(pairs, overflow, searched.missed | missed), candidates.lists
@@ -287,11 +287,11 @@ def _in_short_ones(advance: Callable[..., Any], moving: Moving, steps: tuple[jax
 def _list_candidates(moving: Moving, scene: Scene, now: Window, into: Lists) -> Candidates:
     """For the steps that are left of a window."""
     assert scene.tool is not None
-    nodes, grid = jax.lax.stop_gradient((moving.nodes, scene.tool.grid))
+    (positions, velocities), grid = jax.lax.stop_gradient((seen_by_tool(moving, scene, now), scene.tool.grid))
     return list_candidates(
-        jnp.stack(nodes.positions),
-        nodes.velocities,
-        ~nodes.stuck,
+        jnp.stack(positions),
+        velocities,
+        ~moving.nodes.stuck,
         jax.lax.stop_gradient(now.length),
         now.most - moving.count,
         grid,

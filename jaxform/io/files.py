@@ -31,6 +31,7 @@ from jaxform.prepare.building import build_scene
 from jaxform.prepare.growing import grown_parison
 from jaxform.tools import molds, rims
 from jaxform.tools.mold import Mold, make_mold
+from jaxform.tools.motion import make_motion
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
 
@@ -337,13 +338,14 @@ def _mold(document: SceneDocument) -> Mold | None:
     if isinstance(table, schema.RevolvedMold):
         shape = molds.revolved(profile=table.profile, segments=table.segments)
     elif isinstance(table, schema.BoxInsertMold):
-        shape = molds.box_insert(**table.model_dump(exclude={"shape"}))
+        shape = molds.box_insert(**table.model_dump(exclude={"shape", "motion"}))
     elif isinstance(table, schema.BottleHalfMold):
-        shape = molds.bottle_half(**table.model_dump(exclude={"shape"}))
+        shape = molds.bottle_half(**table.model_dump(exclude={"shape", "motion"}))
     else:
         with _told_of("", "mold.path"):
             names = [table.path] if isinstance(table.path, str) else table.path
             parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
             mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
             shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
-    return make_mold(shape.vertices, shape.triangles, shape.dropped)
+    motion = None if table.motion is None else make_motion(**table.motion.model_dump())
+    return make_mold(shape.vertices, shape.triangles, shape.dropped, motion)

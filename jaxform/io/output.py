@@ -55,7 +55,7 @@ def write_result(
         (folder / "mold.vtu").unlink(missing_ok=True)  # of what was here before
     else:
         with whole(folder / "mold.vtu") as fresh:
-            meshes.write_vtu(fresh, np.asarray(scene.mold.vertices), np.asarray(scene.mold.triangles))
+            meshes.write_vtu(fresh, scene.mold.vertices_at(float(result.time)), np.asarray(scene.mold.triangles))
     return summary
 
 

@@ -200,7 +200,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     _warn_of_sheet(scene, seen, file)
     _warn_of_load(scene, seen, file)
     if seen.mold is not None:
-        _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet)
+        _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
 
 
 def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
@@ -228,6 +228,8 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     largest = float(np.abs(scene.pushes()).max())
     load = largest / (2 * stiffness * seen.thinness)
     if load < _WEAK:
+        if scene.motion is not None:
+            return
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
         remedy = f"a sheet as stiff as this wants {stiffness * seen.thinness:.1g} Pa and more; give Pa"
     elif load > _STRONG:
@@ -238,8 +240,8 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
     warn_of(what, remedy, key="pressure.value", value=scene.pushes().tolist(), file=file)
 
 
-def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any) -> None:
-    """One warning, for a mold in other units lies elsewhere too."""
+def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, moves: bool) -> None:
+    """One warning, for a mold in other units lies elsewhere too; one that moves may lie anywhere at first."""
     assert seen.mold is not None
     ratio = seen.mold.size / (seen.sheet.size or 1.0)
     boxes = f"mold {seen.mold}, sheet {seen.sheet}"
@@ -249,6 +251,8 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any) -> None
         times = f"{ratio:.3g} times the sheet" if ratio > 1 else f"{1 / ratio:.3g} times smaller than the sheet"
         key = "mold" if scale is None else "mold.scale"
         warn_of(f"the mold is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
+    elif moves:
+        return
     elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
         _warn_of_side(seen, boxes, file)
     elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:

@@ -51,7 +51,7 @@ class Nodes:
     velocities: jax.Array = dataclasses.field(metadata={"rule": Rule(smooth=True, beyond=0.0, absent=0.0)})
     stuck: jax.Array = dataclasses.field(metadata={"rule": Rule(beyond=True, absent=False)})
     contact_time: jax.Array = dataclasses.field(metadata={"rule": Rule(smooth=True, absent=-1.0)})
-    wall: jax.Array = dataclasses.field(metadata={"rule": Rule(absent=0)})
+    wall: jax.Array = dataclasses.field(metadata={"rule": Rule(beyond=0, absent=0)})
     mode: jax.Array | None = dataclasses.field(metadata={"rule": Rule()})
     fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": Rule(smooth=True, absent=0.0)})
 

@@ -116,7 +116,7 @@ def _stand_in(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> ja
     if path == "parison.temperature":
         shift = scene.material.shift
         return 20.0 if shift is None else jax.lax.stop_gradient(shift.reference)
-    if path == "pressure.time":
+    if path in ("pressure.time", "mold.motion.time"):
         return jnp.arange(values.size, dtype=values.dtype)
     allowed = _range(path, scene)
     if allowed.above is None:

@@ -24,6 +24,7 @@ from jaxform.mesh import reference
 from jaxform.model.field import Field
 from jaxform.model.tables import Forest, Tables
 from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Motion
 from jaxform.tools.search import SearchGrid
 
 
@@ -185,7 +186,12 @@ class Scene:
     @property
     def rests(self) -> bool:
         """Whether what sticks stays as it is, so that nothing is left to do where all does."""
-        return all(field.rests for field in self.fields.values())
+        return self.motion is None and all(field.rests for field in self.fields.values())
+
+    @property
+    def motion(self) -> Motion | None:
+        """How the mold moves; None where it rests, or there is none."""
+        return None if self.mold is None else self.mold.motion
 
     def pushes(self) -> np.ndarray:
         """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
@@ -201,7 +207,7 @@ class Scene:
     def reversible(self) -> bool:
         """Whether every part of it can be stepped backwards, as the reversed scheme does."""
         plain = self.material.viscous is None and self.cooling is None
-        return plain and not self.fields and not self.pressure.follows_volume
+        return plain and not self.fields and not self.pressure.follows_volume and self.motion is None
 
 
 def pushes_of(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:

@@ -78,6 +78,7 @@ def build_scene(
     _check_mesh(positions, triangles, parison)
     grid = lying = None
     if mold is not None:
+        parts.check_motion(mold, parison)
         grid = _search_grid(mold, positions, triangles, store)
         start.check_start(parison, triangles, mold, grid)
         pushes = pushes_of(pressure, solver, parison)

@@ -135,6 +135,27 @@ def coldest(parison: Parison, cooling: Cooling | None, solver: Solver, material:
     return jnp.minimum(temperature, free), most
 
 
+def check_motion(mold: Mold, parison: Parison) -> None:
+    """Refuses a mold that moves through a symmetry plane of the parison.
+
+    Raises:
+        InputError: If it does.
+    """
+    if mold.motion is None:
+        return
+    planes = np.any(np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None], axis=0)
+    direction = np.asarray(mold.motion.direction, float)
+    if np.any(planes & (direction != 0.0)):
+        names = ", ".join(axis for axis, plane in zip("xyz", planes, strict=True) if plane)
+        remedy = "move it along the planes, or give the whole parison"
+        raise InputError(
+            f"the mold moves across a symmetry plane (normal to {names})",
+            remedy,
+            "mold.motion.direction",
+            direction.tolist(),
+        )
+
+
 def loading(pressure: Loading) -> Loading:
     """The loading of a scene.
 

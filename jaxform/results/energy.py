@@ -22,19 +22,22 @@ class Energy:
         strain: Strain energy at the end.
         kinetic: Kinetic energy at the end.
         external_work: Sum of P dV.
+        tool_work: Done by the mold as it moved.
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.
         refinement_loss: Strain and kinetic energy that new nodes took away.
         viscous_loss: What viscous modes dissipated.
         cooling_loss: Strain energy lost as the temperature softened the sheet, less what it won as it stiffened.
         kinetic_peak: Largest kinetic energy at the end of a window.
-        peak_work: Largest magnitude of the external work at the end of a window; carries no derivative.
+        peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no
+            derivative.
         rounding: What the account may miss by rounding alone; carries no derivative.
     """
 
     strain: jax.Array
     kinetic: jax.Array
     external_work: jax.Array
+    tool_work: jax.Array
     damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
     contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
     refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
@@ -47,19 +50,24 @@ class Energy:
     @property
     @jax.jit
     def balance_error(self) -> jax.Array:
-        """What the account misses, relative to the largest external work; above 1 % the status is `UNBALANCED`.
+        """What the account misses, relative to the largest work; above 1 % the status is `UNBALANCED`.
 
         Of work so small that rounding shows in it, relative to a hundred times the rounding.
         """
         kept = self.strain + self.kinetic + sum(getattr(self, name) for name in marked(self, LOSS))
-        largest = jnp.maximum(jnp.abs(self.external_work), self.peak_work) + self.rounding / UNBALANCED
-        return jnp.abs(kept - self.external_work) / largest
+        largest = jnp.maximum(jnp.abs(self.work), self.peak_work) + self.rounding / UNBALANCED
+        return jnp.abs(kept - self.work) / largest
+
+    @property
+    def work(self) -> jax.Array:
+        """Done on the sheet, by pressure and by the mold as it moved."""
+        return self.external_work + self.tool_work
 
     @property
     @jax.jit
     def measurable(self) -> jax.Array:
-        """Whether the external work was ever more than what rounding alone makes of it."""
-        return jnp.maximum(jnp.abs(self.external_work), self.peak_work) > self.rounding
+        """Whether the work was ever more than what rounding alone makes of it."""
+        return jnp.maximum(jnp.abs(self.work), self.peak_work) > self.rounding
 
     @property
     @jax.jit
@@ -70,7 +78,7 @@ class Energy:
         went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones
         several times too high.
         """
-        work = jnp.where(self.measurable, jnp.abs(self.external_work), jnp.inf)
+        work = jnp.where(self.measurable, jnp.abs(self.work), jnp.inf)
         return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
 
     @property
@@ -83,7 +91,7 @@ def unmoved(energy: Energy) -> list[str]:
     """A sentence where the pressure did so little work that nothing moved which could be measured."""
     if bool(energy.measurable):
         return []
-    work = max(abs(float(energy.external_work)), float(energy.peak_work))
+    work = max(abs(float(energy.work)), float(energy.peak_work))
     return [
         f"the sheet hardly moved: the pressure did {work:.2g} J of work, less than the {float(energy.rounding):.2g} J "
         "that the account of energy may miss unnoticed; raise pressure.value or solver.end_time, or check the units of "

@@ -172,6 +172,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
             strain=strain_energy(state, scene, now),
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
             external_work=state.account.external_work + last_work(state, scene, volume),
+            tool_work=jnp.zeros_like(state.time) + state.account.tool_whole,
             **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
@@ -211,7 +212,12 @@ def _added_mass(scene: Scene, now: Discretization, mesh: Mesh | None) -> jax.Arr
 
 
 def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
-    """The part with the nodes and elements alone that exist, for pictures and files: room is left out on the host."""
+    """The part with the nodes and elements alone that exist, for pictures and files: room is left out on the host.
+
+    A mold that moves is where it was at that time.
+    """
+    if scene.mold is not None:
+        scene = dataclasses.replace(scene, mold=scene.mold.at(float(result.time)))
     if scene.refinement is None:
         return scene, result
     active, used = np.asarray(result.active), np.asarray(result.used)

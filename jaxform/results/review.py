@@ -63,8 +63,10 @@ def _gone(result: Result, scene: Scene) -> list[str]:
         return []
     initial = np.asarray(scene.parison.positions, float)
     active = np.flatnonzero(np.asarray(result.active))
-    now, walls = np.asarray(result.positions, float)[active], np.asarray(scene.mold.vertices, float)
-    walls = walls[np.unique(np.asarray(scene.mold.triangles))]
+    now, corners = np.asarray(result.positions, float)[active], np.unique(np.asarray(scene.mold.triangles))
+    # A mold that moves stays between where it starts and where it turns.
+    times = [0.0] if scene.motion is None else np.asarray(scene.motion.time, float).tolist()
+    walls = np.concatenate([scene.mold.vertices_at(time)[corners] for time in times])
     boxes = [*_images(scene, walls), initial]
     low, high = np.min([box.min(0) for box in boxes], axis=0), np.max([box.max(0) for box in boxes], axis=0)
     beyond = np.maximum(low - now, now - high).max(1)

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxform.core.pytree import as_real
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import taut
 from jaxform.model.scene import Scene
@@ -105,7 +106,7 @@ def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:
     """What to mind about a part that was formed as asked for: a sentence each, with the remedy."""
-    still = int(result.status) == 0 and bool(np.any(scene.pushes()))
+    still = int(result.status) == 0 and (scene.motion is not None or bool(np.any(scene.pushes())))
     return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
 
 
@@ -113,17 +114,18 @@ def _hasty(result: Result, scene: Scene) -> list[str]:
     error = float(result.energy.quasi_static_error)
     if not scene.solver.quasi_static or not error > SLOW_ENOUGH:
         return []
-    peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.external_work))
+    peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.work))
     drag = error - peak
     what = (
         f"the kinetic energy came to {100 * peak:.2g} % of the work"
         if peak > drag
-        else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.external_work)):.2g} % of "
-        "the work"
+        else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.work)):.2g} % of the work"
     )
     linear = isinstance(scene.pressure, Pressure) and scene.pressure.interpolation == "linear"
     remedy = 'interpolation = "cubic-ramp" or ' if linear else ""
     remedy = f"raise the pressure more slowly ({remedy}later pressure.time and solver.end_time)"
+    if scene.motion is not None:
+        remedy += ", move the mold more slowly (later mold.motion.time)"
     remedy += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
         f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * error:.2g} % off that "
@@ -156,9 +158,13 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     pressures = scene.pushes()
     start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
     resting = resting_directions(start, positions, triangles, float(highest))
-    return penetration(
-        positions, triangles, np.asarray(result.wall), scene.mold, grid=scene.tables.grid, resting=resting
-    )
+    wall, grid = np.asarray(result.wall), scene.tables.grid
+    if scene.motion is None:
+        return penetration(positions, triangles, wall, scene.mold, grid=grid, resting=resting)
+    # The grid is of the mold as it starts: the sheet is looked at from there.
+    offset = np.asarray(scene.motion.offset(as_real(float(result.time))), float)
+    found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
+    return found._replace(place=found.place + offset)
 
 
 def _touching(result: Result) -> np.ndarray:

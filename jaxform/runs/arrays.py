@@ -17,6 +17,7 @@ from jaxform.model.scene import Parison, Refinement, Scene
 from jaxform.model.tables import Assembly, Bend, Forest, Pairs, Sheet
 from jaxform.sheet.discretization import NEVER, node_room
 from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Motion
 from jaxform.tools.search import CLASSES, SearchGrid
 
 _FAR_LATER = 1e6  # times as late as the last knot, or as many seconds: where the pressure's other knots are
@@ -161,14 +162,15 @@ def pressure_with_room(pressure: Loading) -> Loading:
     """The pressure is held after the last knot: there are further ones, of the same value, long after."""
     if not isinstance(pressure, Pressure):
         return pressure
-    time, value = np.asarray(pressure.time), np.asarray(pressure.value)
+    time, value = _held_later(np.asarray(pressure.time), np.asarray(pressure.value))
+    return dataclasses.replace(pressure, time=time, value=value)
+
+
+def _held_later(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Knots, and further ones of the last value long after."""
     more = sizes.knots(len(time)) - len(time)
     later = time[-1] + _FAR_LATER * max(1.0, abs(float(time[-1]))) * np.arange(1, more + 1)
-    return dataclasses.replace(
-        pressure,
-        time=np.append(time, later.astype(time.dtype)),
-        value=np.append(value, np.full(more, value[-1])),
-    )
+    return np.append(time, later.astype(time.dtype)), np.append(value, np.full(more, value[-1]))
 
 
 def mold_with_room(mold: Mold) -> Mold:
@@ -178,7 +180,13 @@ def mold_with_room(mold: Mold) -> Mold:
     return Mold(
         vertices=like_first(np.asarray(mold.vertices).T, vertices).T,
         triangles=like_first(np.asarray(mold.triangles).T, triangles).T,
+        motion=None if mold.motion is None else _motion_with_room(mold.motion),
     )
+
+
+def _motion_with_room(motion: Motion) -> Motion:
+    time, displacement = _held_later(np.asarray(motion.time), np.asarray(motion.displacement))
+    return dataclasses.replace(motion, time=time, displacement=displacement)
 
 
 def grid_with_room(grid: SearchGrid) -> SearchGrid:

@@ -75,6 +75,33 @@ def kicked(
     return new, kick * damping * mass * membrane.dot(mean, mean)
 
 
+def carried(
+    nodal: Any,
+    velocities: tuple[Any, Any],
+    nodes: tuple[jax.Array, jax.Array, Any],
+    wall: jax.Array,
+    kick: jax.Array,
+    carrier: Any,
+) -> tuple[membrane.Vector, jax.Array, jax.Array]:
+    """New velocities where a tool moves: what it holds has the tool's; that it holds them, and its work (n,) [J].
+
+    Args:
+        nodal: Forces, three times (n,) [N].
+        velocities: Before the kick, and after it as if nothing were held, three times (n,) each [m/s].
+        nodes: Whether they are stuck (n,), their mass (n,) [kg] and compliance, three times (n,) [1/kg].
+        wall: What they stick to (n,); 0 where they are clamped.
+        kick: The step that the velocity takes [s].
+        carrier: The tool's velocity, three numbers, or three times (n,) [m/s].
+    """
+    stuck, mass, compliance = nodes
+    held, new, work = stuck & (wall != 0), [], jnp.zeros_like(mass)
+    for own, mobile, before, after, speed in zip(nodal, compliance, *velocities, carrier, strict=True):
+        moves = held & (mobile > 0.0)
+        new.append(jnp.where(moves, speed, after))
+        work += jnp.where(moves, 0.5 * (mass * (speed - before) - kick * own) * (speed + before), 0.0)
+    return vector(new), held, work
+
+
 def caught_up(state: State, scene: Scene, discrete: Discretization, active: ActiveSet | None = None) -> State:
     """The state with velocities at the time of the positions, and its account closed.
 
@@ -96,6 +123,13 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
     nodal, _ = force(load, active.packed.elements)
     velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
+    work = state.account.tool_work
+    if work is not None:
+        before = packed.nodes.velocities
+        velocities, held, done = carried(
+            nodal, (before, velocities), nodes, packed.nodes.wall, 0.5 * state.control.step_length, before
+        )
+        work, losses = work + jnp.sum(done), None if losses is None else jnp.where(held, 0.0, losses)
     account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
     return dataclasses.replace(
         state,
@@ -107,5 +141,6 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
             pressed=None if account.pressed is None else pressed,
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
+            tool_work=work,
         ),
     )

@@ -79,6 +79,8 @@ class Account:
         viscous_loss: Taken by viscous modes; None where there are none.
         cooling_loss: Strain energy lost as the temperature softened the sheet, less what it won as it stiffened;
             None where neither happens.
+        tool_work: Done by the mold on what it holds, up to the last force; None where it rests.
+        tool_last: What the force of now adds to that, at the last window's end; None where it rests.
     """
 
     volume: jax.Array
@@ -93,6 +95,13 @@ class Account:
     imbalance: jax.Array
     viscous_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
     cooling_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
+    tool_work: jax.Array | None = None
+    tool_last: jax.Array | None = None
+
+    @property
+    def tool_whole(self) -> jax.Array | float:
+        """All the work of the tool [J]; 0 where it rests."""
+        return 0.0 if self.tool_work is None or self.tool_last is None else self.tool_work + self.tool_last
 
     def losses(self) -> dict[str, jax.Array]:
         """The terms by which energy left, by name."""
@@ -229,6 +238,8 @@ def carries(state: State) -> State:
     smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
     pressed: Any = jax.tree.map(lambda x: jnp.issubdtype(x.dtype, jnp.inexact), state.account.pressed)
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
+    if state.account.tool_work is not None:
+        terms |= {"tool_work": True, "tool_last": True}
     account = dataclasses.replace(none.account, **terms, pressed=pressed)
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)

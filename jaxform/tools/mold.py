@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real, pytree, static
 from jaxform.mesh import meshes
+from jaxform.tools.motion import Motion
 
 
 @pytree
@@ -18,15 +23,27 @@ class Mold:
         vertices: (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
         dropped: Degenerate or duplicate triangles that were left out of the file's.
+        motion: How it moves, and with it what sticks to it; None where it rests.
     """
 
     vertices: jax.Array
     triangles: jax.Array
     dropped: int = static(default=0)
+    motion: Motion | None = None
+
+    def vertices_at(self, time: float) -> NDArray[np.float64]:
+        """Where its vertices (n_vertex, 3) [m] are at a time [s]; on the host."""
+        places = np.asarray(self.vertices, float)
+        return places if self.motion is None else places + np.asarray(self.motion.offset(as_real(time)), float)
+
+    def at(self, time: float) -> Mold:
+        """The mold at rest where it is at a time [s]; on the host."""
+        there: Any = self.vertices_at(time)
+        return self if self.motion is None else dataclasses.replace(self, vertices=there, motion=None)
 
 
-def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0) -> Mold:
-    """A mold from vertices (n_vertex, 3) [m] and triangles (n_triangle, 3).
+def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0, motion: Motion | None = None) -> Mold:
+    """A mold from vertices (n_vertex, 3) [m] and triangles (n_triangle, 3), at rest or with a motion.
 
     Degenerate triangles and copies are left out, and counted in `dropped` beside those left out before.
 
@@ -42,4 +59,4 @@ def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0) -> 
     bad = meshes.degenerate(vertices, triangles) if len(triangles) else np.zeros(0, bool)
     if np.all(bad):
         raise InputError("the mold has no triangles", "give a surface mesh of triangles", key="mold")
-    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()))
+    return Mold(as_real(vertices), as_index(triangles[~bad]), dropped + int(bad.sum()), motion)

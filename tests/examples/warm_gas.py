@@ -22,7 +22,8 @@ class WarmGas(jaxform.Loading):
     """An ideal gas that exchanges no heat: p (V0 + V) = m R T; the pressure is gauge.
 
     What flows in at a temperature T_in brings the enthalpy c_p T_in: half of it before the gas expands in a step, where
-    T V^(R/c_v) is kept, and half afterwards, for second order in the step. Volumes and masses are those of the modelled part.
+    T V^(R/c_v) is kept, and half afterwards, for second order in the step. Volumes and masses are those of the modelled
+    part.
 
     Attributes:
         mass: At first [kg].

@@ -128,9 +128,9 @@ def to_measure(points: Sequence[Point]) -> str:
 def energy(summary: Mapping[str, Any]) -> str:
     """The energy account with a bar for each term, and how far it can be trusted."""
     account = summary["energy"]
-    work = account.get("external_work")
-    total = abs(work) if isinstance(work, int | float) else 0.0
-    terms = [("work of the pressure", work)]
+    works = [account.get("external_work"), account.get("tool_work", 0.0)]
+    total = abs(sum(work for work in works if isinstance(work, int | float)))
+    terms = [("work of the pressure", works[0])]
     terms += [(words, account[key]) for key, words in _ENERGY.items() if account.get(key)]
     rows = "".join(_energy_row(words, value, total) for words, value in terms)
     missed, slow = _small(account.get("balance_error")), _small(account.get("quasi_static_error"))

@@ -7,7 +7,21 @@ from typing import Annotated, Literal
 from pydantic import Field, Tag
 
 from jaxform.io.schema.quantities import Point, Triple
-from jaxform.io.validation import Length, NotNegative, Positive, Table, choice, form
+from jaxform.io.validation import Length, NotNegative, Number, Positive, Table, choice, form
+
+
+class Motion(Table):
+    """How the mold moves: along a straight line, smoothly from knot to knot, and with it what sticks to it.
+
+    Attributes:
+        direction: Of the displacement, of any length.
+        time: Knots [s].
+        displacement: From where the mold starts, at the knots [m]; the first is 0.
+    """
+
+    direction: Triple
+    time: Annotated[list[Number], Field(min_length=2)]
+    displacement: Annotated[list[Number], Field(min_length=2)]
 
 
 class RevolvedMold(Table):
@@ -17,11 +31,13 @@ class RevolvedMold(Table):
         shape: The kind of mold.
         profile: Points [r, z] [m] from the axis outwards.
         segments: Around the axis.
+        motion: How it moves; at rest by default.
     """
 
     shape: Literal["revolved"]
     profile: Annotated[list[Point], Field(min_length=2)]
     segments: Annotated[int, Field(ge=3, le=1_000_000)]
+    motion: Motion | None = None
 
 
 class BoxInsertMold(Table):
@@ -35,6 +51,7 @@ class BoxInsertMold(Table):
         insert_height: Of the block [m].
         draft: Of all walls [degrees].
         divisions: Into how many parts each side of a triangle is divided.
+        motion: How it moves; at rest by default.
     """
 
     shape: Literal["box-insert"]
@@ -46,6 +63,7 @@ class BoxInsertMold(Table):
     insert_height: Length = 0.04
     draft: NotNegative = 0.0
     divisions: Annotated[int, Field(ge=1, le=200)] = 1
+    motion: Motion | None = None
 
 
 class BottleHalfMold(Table):
@@ -58,6 +76,7 @@ class BottleHalfMold(Table):
         neck_radius: Of its neck [m].
         hole: Half width and half height of the hole of the handle [m].
         element_size: Side of a triangle [m].
+        motion: How it moves; at rest by default.
     """
 
     shape: Literal["bottle-half"]
@@ -66,6 +85,7 @@ class BottleHalfMold(Table):
     neck_radius: Length = 0.014
     hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
     element_size: Length = 0.00595
+    motion: Motion | None = None
 
 
 Paths = Annotated[
@@ -83,6 +103,7 @@ class FileMold(Table):
         scale: Factor on its coordinates: 0.001 of a mesh in millimetres.
         translate: Moved by this [m], after it was turned.
         rotate: Turned about x, y and z, one after the other [degrees].
+        motion: How it moves; at rest by default.
     """
 
     shape: Literal["file"]
@@ -90,6 +111,7 @@ class FileMold(Table):
     scale: Positive = 1.0
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
+    motion: Motion | None = None
 
 
 Mold = Annotated[

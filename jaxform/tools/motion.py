@@ -1,0 +1,101 @@
+"""Where a tool is while it moves, and its frame: contact works there, so that a tool at rest costs nothing."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_real, pytree
+from jaxform.core.ranges import as_numbers, check
+from jaxform.mechanics.membrane import Vector
+
+
+@pytree
+class Motion:
+    """How far a tool is from where it starts, along a straight line; it rests before its first and after its last knot.
+
+    Between two knots it moves as a cubic: smoothly, never beyond them, and at rest where it turns (F. N. Fritsch,
+    J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
+
+    Attributes:
+        direction: Of the displacement (3,), a unit vector.
+        time: Knots (n_knot,) [s], increasing.
+        displacement: At the knots (n_knot,) [m]; 0 at the first.
+    """
+
+    direction: jax.Array
+    time: jax.Array
+    displacement: jax.Array
+
+    def offset(self, time: jax.Array) -> jax.Array:
+        """How far (3,) [m] the tool is from where it starts, at a time [s]."""
+        width = jnp.diff(self.time)
+        rise = jnp.diff(self.displacement) / width
+        one, other = rise[:-1], rise[1:]
+        turns = one * other <= 0.0
+        slope = jnp.where(turns, 0.0, 2.0 * one * other / jnp.where(turns, 1.0, one + other))
+        slope = jnp.pad(slope, 1)
+        k = jnp.clip(jnp.sum(self.time <= time) - 1, 0, self.time.size - 2)
+        s = jnp.clip((time - self.time[k]) / width[k], 0.0, 1.0)
+        begin, end = self.displacement[k], self.displacement[k + 1]
+        far = begin - self.displacement[0] + s * s * (3.0 - 2.0 * s) * (end - begin)
+        far += width[k] * s * (1.0 - s) * ((1.0 - s) * slope[k] - s * slope[k + 1])
+        return far * self.direction
+
+    def highest_speed(self) -> jax.Array:
+        """A bound on its speed [m/s]: between two knots a cubic is at most three times as steep as their line."""
+        return 3.0 * jnp.max(jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time)))
+
+    def frame(self, begin: jax.Array, end: jax.Array) -> Frame:
+        """That of a step from one time to another [s]."""
+        before, after = self.offset(begin), self.offset(end)
+        length = end - begin
+        still = length <= 0.0
+        return Frame(after, jnp.where(still, 0.0, (after - before) / jnp.where(still, 1.0, length)))
+
+
+class Frame(NamedTuple):
+    """A tool's frame in a step: where it is at the step's end (3,) [m], and its velocity in the step (3,) [m/s]."""
+
+    offset: jax.Array
+    velocity: jax.Array
+
+    def places(self, positions: Any) -> Vector:
+        """Positions, three times (n,) [m], as the tool sees them at the step's end."""
+        x, y, z = (own - far for own, far in zip(positions, self.offset, strict=True))
+        return x, y, z
+
+    def speeds(self, velocities: Any) -> Vector:
+        """Velocities, three times (n,) [m/s], as the tool sees them."""
+        x, y, z = (own - speed for own, speed in zip(velocities, self.velocity, strict=True))
+        return x, y, z
+
+
+def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) -> Motion:
+    """A motion along a direction (3,), through knots (n_knot,): times [s], increasing, and displacements [m].
+
+    Raises:
+        InputError: If the knots do not increase, are fewer than two or not finite, or do not match; if the tool does
+            not start where it is, or the direction has no length.
+    """
+    way = np.atleast_1d(as_numbers("mold.motion.direction", direction)).astype(float)
+    times = np.atleast_1d(as_numbers("mold.motion.time", time))
+    far = np.atleast_1d(as_numbers("mold.motion.displacement", displacement))
+    if way.shape != (3,) or not np.all(np.isfinite(way)) or not np.any(way):
+        raise InputError(
+            "is no direction", "give three numbers, such as [0, 0, 1]", "mold.motion.direction", way.tolist()
+        )
+    if times.shape != far.shape or times.ndim != 1 or times.size < 2:
+        problem = f"{times.size} times and {far.size} displacements are no motion"
+        raise InputError(problem, "give two or more knots, one displacement per time", "mold.motion.displacement")
+    check("mold.motion.time", times)
+    check("mold.motion.displacement", far)
+    if far[0] != 0.0:
+        remedy = "begin with 0, and put the mold where it starts (mold.translate)"
+        raise InputError("the mold does not start where it is", remedy, "mold.motion.displacement", float(far[0]))
+    return Motion(as_real(way / np.linalg.norm(way)), as_real(times), as_real(far))

@@ -1,0 +1,192 @@
+"""A mold that moves: what sticks to it goes with it, and its work is in the account."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import meshio
+import numpy as np
+import pytest
+from scipy import optimize
+
+import jaxform
+from jaxform.core.errors import InputError
+from jaxform.io import output
+from jaxform.results.result import Result, only_used
+
+RADIUS, THICKNESS, RISE = 0.1, 1e-3, 0.05
+FILE = """
+[parison]
+shape = "disc"
+radius = 0.1
+element_size = 0.008
+symmetry = "quarter"
+thickness = 1.0e-3
+[material]
+model = "mooney-rivlin"
+c = 2.0e5
+alpha = 0.1
+density = 1000.0
+[pressure]
+time = [0.0]
+value = [0.0]
+[mold]
+shape = "revolved"
+profile = [[0.0, -0.002], [0.042, -0.002], [0.047, -0.06]]
+segments = 96
+[mold.motion]
+direction = [0.0, 0.0, 2.0]
+time = [0.0, 0.2]
+displacement = [0.0, 0.052]
+[solver]
+end_time = 0.25
+damping = 100.0
+"""
+
+
+def plug(folder: Path, further: str = "", **changed: str) -> jaxform.Scene:
+    """A quarter of a clamped disc over a flat plug that stands 2 mm below it."""
+    text = FILE + further
+    for name, value in changed.items():
+        text = re.sub(rf"^{name} = .*", f"{name} = {value}", text, flags=re.MULTILINE)
+    path = folder / "plug.toml"
+    path.write_text(text)
+    return jaxform.load(path)
+
+
+@pytest.fixture(scope="module")
+def formed(tmp_path_factory: pytest.TempPathFactory) -> tuple[jaxform.Scene, Result]:
+    scene = plug(tmp_path_factory.mktemp("plug"))
+    return scene, jaxform.run(scene)
+
+
+def test_a_motion_is_smooth_and_never_beyond_its_knots() -> None:
+    motion = jaxform.make_motion([0.0, 3.0, 0.0], [0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 2.0, -1.0])
+    times = jnp.linspace(-0.5, 3.5, 801)
+    way = jax.vmap(motion.offset)(times)[:, 1]
+    speed = jax.vmap(jax.jacfwd(motion.offset))(times)[:, 1]
+    assert float(way.max()) <= 2.0 and float(way.min()) >= -1.0
+    np.testing.assert_allclose(jax.vmap(motion.offset)(jnp.arange(4.0))[:, 1], [0.0, 2.0, 2.0, -1.0], atol=1e-12)
+    assert float(jnp.abs(jnp.diff(speed)).max()) < 0.1 and float(jnp.abs(speed).max()) < float(motion.highest_speed())
+    np.testing.assert_allclose(speed[jnp.array([0, 100, 300, 500, 700, 800])], 0.0, atol=1e-9)
+    fine = jax.vmap(jaxform.make_motion([0, 1, 0], [0.0, 1.0, 3.0], [0.0, 1.0, 3.0]).offset)(times)[:, 1]
+    assert float(jnp.diff(fine).min()) >= 0.0
+
+
+def _annulus(inner: float) -> np.ndarray:
+    """Places and h/h0 along an annulus whose inner rim is lifted: the least energy of straight elements."""
+    reference = np.linspace(inner, RADIUS, 201)
+    middle, length = 0.5 * (reference[1:] + reference[:-1]), np.diff(reference)
+
+    def stretches(inside: jax.Array) -> tuple[jax.Array, jax.Array]:
+        r = jnp.concatenate([reference[:1], inside[0], reference[-1:]])
+        z = jnp.concatenate([jnp.full(1, RISE), inside[1], jnp.zeros(1)])
+        along = jnp.sqrt(jnp.diff(r) ** 2 + jnp.diff(z) ** 2) / length
+        return along, 0.5 * (r[1:] + r[:-1]) / middle
+
+    def energy(flat: jax.Array) -> jax.Array:
+        squares = [jnp.square(each) for each in stretches(flat.reshape(2, -1))]
+        third = 1.0 / (squares[0] * squares[1])
+        i1 = squares[0] + squares[1] + third
+        i2 = squares[0] * squares[1] + third * (squares[0] + squares[1])
+        return jnp.sum(middle * length * (i1 - 3.0 + 0.1 * (i2 - 3.0)))
+
+    start = np.stack([reference[1:-1], RISE * (RADIUS - reference[1:-1]) / (RADIUS - inner)]).ravel()
+    found = optimize.minimize(jax.jit(energy), start, jac=jax.jit(jax.grad(energy)), method="L-BFGS-B",
+                              options={"maxiter": 20000, "maxfun": 40000, "ftol": 1e-15, "gtol": 1e-12})  # fmt: skip
+    one, other = stretches(jnp.asarray(found.x.reshape(2, -1)))
+    return np.stack([middle, 1.0 / np.asarray(one * other)])
+
+
+def test_a_plug_that_lifts_a_disc_stretches_it_as_least_energy_does(formed: tuple[jaxform.Scene, Result]) -> None:
+    """The plug's flat top holds what lies over it; from there to the rim the sheet is an annulus without load."""
+    scene, result = formed
+    assert int(result.status) == 0 and float(result.energy.balance_error) < 1e-3
+    assert float(result.energy.external_work) == 0.0 and float(result.energy.tool_work) > 0.1
+    start, held = np.asarray(scene.parison.positions), np.asarray(result.wall) != 0
+    radius = np.linalg.norm(start[:, :2], axis=1)
+    np.testing.assert_allclose(np.asarray(result.positions)[held] - start[held], [[0.0, 0.0, RISE]] * held.sum(),
+                               atol=1e-12)  # fmt: skip
+    np.testing.assert_array_equal(np.asarray(result.positions)[np.asarray(scene.parison.clamped)],
+                                  start[np.asarray(scene.parison.clamped)])  # fmt: skip
+    inner = radius[held].max()
+    place, ratio = _annulus(float(inner))
+    free = np.flatnonzero((radius > inner + 0.004) & ~np.asarray(scene.parison.clamped))
+    off = np.asarray(result.thickness)[free] / THICKNESS / np.interp(radius[free], place, ratio) - 1.0
+    assert np.sqrt(np.mean(np.square(off))) < 0.01
+    lifted = np.asarray(result.positions)[~held & (radius < inner)]
+    assert len(lifted) == 0
+
+
+def test_the_same_by_every_loop_with_gradients(formed: tuple[jaxform.Scene, Result]) -> None:
+    scene, first = formed
+    assert scene.motion is not None and not scene.reversible
+
+    def figure(values: dict[str, jax.Array]) -> tuple[jax.Array, Result]:
+        result = jaxform.simulate(jaxform.replace(scene, values), schedule=first.schedule)
+        wall = jnp.mean(jnp.square(1e3 * result.thickness)) + jnp.mean(jnp.square(10.0 * result.positions))
+        return wall + result.energy.tool_work + 10.0 * result.energy.damping_loss, result
+
+    at = {"mold.motion.displacement": scene.motion.displacement, "mold.motion.time": scene.motion.time}
+    at |= {"parison.thickness": scene.parison.thickness, "material.c": scene.material.c}
+    whole = jax.jit(jax.value_and_grad(figure, has_aux=True))
+    (_, result), slopes = whole(at)
+    np.testing.assert_allclose(result.positions, first.positions, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result.energy.tool_work, first.energy.tool_work, rtol=1e-9)
+    for path, values in at.items():
+        way = jnp.abs(values) * jnp.cos(jnp.arange(values.size)).reshape(values.shape)
+        both = [float(whole(at | {path: values + step * way})[0][0]) for step in (1e-6, -1e-6)]
+        along = float(jnp.vdot(slopes[path], way))
+        assert abs(along) > 1e-4
+        np.testing.assert_allclose(along, (both[0] - both[1]) / 2e-6, rtol=1e-6)
+
+
+def test_a_refined_sheet_on_a_plug(tmp_path: Path) -> None:
+    """New nodes between held ones are held as well, on its top or its side; clamped ones stay where they are."""
+    scene = plug(tmp_path, "[refinement]\nangle = 3.0\ninterval = 64\nmax_level = 2\n", element_size="0.016")
+    shown, result = only_used(scene, jaxform.run(scene))
+    assert int(result.status) == 0 and len(result.triangles) > 1.5 * scene.first_nodes
+    assert float(result.energy.balance_error) < 2e-3
+    start, now, held = (np.asarray(a) for a in (shown.parison.positions, result.positions, result.wall))
+    below, radius = RISE - now[held != 0, 2], np.linalg.norm(now[held != 0, :2], axis=1)
+    beside = radius / (0.042 + below * 0.005 / 0.058)  # of a side with 96 facets
+    assert np.all((np.abs(below) < 1e-12) | (np.abs(beside - 0.5 * (1 + np.cos(np.pi / 96))) < 3e-4))
+    rim = np.asarray(shown.parison.clamped)
+    np.testing.assert_array_equal(now[rim], start[rim])
+    inside = np.linalg.norm(start[:, :2], axis=1) < 0.03
+    assert np.all(held[inside] != 0)
+
+
+def test_files_have_the_mold_where_it_is_in_the_end(formed: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
+    scene, result = formed
+    summary = output.write_result(scene, result, tmp_path)
+    assert summary["warnings"] == [] and summary["penetration_max"] < 1e-9
+    np.testing.assert_allclose(summary["energy"]["tool_work"], result.energy.tool_work)
+    np.testing.assert_allclose(meshio.read(tmp_path / "mold.vtu").points[:, 2].max(), RISE, atol=1e-12)
+    shown, _ = only_used(scene, result)
+    assert shown.mold is not None and float(np.asarray(shown.mold.vertices)[:, 2].max()) == pytest.approx(RISE)
+
+
+@pytest.mark.parametrize(
+    ("direction", "time", "displacement", "words"),
+    [
+        ([0, 0, 0], [0, 1], [0, 1], r"mold\.motion\.direction.*is no direction"),
+        ([0, 0, 1], [0, 1], [0.1, 1], r"mold\.motion\.displacement.*does not start where it is.*translate"),
+        ([0, 0, 1], [0, 1, 2], [0, 1], "3 times and 2 displacements"),
+        ([0, 0, 1], [1, 0], [0, 1], "do not increase"),
+        ([0, 0, 1], [0, 1], [0, np.nan], "not finite"),
+    ],
+)
+def test_what_is_no_motion_is_refused_in_words(direction: list, time: list, displacement: list, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        jaxform.make_motion(direction, time, displacement)
+
+
+def test_a_mold_must_move_along_the_symmetry_planes(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"across a symmetry plane \(normal to x, y\)"):
+        plug(tmp_path, direction="[1.0, 0.0, 1.0]")
+    with pytest.raises(InputError, match=r"plug\.toml.*mold\.motion\.displacement.*does not start where it is"):
+        plug(tmp_path, displacement="[0.01, 0.052]")
