@@ -29,9 +29,8 @@ from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
 from jaxform.prepare.building import build_scene
 from jaxform.prepare.growing import grown_parison
-from jaxform.tools import molds, rims
+from jaxform.tools import molds, motion, rims
 from jaxform.tools.mold import Mold, make_mold
-from jaxform.tools.motion import make_motion
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
 
@@ -347,5 +346,5 @@ def _mold(document: SceneDocument) -> Mold | None:
             parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
             mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
             shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
-    motion = None if table.motion is None else make_motion(**table.motion.model_dump())
-    return make_mold(shape.vertices, shape.triangles, shape.dropped, motion)
+    moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
+    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)
