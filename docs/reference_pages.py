@@ -124,7 +124,7 @@ def _kind(annotation: Any) -> str:
         kinds = [_kind(part) for part in get_args(annotation) if part is not type(None)]
         return " or ".join(dict.fromkeys(kinds))
     if origin is list:
-        return f"list of {_kind(get_args(annotation)[0])}".replace("list of number", "numbers")
+        return re.sub(r"\blist of number\b", "numbers", f"list of {_kind(get_args(annotation)[0])}")
     return "table"
 
 

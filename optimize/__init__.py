@@ -6,9 +6,10 @@ from optimize.heaters import HeaterZones
 from optimize.journal import Journal
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
+from optimize.reach import doubts
 from optimize.search import Search
 from optimize.sheets import ThicknessField, ThicknessProfile
-from optimize.solvers import Design, solve
+from optimize.solvers import Design, check, solve
 from optimize.study import load_study, write_history
 from optimize.variables import Scale
 
@@ -30,6 +31,8 @@ __all__ = [
     "ThicknessProfile",
     "Uniform",
     "Weighted",
+    "check",
+    "doubts",
     "fitting",
     "load_study",
     "solve",

@@ -22,7 +22,7 @@ class PressureKnots:
         bounds: Least and largest pressure [Pa].
         increasing: Whether the pressure must never fall from knot to knot.
         rate: Largest change from knot to knot [Pa/s], or None.
-        held: With a rate, whether the first knot keeps its value: else the history may begin with a jump.
+        held: Whether the first knot keeps its value: else the history may begin with a jump.
         end_time: Least and largest time of the last knot [s], with which all others move; None leaves them.
 
     Raises:
@@ -45,7 +45,8 @@ class PressureKnots:
         self._time = np.asarray(scene.pressure.time, float)
         self._steepest = _STEEPEST[scene.pressure.interpolation]
         present = np.asarray(scene.pressure.value, float)
-        self._first = float(present[0]) if held and rate is not None else None
+        self._first = float(present[0]) if held else None
+        self._check_first(knots=len(present))
         if rate is not None:
             self._check_rate(rate)
         timing = np.zeros(0) if end_time is None else self._start_of_time(end_time, float(scene.solver.end_time))
@@ -56,6 +57,10 @@ class PressureKnots:
         if not 0.0 < rate < np.inf or len(self._time) < 2:
             remedy = "give Pa/s > 0 and a history of two knots or more"
             raise InputError("limits nothing", remedy, "variable.rate", rate)
+
+    def _check_first(self, knots: int) -> None:
+        if self._first is not None and knots < 2:
+            raise InputError("leaves no knot to design", "give a history of two knots or more", "variable.held", True)
         if self._first is not None and not self.bounds[0] <= self._first <= self.bounds[1]:
             problem = f"do not hold the history's first value, {self._first:g} Pa, which stays"
             raise InputError(problem, "widen them", "variable.bounds", self.bounds)
@@ -73,13 +78,21 @@ class PressureKnots:
     def _free(self, present: np.ndarray, time: np.ndarray) -> np.ndarray:
         if self.rate is not None:
             change = self.rate / self._steepest * np.diff(time)
-            designed = present if self._first is None else present[1:]
-            return unlimited(designed, self.bounds, change, self._first, self.increasing)
-        return self._shares(present) if self.increasing else unbounded(present, self.bounds)
+            return unlimited(self._designed(present), self.bounds, change, self._first, self.increasing)
+        return self._shares(present) if self.increasing else unbounded(self._designed(present), self.bounds)
+
+    def _designed(self, values: np.ndarray) -> np.ndarray:
+        return values if self._first is None else values[1:]
+
+    @property
+    def _lowest(self) -> float:
+        """From where a history that never falls climbs."""
+        return self.bounds[0] if self._first is None else self._first
 
     def _shares(self, values: np.ndarray) -> np.ndarray:
         """Of the way from the lower bound to the upper, what each knot climbs, and what is left; as logarithms."""
-        fraction = np.clip((values - self.bounds[0]) / (self.bounds[1] - self.bounds[0]), 0.0, 1.0)
+        room = max(self.bounds[1] - self._lowest, EDGE * (self.bounds[1] - self.bounds[0]))
+        fraction = np.clip((self._designed(values) - self._lowest) / room, 0.0, 1.0)
         climbs = np.diff(np.concatenate([[0.0], np.maximum.accumulate(fraction), [1.0]]))
         climbs = np.maximum(climbs, EDGE / len(climbs))
         return np.log(climbs[:-1] / climbs[-1])
@@ -93,11 +106,12 @@ class PressureKnots:
         if self.rate is not None:
             change = self.rate / self._steepest * jnp.diff(time)
             rest = limited(free, self.bounds, change, self._first, self.increasing)
-            return rest if self._first is None else jnp.concatenate([jnp.asarray([self._first]), rest])
-        if not self.increasing:
-            return bounded(free, self.bounds)
-        climbs = jax.nn.softmax(jnp.append(free, 0.0))
-        return self.bounds[0] + (self.bounds[1] - self.bounds[0]) * jnp.cumsum(climbs)[:-1]
+        elif not self.increasing:
+            rest = bounded(free, self.bounds)
+        else:
+            climbs = jax.nn.softmax(jnp.append(free, 0.0))
+            rest = self._lowest + (self.bounds[1] - self._lowest) * jnp.cumsum(climbs)[:-1]
+        return rest if self._first is None else jnp.concatenate([jnp.asarray([self._first]), rest])
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """Pressure (n_knot,) [Pa], and the knots' times (n_knot,) [s] where they are designed."""

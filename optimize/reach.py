@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxform import InputError, Result, Scene
 from jaxform.mesh import topology
+from jaxform.model.replacing import number_at
 from optimize.designs import KEPT, Point, Study
 from optimize.endings import Ending
 from optimize.objectives import LeastMass, Objective, Target, Weighted
@@ -22,6 +23,7 @@ from optimize.variables import Scale
 _FLAT = 1e-9  # of the sheet's size
 _SHRUNK = 2.0
 _AT_BOUND = 0.98  # of the largest thickness that its bounds allow
+_MOVED = 0.2  # of the largest number of the scene
 _COSTS = ("iterations", "max_simulations", "minutes", "rounds")  # limits of the study on the search itself
 
 
@@ -37,15 +39,34 @@ def check(study: Study) -> None:
 
 
 def doubts(study: Study) -> list[str]:
-    """A sentence for each target that no sheet within the bounds comes near."""
+    """A sentence for each variable that begins elsewhere than the scene, and each target that none comes near."""
     thickest = _thickest(study)
-    return [
+    return _moved(study) + [
         f"{key}.thickness is out of reach: it is {float(np.min(part.nodal)):.3g} m everywhere or more, and a sheet "
         f"within the bounds makes a wall of {thickest:.3g} m on average at most, {_deviation(part, thickest):.0%} off; "
         f"check its unit (m), or {_thicker(study)}"
         for key, part in _parts(study.objective)
         if isinstance(part, Target) and part.limit is None and _deviation(part, thickest) > 0.0
     ]
+
+
+def _moved(study: Study) -> list[str]:
+    """A sentence for each number of the scene that its variable cannot have, so that the search begins with another."""
+    found = []
+    for variable in study.variables:
+        for path, values in variable.changes(jnp.asarray(variable.start)).items():
+            old, new = (np.asarray(own, float) for own in (number_at(study.scene, path), values))
+            if np.abs(new - old).max() > _MOVED * np.abs(old).max():
+                found.append(
+                    f"{path} is {_range(old)} in the scene, but the search begins with {_range(new)}, the nearest that "
+                    "the variable's bounds and rate allow; check their units, or widen them"
+                )
+    return found
+
+
+def _range(values: np.ndarray) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
 
 
 def broken(study: Study, scene: Scene, result: Result, best: Point, ending: Ending) -> str:

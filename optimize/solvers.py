@@ -135,8 +135,7 @@ def solve(
         InputError: If the study asks for what its objective or variables do not have, or the scene to begin with
             cannot be simulated to its end, or it asks for what no design within the bounds can reach.
     """
-    _check(study)
-    reach.check(study)
+    check(study)
     first = jaxform.run(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
@@ -197,8 +196,13 @@ def _cost(scene: Scene) -> float:
     return max(min(spent), 1e-6)
 
 
-def _check(study: Study) -> None:
-    """Raises InputError where method, objective and variables do not go together."""
+def check(study: Study) -> None:
+    """Raises InputError where method, objective and variables do not go together, or a limit is out of all reach."""
+    _check_method(study)
+    reach.check(study)
+
+
+def _check_method(study: Study) -> None:
     paths = [path for part in study.variables for path in part.changes(jax.numpy.asarray(part.start))]
     for path in paths:
         if paths.count(path) > 1:

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real
 from jaxform.core.store import Store
 from jaxform.io import files, schema
@@ -44,7 +45,12 @@ def read_study(source: str, store: Store) -> tuple[SceneDocument, Scene, list[st
         return study.scene, files.build(study.scene, store), lines
     import optimize
 
-    return study.scene, optimize.load_study(source, store).scene, lines
+    built = optimize.load_study(source, store)
+    try:
+        optimize.check(built)
+    except InputError as error:
+        raise error.within(file=study.file) from None
+    return study.scene, built.scene, [*lines, *(f"doubtful: {sentence}" for sentence in optimize.doubts(built))]
 
 
 def _study_lines(file: str, model: schema.StudyFile, tables: list[Any]) -> Iterator[str]:

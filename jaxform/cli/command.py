@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     ):
         sub = commands.add_parser(name, help=words, description=words)
         sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")
-        sub.add_argument("--quiet", action="store_true", help="print errors only")
+        sub.add_argument("--quiet", action="store_true", help="print warnings and errors only")
         sub.add_argument("--dtype", choices=("float64", "float32"), default="float64")
         words = "where check.png goes, the sheet in the mold" if name == "check" else "where the results go"
         sub.add_argument("--out", metavar="DIR", required=name != "check", type=Path, help=words)
@@ -99,18 +99,18 @@ def _parser() -> argparse.ArgumentParser:
     words = "write report.html anew from the files in a folder of results"
     report = commands.add_parser("report", help=words, description=words)
     report.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
-    report.add_argument("--quiet", action="store_true", help="print errors only")
+    report.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     report.set_defaults(command=_report)
     words = "draw the part in a folder of results smoothly, from both sides; needs PyVista (pip install pyvista)"
     render = commands.add_parser("render", help=words, description=words)
     render.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
     render.add_argument("--out", metavar="FILE", type=Path, help="the picture (default: part.png in DIR)")
-    render.add_argument("--quiet", action="store_true", help="print errors only")
+    render.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     render.set_defaults(command=_render)
     words = "compile beforehand what common scenes need, or the scenes that are named"
     warm = commands.add_parser("warm", help=words, description=words)
     warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
-    warm.add_argument("--quiet", action="store_true", help="print errors only")
+    warm.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
     warm.set_defaults(command=_warm)
     words = "write the wall of a formed part for the next analysis, on its own mesh or on one of yours"

@@ -284,9 +284,9 @@ def _profile(table: schema.Profile, key: str) -> Profile:
 def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
     """What may vary over the sheet: a number, or values at its nodes (n_node,)."""
     if isinstance(table, schema.Profile):
-        return _profile(table, key)(sheet.positions)
+        return _profile(table, key).over(sheet.positions)
     if isinstance(table, schema.NumberProfile):
-        return Profile(table.along, tuple(table.at), tuple(table.value), key)(sheet.positions)
+        return Profile(table.along, tuple(table.at), tuple(table.value), key).over(sheet.positions)
     if isinstance(table, schema.FieldReference):
         with _told_of("", f"{key}.file"):
             path = disk.located(table.file, document.folder)

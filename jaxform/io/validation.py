@@ -103,13 +103,16 @@ def wrong(problem: str, remedy: str, key: str = "", value: Any = None) -> Pydant
     return PydanticCustomError("wrong", "wrong", {"problem": problem, "remedy": remedy, "key": key, "value": value})
 
 
-def choice(key: str, known: Sequence[str], later: Sequence[str] = ()) -> tuple[Discriminator, BeforeValidator]:
+def choice(
+    key: str, known: Sequence[str], later: Sequence[str] = (), usual: str | None = None
+) -> tuple[Discriminator, BeforeValidator]:
     """What makes a union of tables one that `key` chooses from; tag each table with `<value of key>`.
 
     Args:
         key: The key that names the kind of table.
         known: Its values.
         later: Values that a later version will know.
+        usual: What it is where the key is missing; None where it must not be.
     """
     options = f"use {', '.join(known)}"
 
@@ -117,7 +120,9 @@ def choice(key: str, known: Sequence[str], later: Sequence[str] = ()) -> tuple[D
         if not isinstance(table, dict):
             raise wrong("is not a table", f"begin a section for it, with {key} = ...", value=table)
         if key not in table:
-            raise wrong("is missing", options, key)
+            if usual is None:
+                raise wrong("is missing", options, key)
+            return {**table, key: usual}
         if table[key] in later:
             raise wrong("is not there yet", options, key, table[key])
         if table[key] not in known:

@@ -8,7 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
+
+_KNOTS = "give places in m on the sheet, or turn it"
+_NO_WIDTH, _WIDE = 1e-6, 20.0  # of the sheet's size; knots over so many times its width
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,23 @@ class Profile:
     def __call__(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """The quantity at positions [m] of shape (..., 3), shape (...)."""
         return np.interp(self.coordinate(positions), self.at, self.value)
+
+    def over(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same at the nodes (n, 3) [m] of a sheet.
+
+        Warns:
+            InputWarning: If the knots are hardly meant for it: the sheet has one value, or is a small part of them.
+        """
+        place, at = self.coordinate(positions), np.asarray(self.at)
+        low, high = float(place.min()), float(place.max())
+        sheet = f"the sheet is from {low:.4g} to {high:.4g} m"
+        if min(self.value) == max(self.value):
+            pass
+        elif at[-1] <= low or at[0] >= high or high - low <= _NO_WIDTH * np.ptp(positions):
+            warn_of(f"varies nowhere on the sheet: {sheet}", _KNOTS, key=f"{self.key}.at", value=self.at)
+        elif at[-1] - at[0] > _WIDE * (high - low):
+            warn_of(f"hardly varies on the sheet: {sheet}", _KNOTS, key=f"{self.key}.at", value=self.at)
+        return self(positions)
 
     def positive(self) -> Profile:
         """Itself, when every value is above zero (a thickness, say); InputError otherwise."""

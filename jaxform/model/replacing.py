@@ -35,12 +35,19 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
         InputError: If a path does not exist or does not fit the scene, or a value is no real number, has another shape
             or, where it is known (not traced), is not finite or out of its range.
     """
+    check_scene(scene)
     if not isinstance(changes, Mapping):
         raise InputError("is no mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
     for path, value in changes.items():
         old = _designable(scene, str(path))
         scene = _put(scene, str(path), _fitted(str(path), value, old, scene))
     return scene
+
+
+def check_scene(scene: Any) -> None:
+    """Raises InputError unless it is a scene."""
+    if not isinstance(scene, Scene):
+        raise InputError("is no scene", "use jaxform.load or jaxform.build_scene", "scene", scene)
 
 
 def _put(scene: Scene, path: str, values: Any) -> Scene:

@@ -117,6 +117,9 @@ def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) 
     if lowest <= coldest:
         problem = f"is not above {coldest:g} degC, where the shift has no value"
         raise InputError(problem, "check material.shift and the units", "parison.temperature", lowest)
+    if material.viscous is None and not shift.stiffens:
+        problem = "changes nothing: it shifts the times of viscous modes, of which there are none"
+        warn_of(problem, "give [material.viscous], or leave it out", key="material.shift")
 
 
 def coldest(parison: Parison, cooling: Cooling | None, solver: Solver, material: Law) -> tuple[jax.Array | None, float]:
@@ -182,8 +185,8 @@ def _kinds(tree: Any) -> Any:
 
 
 def _words(own: Any) -> str:
-    shapes = [str(leaf.shape) for leaf in jax.tree.leaves(own)]
-    return f"of shapes {', '.join(shapes)}" if shapes else "none"
+    kinds = [f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(own)]
+    return ", ".join(kinds) or "none"
 
 
 def field(name: str, given: Field, count: int, forest: bisection.Forest | None) -> Field:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxform.core.errors import InputWarning
 from jaxform.core.store import Store
-from jaxform.model.replacing import check_numbers
+from jaxform.model.replacing import check_numbers, check_scene
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import warnings_of_part
@@ -57,6 +57,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             nothing that could be measured, nothing touched the mold, the sheet left the mold's box, or a free wall
             became thinner than makes any sense.
     """
+    check_scene(scene)
     check_numbers(scene)
     own, room, store = scene, on_rungs(scene, recorded=True), store or IN_MEMORY
     scene, limit = room.scene, own.solver.max_steps

@@ -9,14 +9,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.core import ShapedArray, Tracer
+from jax.custom_derivatives import SymbolicZero
 
 from jaxform.adapt.refinement import refined
 from jaxform.adjoint.strategies import Adjoint, adjoint_of
+from jaxform.core.errors import InputError
 from jaxform.core.ranges import RANGES
 from jaxform.dynamics.initial import initial_state
 from jaxform.kernels.derivatives import Rule, apart, recomputed
 from jaxform.kernels.sealed import manual_axes
-from jaxform.model.replacing import with_stand_ins
+from jaxform.model.replacing import check_scene, with_stand_ins
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
 from jaxform.runs.loop import closed, latest, unless_full
@@ -40,13 +42,34 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
             that the scene allows.
 
     Raises:
-        InputError: The scene has a part that the chosen adjoint cannot go back over.
+        InputError: The scene has a part that the chosen adjoint cannot go back over, a derivative is asked for with
+            respect to the end time, or something is no scene or no schedule.
     """
+    check_scene(scene)
+    if schedule is not None and not isinstance(schedule, Schedule):
+        raise InputError("is no schedule", "give that of a result: result.schedule", "schedule", schedule)
+    if isinstance(scene.solver.end_time, Tracer):
+        end_time = _without_derivative(scene.solver.end_time)
+        scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=end_time))
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
         return _simulate(scene, schedule, adjoint_of(scene, adjoint))
     room = on_rungs(scene)
     given = None if schedule is None else room.schedule(schedule)
     return room.result(_simulate(room.scene, given, adjoint_of(scene, adjoint)))
+
+
+@jax.custom_jvp
+def _without_derivative(end_time: jax.Array) -> jax.Array:
+    """The same; how many steps there are depends on it, so no derivative says what a run for longer would give."""
+    return end_time
+
+
+@functools.partial(_without_derivative.defjvp, symbolic_zeros=True)
+def _(primals: tuple[jax.Array], tangents: tuple[Any]) -> tuple[jax.Array, Any]:
+    if not isinstance(tangents[0], SymbolicZero):
+        remedy = "take differences, or design pressure.time within a fixed end_time"
+        raise InputError("has no derivative: it decides how many steps there are", remedy, "solver.end_time")
+    return primals[0], tangents[0]
 
 
 @functools.partial(jax.jit, static_argnums=2)

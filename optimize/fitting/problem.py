@@ -96,14 +96,14 @@ def _says_something(table: Table) -> Array:
 
 def _data(table: Table) -> tuple[Any, ...]:
     if isinstance(table, Pull):
-        return (table.stretch, table.time)
+        return table.stretch, None if table.time is None else states.history(table.stretch, table.time)
     return (bubble.plan(table.height / table.radius, table.time),)
 
 
 def _model(table: Table) -> Callable[..., jax.Array]:
     """A function of a law and a table's data: the law's values for the measured columns, one after the other."""
     if isinstance(table, Pull):
-        return lambda law, stretch, time: states.along(law, table.state, jnp.asarray(stretch), time)
+        return lambda law, stretch, pulled: states.along(law, table.state, jnp.asarray(stretch), pulled)
     over = table.sheet / table.radius
     scale = float(table.pressure.max()) / over
 

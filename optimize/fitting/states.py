@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 from jaxform import Law
 from jaxform.materials import Modes
@@ -12,6 +16,9 @@ from jaxform.mechanics.response import Memory, Overstress, Response
 
 STATES = ("uniaxial", "equibiaxial", "pure-shear")
 """How a sheet is pulled; across the pull it is free, pulled as much, or held."""
+
+
+_SMALL, _MOST_PARTS = 0.02, 500  # change of the stretch in a step, and how many steps a row may take
 
 
 def crosswise(state: str, stretch: jax.Array) -> jax.Array:
@@ -57,28 +64,49 @@ def overstress(memory: Memory, one: jax.Array, two: jax.Array) -> Overstress:
     return response.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
 
 
-def along(law: Law, state: str, stretch: jax.Array, time: jax.Array | None = None) -> jax.Array:
+class History(NamedTuple):
+    """How a sheet was pulled: stretches (n,) after steps (n,) [s], the first a jump; which of them are rows (m,)."""
+
+    stretch: NDArray[np.float64]
+    step: NDArray[np.float64]
+    row: NDArray[np.int64]
+
+
+def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> History:
+    """What rows (m,) tell: the first stretch came at time 0 at once, and between rows it is linear in time [s].
+
+    Cut in steps over which it changes so little that the modes' recursions, which are made for small ones, are right
+    to a few parts in ten thousand.
+    """
+    change = np.abs(np.diff(stretch, prepend=stretch[0]))
+    parts = np.clip(np.ceil(change / _SMALL), 1, _MOST_PARTS).astype(int)
+    first = np.concatenate([[0.0], time[:-1]]), np.concatenate([stretch[:1], stretch[:-1]])
+    shares = np.concatenate([np.arange(1, count + 1) / count for count in parts])
+    begin, before = (np.repeat(values, parts) for values in first)
+    times = begin + shares * (np.repeat(time, parts) - begin)
+    stretches = before + shares * (np.repeat(stretch, parts) - before)
+    steps = np.diff(times, prepend=0.0)
+    return History(np.append(stretch[:1], stretches), np.append(0.0, steps), np.cumsum(parts))
+
+
+def along(law: Law, state: str, stretch: jax.Array, pulled: History | None = None) -> jax.Array:
     """Nominal stress (n,) [Pa] along the pull.
 
     Args:
-        law: The law; its viscous modes count where there are times.
+        law: The law; its viscous modes count where there is a history.
         state: One of `STATES`.
         stretch: Along the pull (n,).
-        time: Of each row (n,) [s], from 0, when nothing was strained: what the first row is strained came at 0 at
-            once, and between rows the strain is linear in time. None for a slow test.
+        pulled: How these were reached; None for a slow test.
     """
-    two = crosswise(state, stretch)
     modes = law.viscous
-    if modes is None or time is None:
-        return nominal(law, stretch, two)[0]
-    # The jump at time 0, then the rows.
-    one = jnp.concatenate([stretch[:1], stretch])[:, None]
-    two = jnp.concatenate([two[:1], two])[:, None]
-    steps = jnp.diff(jnp.concatenate([jnp.zeros(2), time]))
+    if modes is None or pulled is None:
+        return nominal(law, stretch, crosswise(state, stretch))[0]
+    whole, steps = jnp.asarray(pulled.stretch), jnp.asarray(pulled.step)
+    one, two = whole[:, None], crosswise(state, whole)[:, None]
 
     def row(past: Overstress, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Overstress, jax.Array]:
         one, two, step = now
         memory = memory_after(modes, past, step)
         return overstress(memory, one, two), nominal(law, one, two, memory)[0][0]
 
-    return jax.lax.scan(row, at_first(modes, 1), (one, two, steps))[1][1:]
+    return jax.lax.scan(row, at_first(modes, 1), (one, two, steps))[1][jnp.asarray(pulled.row)]

@@ -27,7 +27,7 @@ knots = 3
 bounds = [5.0e-4, 2.0e-3]
 [objective]
 kind = "least-mass"
-minimum = 0.5e-3
+minimum = 0.0005
 [solver]
 method = "adam"
 iterations = 17
@@ -77,6 +77,12 @@ def test_check_reads_studies(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     (tmp_path / "study.toml").write_text(STUDY.replace("knots = 3", "knots = 0"))
     assert command.main(["check", str(tmp_path / "study.toml")]) == 2
     assert "study.toml" in capfd.readouterr().err
+    # What optimize refuses before it begins.
+    thin = STUDY.replace("minimum = 0.0005", "minimum = 0.01")
+    assert thin != STUDY
+    (tmp_path / "study.toml").write_text(thin)
+    assert command.main(["check", str(tmp_path / "study.toml")]) == 2
+    assert "study.toml: objective.minimum = 0.01: cannot be kept" in capfd.readouterr().err
 
 
 def test_check_of_a_study_whose_target_is_another_scene_runs_nothing(capfd: pytest.CaptureFixture[str]) -> None:

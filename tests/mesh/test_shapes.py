@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, InputWarning
 from jaxform.mesh import topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
@@ -450,3 +450,19 @@ def test_meshio_is_imported_only_when_a_file_is_read_or_written():
     code = "import sys; import jaxform.shapes, jaxform.molds; print('meshio' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    ("along", "at", "words"),
+    [
+        ("x", (0.0, 100.0), "hardly varies on the sheet: the sheet is from 0 to 0.3 m"),
+        ("x", (0.5, 0.9), "varies nowhere on the sheet"),
+        ("z", (0.0, 0.1), "varies nowhere on the sheet: the sheet is from 0 to 0 m"),
+    ],
+)
+def test_a_profile_that_misses_the_sheet_is_warned_of(along: str, at: tuple[float, ...], words: str) -> None:
+    sheet = rectangle(size=(0.3, 0.2), elements=8)
+    with pytest.warns(InputWarning, match=f"thickness.at = .*{words}"):
+        Profile(along, at, (1e-3, 2e-3), "thickness").over(sheet.positions)
+    Profile(along, at, (1e-3, 1e-3), "thickness").over(sheet.positions)
+    Profile("x", (-0.1, 0.5), (1e-3, 2e-3), "thickness").over(sheet.positions)

@@ -161,6 +161,24 @@ def test_relaxation_gives_moduli_and_times(kind: str) -> None:
     np.testing.assert_allclose([found[name] for name in expected], list(expected.values()), rtol=1e-5)
 
 
+def test_a_ramp_told_by_its_two_ends_is_followed_between_them() -> None:
+    """A Maxwell mode by Lodge's integral, stretched evenly to 1.8 in 0.4 s and then held."""
+    c, modulus, own, time = 1e5, 3e5, 0.5, np.array([0.0, 0.4, 0.6, 1.5])
+    past = np.linspace(0.0, 1.5, 150_001)
+    stretch = 1.0 + 2.0 * np.minimum(past, 0.4)
+    stress = []
+    for end, now in zip(time, np.interp(time, past, stretch), strict=True):
+        before = past <= end
+        strain = np.square(now / stretch[before]) - stretch[before] / now
+        kept = np.trapezoid(strain * np.exp((past[before] - end) / own) / own, past[before])
+        kept += np.exp(-end / own) * (now**2 - 1.0 / now)
+        stress.append((2.0 * c * (now**2 - 1.0 / now) + modulus * kept) / now)
+    law = jaxform.NeoHookean(real(c), real(1000.0), viscous=jaxform.Maxwell(jnp.full(1, modulus), jnp.full(1, own)))
+    known = np.interp(time, past, stretch)
+    found = states.along(law, "uniaxial", jnp.asarray(known), states.history(known, time))
+    np.testing.assert_allclose(found, stress, rtol=3e-4, atol=1e-6 * c)
+
+
 def test_numbers_that_these_tests_cannot_tell_apart() -> None:
     stretch = np.linspace(1.2, 3.0, 12)
     stress = 2e5 * (stretch - stretch**-3)  # of pure shear: of c (1 + alpha) alone

@@ -84,6 +84,17 @@ def test_a_target_out_of_reach_is_a_warning() -> None:
 # --- After ------------------------------------------------------------------------------------------------------------
 
 
+def test_a_scene_that_its_variables_cannot_have_is_a_warning() -> None:
+    scene = scenes.cup()
+    study = _study(optimize.Uniform())
+    assert reach.doubts(study) == []
+    far = optimize.ThicknessProfile(scene, along="radius", bounds=(0.3, 2.0), knots=4)
+    slow = optimize.PressureKnots(scene, bounds=(0.0, 0.4), rate=1e-4)
+    sheet, pressure = reach.doubts(dataclasses.replace(study, variables=(far, slow)))
+    assert "parison.thickness is 0.01 in the scene" in sheet and "begins with 0.3" in sheet
+    assert "pressure.value is 0 to" in pressure and "rate" in pressure
+
+
 def _point(violation: float) -> Point:
     return Point(np.zeros(4), 1.0, np.zeros(4), 1.0, np.array([violation]))
 

@@ -140,7 +140,8 @@ def test_pressure_knots(increasing: bool, rate: float | None) -> None:
         assert not increasing or value[1] >= value[0]
         if rate is not None:
             # The history rises as the cube of time: three times as steep in the end as on average.
-            assert 3 * abs(value[1] - value[0]) / 16.0 <= rate + 1e-12 and value[0] == 0.0
+            assert 3 * abs(value[1] - value[0]) / 16.0 <= rate + 1e-12
+        assert value[0] == 0.0  # held
 
 
 def test_a_history_s_end_is_designed_and_keeps_the_rate() -> None:
@@ -204,6 +205,7 @@ def test_a_scale_multiplies_a_number_of_a_field() -> None:
         ),
         (lambda s: optimize.ThicknessField(s, bounds=BOUNDS, smoothness=-1.0), "smoothness"),
         (lambda s: optimize.PressureKnots(s, bounds=(0.1, 0.4), rate=1.0, held=True), "first value"),
+        (lambda s: optimize.PressureKnots(s, bounds=(0.1, 0.4), held=True), "first value"),
         (lambda s: optimize.PressureKnots(s, bounds=(0.0, 0.4), rate=-1.0), "rate"),
         (lambda s: optimize.PressureKnots(s, bounds=(0.0, 0.4), end_time=(1.0, 99.0)), "end_time"),
         (lambda s: optimize.Scale(s, of="material.c", bounds=(0.0, 1.0)), "bounds"),

@@ -343,3 +343,19 @@ def test_two_parallel_symmetry_planes_are_refused() -> None:
             pressure=jaxform.make_pressure([0.0], [1.0]),
             solver=jaxform.make_solver(end_time=1.0),
         )
+
+
+def test_the_end_time_has_no_derivative_and_what_is_no_scene_is_told() -> None:
+    scene = scenes.cup()
+
+    def mean(end_time: jax.Array) -> jax.Array:
+        return jnp.mean(jaxform.simulate(jaxform.replace(scene, {"solver.end_time": end_time})).thickness)
+
+    for derivative in (jax.grad(mean), jax.jit(jax.grad(mean)), lambda t: jax.jvp(mean, (t,), (t,))):
+        with pytest.raises(jaxform.InputError, match=r"solver\.end_time: has no derivative"):
+            derivative(scene.solver.end_time)
+    for call in (jaxform.simulate, jaxform.run, lambda scene: jaxform.replace(scene, {})):
+        with pytest.raises(jaxform.InputError, match=r"is no scene; use jaxform\.load"):
+            call("dish")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(jaxform.InputError, match="is no schedule"):
+        jaxform.simulate(scene, schedule=3)  # pyright: ignore[reportArgumentType]

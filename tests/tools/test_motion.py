@@ -15,6 +15,7 @@ from scipy import optimize
 import jaxform
 from jaxform.core.errors import InputError
 from jaxform.io import output
+from jaxform.model.replacing import number_at
 from jaxform.results.result import Result, only_used
 
 RADIUS, THICKNESS, RISE = 0.1, 1e-3, 0.05
@@ -131,7 +132,7 @@ def test_the_same_by_every_loop_with_gradients(formed: tuple[jaxform.Scene, Resu
         return wall + result.energy.tool_work + 10.0 * result.energy.damping_loss, result
 
     at = {"mold.motion.displacement": scene.motion.displacement, "mold.motion.time": scene.motion.time}
-    at |= {"parison.thickness": scene.parison.thickness, "material.c": scene.material.c}
+    at |= {"parison.thickness": scene.parison.thickness, "material.c": number_at(scene, "material.c")}
     whole = jax.jit(jax.value_and_grad(figure, has_aux=True))
     (_, result), slopes = whole(at)
     np.testing.assert_allclose(result.positions, first.positions, rtol=0, atol=1e-12)

@@ -83,5 +83,5 @@ Method = Annotated[
     | Annotated[Adam, Tag("<adam>")]
     | Annotated[LeastSquares, Tag("<least-squares>")]
     | Annotated[FixedPoint, Tag("<fixed-point>")],
-    *choice("method", ["lbfgs", "adam", "least-squares", "fixed-point"]),
+    *choice("method", ["lbfgs", "adam", "least-squares", "fixed-point"], usual="lbfgs"),
 ]

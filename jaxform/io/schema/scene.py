@@ -19,7 +19,7 @@ class Pressure(Table):
     Attributes:
         time: Knots [s], increasing.
         value: Pressure difference [Pa], one per knot; it pushes to +z, or outwards.
-        interpolation: Straight between the knots, or with zero slope at each.
+        interpolation: Straight between the knots, or rising as the cube of the time that has passed since each.
     """
 
     time: Annotated[list[Number], Field(min_length=1)]

@@ -61,7 +61,7 @@ class ThicknessField(Table):
 class PressureKnots(Table):
     """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
 
-    `held` keeps the first knot's value where there is a rate; else the history may begin with a jump.
+    `held` keeps the first knot's value; else the history may begin with a jump.
 
     Attributes:
         kind: The kind of variable.
