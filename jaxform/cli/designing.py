@@ -114,9 +114,11 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
         f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
     if facts["multiplier"] is not None:
+        # By how much they are broken is told with the status.
+        kept = "broken" if design.broken else f"kept to {100 * facts['violation']:.2g} %"
         say(
-            f"limits are {'broken by' if design.broken else 'kept to'} {100 * facts['violation']:.2g} %; multiplier "
-            f"{facts['multiplier']:.3g}: what the objective gains per relative change of the limit"
+            f"limits are {kept}; multiplier {facts['multiplier']:.3g}: what the objective gains per relative change of "
+            "the limit"
         )
     if facts["price"] is not None:
         say(

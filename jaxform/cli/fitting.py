@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "how many viscous modes; by default, with relaxation tests, as many as they need, 4 at most"
     parser.add_argument("--modes", metavar="N", type=int, help=words)
     words = "kind of the viscous modes; christensen by default"
-    parser.add_argument("--viscous", choices=("christensen", "maxwell"), default="christensen", help=words)
+    parser.add_argument("--viscous", choices=("christensen", "maxwell"), help=words)
     words = "what differences are divided by: what was measured, or the largest of the table; relative by default"
     parser.add_argument("--weights", choices=("relative", "absolute"), default="relative", help=words)
     words = "kg/m^3, for the table of the material; 1000 by default, since no test tells it"

@@ -31,7 +31,7 @@ def fit(
     *,
     terms: int | None = None,
     modes: int | None = None,
-    viscous: str = "christensen",
+    viscous: str | None = None,
     weights: str = "relative",
 ) -> Fit:
     """Fits a law, and viscous modes where there are tests for them, to tests, all at once.
@@ -43,7 +43,7 @@ def fit(
             criterion, 3 at most.
         modes: How many viscous modes; by default none without relaxation tests, and with them as many as say something
             by the same criterion, 4 at most.
-        viscous: Their kind.
+        viscous: Their kind; by default "christensen".
         weights: "relative" or "absolute".
 
     Raises:
@@ -54,6 +54,10 @@ def fit(
             badly.
     """
     _check(tables, model, terms, viscous, weights)
+    if viscous is not None and not modes and not _relaxing(tables):
+        problem = "has no test to tell it: none is of kind relaxation, and no modes are asked for"
+        raise InputError(problem, "give a relaxation test, or --modes, or leave it out", "--viscous", viscous)
+    viscous = viscous or "christensen"
     times = _times(tables)
     _check_modes(tables, modes, times)
     stress = max(_largest_stress(table) for table in tables)
@@ -94,7 +98,7 @@ def _worth(solution: Solution) -> tuple[bool, float]:
     return solution.unstable is not None, solving.information(solution)
 
 
-def _check(tables: Sequence[Table], model: str, terms: int | None, viscous: str, weights: str) -> None:
+def _check(tables: Sequence[Table], model: str, terms: int | None, viscous: str | None, weights: str) -> None:
     if not tables:
         raise InputError("no test is given", "give one table at least", "tables")
     if model not in LAWS:
@@ -103,7 +107,7 @@ def _check(tables: Sequence[Table], model: str, terms: int | None, viscous: str,
         raise InputError(f"means nothing to {model}", "leave it out: its numbers are no lists", "--terms", terms)
     if terms is not None and not 1 <= terms <= MOST_TERMS:
         raise InputError("is out of range", f"give 1 to {MOST_TERMS}", "--terms", terms)
-    if viscous not in MODES:
+    if viscous is not None and viscous not in MODES:
         raise InputError("is unknown", f"use {', '.join(MODES)}", "--viscous", viscous)
     if weights not in WEIGHTS:
         raise InputError("is unknown", f"use {', '.join(WEIGHTS)}", "--weights", weights)

@@ -462,3 +462,10 @@ def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pyt
     assert (tmp_path / "out" / "fit.png").read_bytes()[:4] == b"\x89PNG"
     assert command.main(arguments[:2] + arguments[1:]) == 2
     assert "is given twice" in capfd.readouterr().err
+
+
+def test_a_kind_of_modes_that_no_test_tells_is_refused() -> None:
+    stretch = np.linspace(1.1, 2.0, 8)
+    table = _pull("uniaxial", stretch, 2e5 * (stretch - stretch**-2))
+    with pytest.raises(InputError, match=r"--viscous = 'maxwell': has no test to tell it.*relaxation"):
+        fitting.fit([table], "neo-hookean", viscous="maxwell")

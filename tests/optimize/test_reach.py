@@ -134,7 +134,7 @@ def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd
         patch.setattr(session, "cache_folder", lambda: None)
         assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out")]) == 3
         captured = capfd.readouterr()
-        assert "limits are broken by" in captured.out and "stopped by" in captured.out
+        assert "limits are broken; multiplier" in captured.out and "stopped by" in captured.out
         summary = json.loads((tmp_path / "out" / "summary.json").read_text())
         assert (
             summary["status"].startswith("a limit is not kept: the thinnest wall is") and "bounds" in summary["status"]
