@@ -101,6 +101,7 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
         "strain",
         "kinetic",
         "external_work",
+        "tool_work",
         "damping_loss",
         "contact_loss",
         "refinement_loss",
