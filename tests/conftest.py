@@ -12,7 +12,7 @@ import pytest
 _PROGRAMS = Path(__file__).parent.parent / ".pytest_cache" / "programs"
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_PROGRAMS))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.02")
 # Compiling is nearly all of the time, and the machine code need not be fast: XLA does the same to a program, LLVM less.
 # Programs that tests start are compiled as users' are.
 _FLAGS = os.environ.get("XLA_FLAGS", "")
