@@ -37,7 +37,7 @@ def close(
     state: PackedState, moving: Moving, end: End, searched: Searched | None, scene: Scene, now: Window
 ) -> PackedState:
     """The state at the window's end, with its health checked; a state that is not finite is not taken."""
-    work = jax.lax.stop_gradient(moving.account.external_work + moving.account.tool_whole)
+    work = jax.lax.stop_gradient(moving.account.work)
     new = dataclasses.replace(
         state,
         nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
@@ -184,7 +184,7 @@ def _health(
     inside = account(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
     strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
     held = strain + end.kinetic + sum(state.account.losses().values())
-    excess = held - state.account.external_work - last_work(state, scene, volume) - state.account.tool_whole
+    excess = held - state.account.work - last_work(state, scene, volume)
     # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
     balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
     finite = jnp.isfinite(end.largest + end.kinetic)

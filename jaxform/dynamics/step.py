@@ -188,10 +188,9 @@ def _taken(
         both = moving.nodes.velocities, velocities
         velocities, held, done = carried(nodal, both, nodes, moving.nodes.wall, kick, frame.velocity)
         work, losses = total(done), None if losses is None else jnp.where(held, 0.0, losses)
-        if moving.room is None:
-            # Of a halted window nothing moves, and nothing is done.
-            velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
-            work = jnp.where(moving.halted, 0.0, work)
+        # Of a halted window nothing moves, and nothing is done.
+        velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
+        work = jnp.where(moving.halted, 0.0, work)
     positions = moving.nodes.positions + length * jnp.stack(velocities)
     loss = total(losses) if losses is not None else 0.0
     rest, modes = None, now.active.viscous(scene.material)

@@ -172,7 +172,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
             strain=strain_energy(state, scene, now),
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
             external_work=state.account.external_work + last_work(state, scene, volume),
-            tool_work=jnp.zeros_like(state.time) + state.account.tool_whole,
+            tool_work=jnp.zeros_like(state.time) if state.account.tool_whole is None else state.account.tool_whole,
             **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),

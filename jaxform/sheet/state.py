@@ -99,9 +99,14 @@ class Account:
     tool_last: jax.Array | None = None
 
     @property
-    def tool_whole(self) -> jax.Array | float:
-        """All the work of the tool [J]; 0 where it rests."""
-        return 0.0 if self.tool_work is None or self.tool_last is None else self.tool_work + self.tool_last
+    def tool_whole(self) -> jax.Array | None:
+        """All the work of the tool [J]; None where it rests."""
+        return None if self.tool_work is None or self.tool_last is None else self.tool_work + self.tool_last
+
+    @property
+    def work(self) -> jax.Array:
+        """Done on the sheet so far, by pressure and tool [J]."""
+        return self.external_work if self.tool_whole is None else self.external_work + self.tool_whole
 
     def losses(self) -> dict[str, jax.Array]:
         """The terms by which energy left, by name."""

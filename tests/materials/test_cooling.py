@@ -256,7 +256,8 @@ def test_what_is_doubtful_is_told(tmp_path: Path) -> None:
     path.write_text(FILE.format(cooling=_AIR + "mold = 5.0\nmold_temperature = 20.0"))
     with pytest.warns(jaxform.InputWarning, match=r"cooling.mold.*no mold"):
         files.load(path)
-    shift = 'shift = { kind = "wlf", reference = 100.0, c1 = 17.44, c2 = 51.6 }\ndensity'
+    shift = 'shift = { kind = "wlf", reference = 100.0, c1 = 17.44, c2 = 51.6 }\n'
+    shift += 'viscous = { kind = "maxwell", modulus = [1.0e5], time = [0.1] }\ndensity'
     path.write_text(FILE.format(cooling=_AIR).replace("density", shift))
     with pytest.warns(jaxform.InputWarning, match=r"cooling.air_temperature = 20.0.*below 48.4 degC"):
         files.load(path)
