@@ -65,8 +65,8 @@ def _moved(study: Study) -> list[str]:
 
 
 def _range(values: np.ndarray) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+    low, high = f"{values.min():.4g}", f"{values.max():.4g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def broken(study: Study, scene: Scene, result: Result, best: Point, ending: Ending) -> str:

@@ -12,14 +12,13 @@ import jax.numpy as jnp
 from jaxform.dynamics.moving import Moving, Searched, Window
 from jaxform.dynamics.touching import FAR
 from jaxform.kernels.blocks import only_if, over_blocks
-from jaxform.loads import Interval, next_pressure
 from jaxform.mechanics import membrane
 from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
 from jaxform.mechanics.response import present
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.sheet.account import account, energy_rounding, last_work
+from jaxform.sheet.account import account, energy_rounding, last_work, pressure_at
 from jaxform.sheet.active_set import ActiveSet
 from jaxform.sheet.scheme import carried, kicked
 from jaxform.sheet.state import PackedState, Replay, State, Status
@@ -139,12 +138,9 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
     active, elements = now.active, now.active.packed.elements
     positions = moving.nodes.positions
-    time, last = now.begin + moving.count * now.length, moving.account.pressed
-    if last is None:
-        pressure = scene.pressure.at(time, None)
-    else:
-        interval = Interval(time, now.length, moving.account.volume, active.volume(positions))
-        pressure = next_pressure(scene.pressure, last, interval).pressure
+    time = now.begin + moving.count * now.length
+    volume = None if moving.account.pressed is None else active.volume(positions)
+    pressure = pressure_at(moving.account, scene, time, now.length, volume).pressure
     modes = scene.material.viscous
     memory = None if modes is None or moving.memory is None else present(moving.memory, modes)
     load = Load(positions, active.thickness, pressure, *active.response(scene.material, memory))

@@ -15,7 +15,6 @@ from jaxform.contact.lists import Candidates
 from jaxform.dynamics.moving import Landings, Moving, Window
 from jaxform.dynamics.touching import flown, landed_again, looked, touched
 from jaxform.kernels.blocks import once, over_blocks, total
-from jaxform.loads import Interval, Pressed, next_pressure
 from jaxform.mechanics import membrane
 from jaxform.mechanics.corners import (
     Load,
@@ -31,6 +30,7 @@ from jaxform.mechanics.membrane import vector
 from jaxform.mechanics.response import Memory, present
 from jaxform.model.field import Surroundings, stepped
 from jaxform.model.scene import Scene
+from jaxform.sheet.account import pressure_at
 from jaxform.sheet.scheme import carried, kicked
 from jaxform.tools.motion import Frame
 
@@ -59,12 +59,13 @@ def step(
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
+    begin = now.begin + moving.count * now.length
     last = pressed = moving.account.pressed
     if last is not None:
+        volume = now.active.volume(jnp.asarray(moving.nodes.positions))
         # The velocity's step is half of the last one and half of this one.
-        pressed = _pressed(moving, last, 2.0 * kick - length, scene, now)
+        pressed = pressure_at(moving.account, scene, begin, 2.0 * kick - length, volume)
         pressure, mean_pressure = pressed.pressure, 0.5 * (last.pressure + pressed.pressure)
-    begin = now.begin + moving.count * now.length
     frame = None if scene.motion is None else scene.motion.frame(begin, begin + length)
     response = now.active.response(scene.material, _memory(moving, scene, now))
     load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
@@ -137,13 +138,6 @@ def settled(moving: Moving, scene: Scene, now: Window) -> Moving:
     return dataclasses.replace(
         moving, memory=found.rest, account=dataclasses.replace(moving.account, viscous_loss=lost)
     )
-
-
-def _pressed(moving: Moving, last: Pressed, length: jax.Array, scene: Scene, now: Window) -> Pressed:
-    """How the loading presses as the step begins, so long after the last one began [s]."""
-    volume = now.active.volume(jnp.asarray(moving.nodes.positions))
-    interval = Interval(now.begin + moving.count * now.length, length, moving.account.volume, volume)
-    return next_pressure(scene.pressure, last, interval)
 
 
 def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Scene, now: Window) -> Moving:

@@ -158,11 +158,9 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     pressures = scene.pushes()
     start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
     resting = resting_directions(start, positions, triangles, float(highest))
-    wall, grid = np.asarray(result.wall), scene.tables.grid
-    if scene.motion is None:
-        return penetration(positions, triangles, wall, scene.mold, grid=grid, resting=resting)
     # The grid is of the mold as it starts: the sheet is looked at from there.
-    offset = np.asarray(scene.motion.offset(as_real(float(result.time))), float)
+    offset = np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))))
+    wall, grid = np.asarray(result.wall), scene.tables.grid
     found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
     return found._replace(place=found.place + offset)
 

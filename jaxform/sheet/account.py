@@ -16,7 +16,7 @@ from jaxform.mechanics.response import modes_of, strained
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Sheet
 from jaxform.sheet.discretization import Discretization
-from jaxform.sheet.state import State
+from jaxform.sheet.state import Account, State
 
 
 def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
@@ -104,12 +104,21 @@ def stored(g: membrane.Metric, inverse: Any, material: Law, modes: Modes | None,
     return density
 
 
+def pressure_at(
+    account: Account, scene: Scene, time: jax.Array, length: jax.Array, volume: jax.Array | None
+) -> Pressed:
+    """How the loading presses at a time [s], so long after the begin of the last step [s], with the volume then [m^3].
+
+    The account is that of the last step; the volume is None where the pressure does not follow it.
+    """
+    if account.pressed is None or volume is None:
+        return Pressed(scene.pressure.at(time, None), None)
+    return next_pressure(scene.pressure, account.pressed, Interval(time, length, account.volume, volume))
+
+
 def present_pressure(state: State, scene: Scene, volume: jax.Array | None) -> Pressed:
     """How the loading presses now, with the volume that is enclosed now [m^3], None where it does not follow it."""
-    last, length = state.account.pressed, state.control.step_length
-    if last is None or volume is None:
-        return Pressed(scene.pressure.at(state.time, None), None)
-    return next_pressure(scene.pressure, last, Interval(state.time, length, state.account.volume, volume))
+    return pressure_at(state.account, scene, state.time, state.control.step_length, volume)
 
 
 def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:

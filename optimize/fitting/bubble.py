@@ -10,7 +10,7 @@ Derivatives are those of the equilibrium: Newton's method finds it, and one more
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,34 +25,13 @@ _LONGEST = 0.1  # radii: a step of the height
 _MOST, _ENOUGH = 40, 1e-11  # of Newton's steps; what is left of the forces, relative to the scale of the stress
 
 
-class Plan(NamedTuple):
-    """At which heights the equilibrium is found: those of the rows, and some between.
-
-    Attributes:
-        height: (n_step,), in radii.
-        step: Time since the one before (n_step,) [s].
-        row: Which steps are rows of the table (n,).
-    """
-
-    height: np.ndarray
-    step: np.ndarray
-    row: np.ndarray
-
-
-def plan(height: np.ndarray, time: np.ndarray | None) -> Plan:
+def plan(height: np.ndarray, time: np.ndarray | None) -> states.Path:
     """Steps to heights (n,) in radii, at times (n,) [s] from 0 or none at all, from a flat sheet on."""
     times = np.arange(1.0, len(height) + 1.0) if time is None else np.maximum(time, 1e-12)
-    begin, since = np.concatenate([[0.0], height[:-1]]), np.concatenate([[0.0], times[:-1]])
-    heights, steps, rows = [], [], []
-    for low, high, early, late in zip(begin, height, since, times, strict=True):
-        count = max(1, int(np.ceil(abs(high - low) / _LONGEST)))
-        heights += list(low + (high - low) * np.arange(1, count + 1) / count)
-        steps += [(late - early) / count] * count
-        rows.append(len(heights) - 1)
-    return Plan(np.array(heights), np.array(steps), np.array(rows))
+    return states.cut(height, times, 0.0, _LONGEST)
 
 
-def inflated(law: Law, plan: Plan, scale: float, viscous: bool) -> tuple[jax.Array, jax.Array]:
+def inflated(law: Law, plan: states.Path, scale: float, viscous: bool) -> tuple[jax.Array, jax.Array]:
     """Pressure times radius over the sheet's thickness (n,) [Pa], and the pole's wall over the sheet's (n,).
 
     Args:
@@ -78,8 +57,8 @@ def inflated(law: Law, plan: Plan, scale: float, viscous: bool) -> tuple[jax.Arr
         return (found, past), (scale * made[-1], 1.0 / (radial * hoop)[0])
 
     past: Overstress | None = None if modes is None else states.at_first(modes, _POINTS)
-    first = jnp.zeros(2 * _TERMS + 1).at[_TERMS].set(plan.height[0]).at[-1].set(4.0 * plan.height[0])
-    _, (pressure, wall) = jax.lax.scan(step, (first, past), (jnp.asarray(plan.height), jnp.asarray(plan.step)))
+    first = jnp.zeros(2 * _TERMS + 1).at[_TERMS].set(plan.value[0]).at[-1].set(4.0 * plan.value[0])
+    _, (pressure, wall) = jax.lax.scan(step, (first, past), (jnp.asarray(plan.value), jnp.asarray(plan.step)))
     return pressure[plan.row], wall[plan.row]
 
 

@@ -107,7 +107,7 @@ def _model(table: Table) -> Callable[..., jax.Array]:
     over = table.sheet / table.radius
     scale = float(table.pressure.max()) / over
 
-    def modelled(law: Law, plan: bubble.Plan) -> jax.Array:
+    def modelled(law: Law, plan: states.Path) -> jax.Array:
         pressure, wall = bubble.inflated(law, plan, scale, law.viscous is not None)
         return jnp.concatenate(
             [over * pressure, table.sheet * wall] if table.thickness is not None else [over * pressure]

@@ -64,32 +64,43 @@ def overstress(memory: Memory, one: jax.Array, two: jax.Array) -> Overstress:
     return response.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
 
 
-class History(NamedTuple):
-    """How a sheet was pulled: stretches (n,) after steps (n,) [s], the first a jump; which of them are rows (m,)."""
+class Path(NamedTuple):
+    """A test's way from row to row, cut into steps.
 
-    stretch: NDArray[np.float64]
+    Attributes:
+        value: What is pulled or blown up to (n_step,).
+        step: Time since the one before (n_step,) [s].
+        row: Which steps are rows of the table (n,).
+    """
+
+    value: NDArray[np.float64]
     step: NDArray[np.float64]
     row: NDArray[np.int64]
 
 
-def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> History:
-    """What rows (m,) tell: the first stretch came at time 0 at once, and between rows it is linear in time [s].
+def cut(values: NDArray[np.float64], times: NDArray[np.float64], first: float, longest: float) -> Path:
+    """The way to the values (n,) of rows at times (n,) [s], from `first` at 0, linear between; no step is longer."""
+    begin, since = np.concatenate([[first], values[:-1]]), np.concatenate([[0.0], times[:-1]])
+    found, steps, rows = [], [], []
+    for low, high, early, late in zip(begin, values, since, times, strict=True):
+        count = min(max(1, int(np.ceil(abs(high - low) / longest))), _MOST_PARTS)
+        found += list(low + (high - low) * np.arange(1, count + 1) / count)
+        steps += [(late - early) / count] * count
+        rows.append(len(found) - 1)
+    return Path(np.array(found), np.array(steps), np.array(rows))
 
-    Cut in steps over which it changes so little that the modes' recursions, which are made for small ones, are right
-    to a few parts in ten thousand.
+
+def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> Path:
+    """What rows (n,) tell: the first stretch came at time 0 at once, and between rows it is linear in time [s].
+
+    In steps over which it changes so little that the modes' recursions, which are made for small ones, are right to a
+    few parts in ten thousand.
     """
-    change = np.abs(np.diff(stretch, prepend=stretch[0]))
-    parts = np.clip(np.ceil(change / _SMALL), 1, _MOST_PARTS).astype(int)
-    first = np.concatenate([[0.0], time[:-1]]), np.concatenate([stretch[:1], stretch[:-1]])
-    shares = np.concatenate([np.arange(1, count + 1) / count for count in parts])
-    begin, before = (np.repeat(values, parts) for values in first)
-    times = begin + shares * (np.repeat(time, parts) - begin)
-    stretches = before + shares * (np.repeat(stretch, parts) - before)
-    steps = np.diff(times, prepend=0.0)
-    return History(np.append(stretch[:1], stretches), np.append(0.0, steps), np.cumsum(parts))
+    after = cut(stretch, time, float(stretch[0]), _SMALL)
+    return Path(np.append(stretch[:1], after.value), np.append(0.0, after.step), after.row + 1)
 
 
-def along(law: Law, state: str, stretch: jax.Array, pulled: History | None = None) -> jax.Array:
+def along(law: Law, state: str, stretch: jax.Array, pulled: Path | None = None) -> jax.Array:
     """Nominal stress (n,) [Pa] along the pull.
 
     Args:
@@ -101,7 +112,7 @@ def along(law: Law, state: str, stretch: jax.Array, pulled: History | None = Non
     modes = law.viscous
     if modes is None or pulled is None:
         return nominal(law, stretch, crosswise(state, stretch))[0]
-    whole, steps = jnp.asarray(pulled.stretch), jnp.asarray(pulled.step)
+    whole, steps = jnp.asarray(pulled.value), jnp.asarray(pulled.step)
     one, two = whole[:, None], crosswise(state, whole)[:, None]
 
     def row(past: Overstress, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Overstress, jax.Array]:
