@@ -99,4 +99,7 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
             f"an element cuts an edge of the mold, {1e3 * summary['penetration_max']:.3g} mm deep at ({place}) m: "
             "smaller elements would follow it"
         )
+    if summary["gap_max"] > summary["thickness"]["mean"]:
+        place = ", ".join(f"{value:.4g}" for value in summary["gap_place"])
+        say(f"least of all the wall follows the mold at ({place}) m: {1e3 * summary['gap_max']:.3g} mm are left there")
     say(f"status: {summary['status']}; results in {folder}")

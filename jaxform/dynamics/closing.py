@@ -69,7 +69,11 @@ def close(
         # Pairs were lost: the state is left as it was, for a run with more room.
         bad |= searched.overflow
         status |= jnp.where(searched.overflow, Status.CONTACT_OVERFLOW, 0)
-    status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
+    box = scene.tables.box
+    if box is None:
+        status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
+    else:
+        status |= jnp.where((end.largest > box.reach) & ~bad, Status.ESCAPED, 0)
     retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
     if now.row is not None:
         spent = moving.count * now.length
@@ -119,8 +123,9 @@ def _next_span(
 class End(NamedTuple):
     """What a window's end comes to.
 
-    Kinetic energy [J], and that of the velocities, which are half a step behind; the largest coordinate [m], not finite
-    where any position is not. The work of the tool with the force of now [J]; None where it rests.
+    Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted
+    from the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool
+    with the force of now [J]; None where it rests.
     """
 
     kinetic: jax.Array
@@ -148,6 +153,7 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
     corners, _ = corner_forces(load, elements, room)
 
     frame = None if scene.motion is None else scene.motion.frame(time, time + now.length)
+    middle = None if scene.tables.box is None else scene.tables.box.middle
 
     def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any) -> Any:
         nodal, done = assembled(corners, own), []
@@ -160,7 +166,11 @@ def looked_over(moving: Moving, scene: Scene, now: Window) -> tuple[End, Corners
             done = [jnp.where(held, 0.5 * sum(pulls), 0.0)]
         half = 0.5 * nodes[1]
         energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
-        size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in positions])
+        away = positions if middle is None else [x - middle[k] for k, x in enumerate(positions)]
+        size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in away])
+        if middle is not None:
+            # What cannot move is where it was; room for nodes lies anywhere.
+            size = jnp.where(sum(nodes[2]) > 0.0, size, 0.0)
         return [], [*energies, *done, size]
 
     nodes = moving.nodes.stuck, active.mass, active.compliance

@@ -141,6 +141,19 @@ class Counts:
 
 
 @pytree
+class Box:
+    """What a sheet and its mold lie in at first, and wherever the mold moves.
+
+    Attributes:
+        middle: (3,) [m].
+        reach: Distance from it [m] along an axis, where a sheet is beyond the box by the longest of its sides.
+    """
+
+    middle: jax.Array
+    reach: jax.Array
+
+
+@pytree
 class Tables:
     """What the host built for a scene; depends on its meshes and limits, not on the numbers to be designed.
 
@@ -150,6 +163,7 @@ class Tables:
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
         size: Largest initial coordinate [m].
+        box: Of sheet and mold: a sheet that gets far out of it has left its mold; None without one.
         grid: Search structure of the mold, or None.
         forest: What the mesh can be refined to, or None.
         lying: Which nodes (n_node,) lie on the mold when a run begins, and on which of its triangles, as `State.wall`
@@ -166,6 +180,7 @@ class Tables:
     bound: jax.Array
     mobility: jax.Array
     size: jax.Array
+    box: Box | None
     grid: SearchGrid | None
     forest: Forest | None
     lying: jax.Array | None

@@ -18,7 +18,7 @@ from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, reference
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, pushes_of
-from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Sheet, Tables
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Box, Sheet, Tables
 from jaxform.prepare import parts, start
 from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
 from jaxform.prepare.planning import longest_window, planned_windows, spare_windows
@@ -104,6 +104,7 @@ def build_scene(
         bound=bound,
         mobility=mobility,
         size=as_real(np.abs(positions).max()),
+        box=None if mold is None else _box(mold, positions),
         grid=grid,
         forest=grown,
         lying=lying,
@@ -190,6 +191,12 @@ def _reference_sheet(parison: Parison) -> Sheet:
             )
         origin.append(there.mean())
     return Sheet(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
+
+
+def _box(mold: Mold, positions: np.ndarray) -> Box:
+    places = np.concatenate([positions, mold.where_it_turns()])
+    low, high = places.min(0), places.max(0)
+    return Box(as_real(0.5 * (low + high)), as_real(1.5 * (high - low).max()))
 
 
 def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:

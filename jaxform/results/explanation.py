@@ -24,6 +24,8 @@ _WORDS = {
     Status.STOPPED: "stopped by the caller",
     Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than there is room for",
     Status.RUNAWAY: "the sheet ran away: it is ten thousand times as large as it was",
+    Status.ESCAPED: "the sheet left its mold: it is as far out of the box of sheet and mold as that is long",
+    Status.BURST: "the sheet passed through itself and burst: a sheet's contact with itself is not simulated",
     Status.INPUT: "a number of the scene is out of its range, so nothing was simulated",
     Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
 }
@@ -36,6 +38,8 @@ _REMEDIES = {
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
     Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",
+    Status.ESCAPED: "look at sheet and mold with `jaxform check` (units, sides, holes), or lower the pressure",
+    Status.BURST: "lower the pressure, or widen what is narrow in the mold",
     Status.INPUT: "keep what is designed within its range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
 }

@@ -11,6 +11,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.seams import place
 from jaxform.results import sections
 from jaxform.sheet.state import Status
+from jaxform.tools import folding
 
 if TYPE_CHECKING:
     from jaxform.results.result import Result
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 
 _OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
 _NEXT_TO = 1e-4  # of the sheet's size
+_MOST_ASKED = 10_000  # elements, whether they pass through the sheet
 _TORN = 0.01  # of the initial thickness: less of a free wall is beyond any sense
 
 
@@ -36,10 +38,10 @@ def thinnest(result: Result, scene: Scene) -> dict[str, Any]:
 def warnings_of_part(result: Result, scene: Scene) -> list[str]:
     """A sentence for each thing in a part that is hardly meant, with the remedy."""
     # Of a run that broke off, but for a sheet that ran away, the status says more.
-    broken = int(result.status) & ~(Status.RUNAWAY | Status.UNBALANCED)
+    broken = int(result.status) & ~(Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED)
     if broken or not np.isfinite(np.asarray(result.positions)).all():
         return []
-    return [*_untouched(result, scene), *_gone(result, scene), *_torn(result, scene)]
+    return [*_untouched(result, scene), *_gone(result, scene), *_torn(result), *_folded(result, scene)]
 
 
 def _untouched(result: Result, scene: Scene) -> list[str]:
@@ -63,10 +65,7 @@ def _gone(result: Result, scene: Scene) -> list[str]:
         return []
     initial = np.asarray(scene.parison.positions, float)
     active = np.flatnonzero(np.asarray(result.active))
-    now, corners = np.asarray(result.positions, float)[active], np.unique(np.asarray(scene.mold.triangles))
-    # A mold that moves stays between where it starts and where it turns.
-    times = [0.0] if scene.motion is None else np.asarray(scene.motion.time, float).tolist()
-    walls = np.concatenate([scene.mold.vertices_at(time)[corners] for time in times])
+    now, walls = np.asarray(result.positions, float)[active], scene.mold.where_it_turns()
     boxes = [*_images(scene, walls), initial]
     low, high = np.min([box.min(0) for box in boxes], axis=0), np.max([box.max(0) for box in boxes], axis=0)
     beyond = np.maximum(low - now, now - high).max(1)
@@ -89,11 +88,58 @@ def _images(scene: Scene, walls: Array) -> list[Array]:
     return images
 
 
-def _torn(result: Result, scene: Scene) -> list[str]:
+def has_burst(result: Result, scene: Scene) -> bool:
+    """Whether a part came to its end after its sheet was blown through itself.
+
+    A film is then stretched beyond any sense, and cuts what it left through.
+    """
+    if int(result.status) or scene.mold is None or not np.isfinite(np.asarray(result.positions)).all():
+        return False
+    return bool(len(_beyond_sense(result, _ratio(result)))) and bool(len(_crossing(result, scene)))
+
+
+def _ratio(result: Result) -> Array:
+    """Of the elements' thickness to the initial one (n_element,)."""
+    return 1.0 / np.maximum(np.prod(np.asarray(result.stretches, float), axis=1), 1e-300)
+
+
+def _beyond_sense(result: Result, ratio: Array) -> NDArray[np.int64]:
     triangles, used = np.asarray(result.triangles), np.asarray(result.used)
-    ratio = 1.0 / np.maximum(np.prod(np.asarray(result.stretches, float), axis=1), 1e-300)
     free = ~(np.asarray(result.wall) != 0)[triangles].any(1)
-    torn = np.flatnonzero(used & free & (ratio < _TORN))
+    return np.flatnonzero(used & free & (ratio < _TORN))
+
+
+def _crossing(result: Result, scene: Scene) -> NDArray[np.int64]:
+    """Elements with a free node that cut another part of a sheet in a mold; of very many the thinnest are asked."""
+    none = np.zeros(0, np.int64)
+    if scene.mold is None:
+        return none
+    used = np.flatnonzero(np.asarray(result.used))
+    triangles = np.asarray(result.triangles)[used]
+    free = ~np.asarray(result.stuck)[triangles].all(1)
+    if not free.any():
+        return none
+    ratio = np.where(free, _ratio(result)[used], np.inf)
+    free &= ratio <= np.partition(ratio, min(_MOST_ASKED, len(ratio) - 1))[min(_MOST_ASKED, len(ratio) - 1)]
+    return used[folding.through_itself(np.asarray(result.positions, float), triangles, free)]
+
+
+def _folded(result: Result, scene: Scene) -> list[str]:
+    found = _crossing(result, scene)
+    if not len(found):
+        return []
+    nodes = np.asarray(result.triangles)[found[np.argmin(_ratio(result)[found])]]
+    where = place(np.asarray(result.positions, float)[nodes].mean(0))
+    return [
+        f"the sheet passes through itself, {len(found)} elements of it, at {where}: it folds there, or two films meet, "
+        "and its contact with itself is not simulated; do not trust the wall there, lower pressure.value, or widen "
+        "what is narrow in the mold"
+    ]
+
+
+def _torn(result: Result) -> list[str]:
+    triangles, ratio = np.asarray(result.triangles), _ratio(result)
+    torn = _beyond_sense(result, ratio)
     if not len(torn):
         return []
     worst = torn[np.argmin(ratio[torn])]

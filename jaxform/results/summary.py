@@ -11,15 +11,19 @@ from jaxform.core.pytree import as_real
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import taut
 from jaxform.model.scene import Scene
+from jaxform.model.seams import place
 from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import thinnest, warnings_of_part
 from jaxform.results.sections import symmetry_planes
+from jaxform.sheet.state import Status
+from jaxform.tools.gaps import NO_GAP, Gap, widest_gap
 from jaxform.tools.penetration import Penetration, penetration, resting_directions
 
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
 _NODES_BEYOND = 1e-6  # of the sheet's size, that a node may be beyond the mold
+_BRIDGED, _WIDE = 2.0, 0.025  # sides of an element, and of the mold's size, that a gap which stays open is wide
 _ELEMENTS_BEYOND = 0.5  # of the longest side of an element, the same of an element
 
 
@@ -54,7 +58,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
-    beyond, slow = penetrated(result, scene), float(result.energy.quasi_static_error)
+    beyond, gap = penetrated(result, scene), unfilled(result, scene)
+    slow = float(result.energy.quasi_static_error)
     return {
         "scene": scene.name,
         "status": explain(result),
@@ -77,6 +82,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
+        "gap_max": gap.width,
+        "gap_place": gap.place.tolist(),
         # Under its older name as well.
         "energy": energy
         | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow, "haste": slow},
@@ -84,6 +91,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
             *warnings_of(result, scene),
             *warnings_of_part(result, scene),
             *warnings_of_mold(result, scene, beyond),
+            *warnings_of_gap(result, scene, gap),
         ],
     }
 
@@ -142,10 +150,10 @@ def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
         return []
-    place = ", ".join(f"{value:.4g}" for value in beyond.place)
     return [
-        f"the sheet is beyond the mold, deepest at ({place}) m with {beyond.elements:.3g} m: it hangs over the mold's "
-        "rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the elements smaller"
+        f"the sheet is beyond the mold, deepest at {place(beyond.place)} with {beyond.elements:.3g} m: it hangs over "
+        "the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
+        "elements smaller"
     ]
 
 
@@ -158,11 +166,43 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     pressures = scene.pushes()
     start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
     resting = resting_directions(start, positions, triangles, float(highest))
-    # The grid is of the mold as it starts: the sheet is looked at from there.
-    offset = np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))))
+    offset = _offset(result, scene)
     wall, grid = np.asarray(result.wall), scene.tables.grid
     found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
     return found._replace(place=found.place + offset)
+
+
+def unfilled(result: Result, scene: Scene) -> Gap:
+    """The widest gap between the formed part and the mold before it; none where there is no mold, or no part."""
+    positions, lost = np.asarray(result.positions, float), Status.RUNAWAY | Status.ESCAPED | Status.BURST
+    if scene.mold is None or int(result.status) & lost or not np.isfinite(positions).all():
+        return NO_GAP
+    pressures = scene.pushes()
+    highest = float(pressures[np.argmax(np.abs(pressures))])
+    offset, triangles = _offset(result, scene), np.asarray(result.triangles)[np.asarray(result.used)]
+    gap = widest_gap(positions - offset, triangles, np.asarray(result.wall), highest, scene.mold, scene.tables.grid)
+    return gap._replace(place=gap.place + offset)
+
+
+def warnings_of_gap(result: Result, scene: Scene, gap: Gap) -> list[str]:
+    """A sentence where all nodes around a gap stick, so that no pressure would close it."""
+    if scene.mold is None or gap.element < 0:
+        return []
+    nodes = np.asarray(result.triangles)[np.asarray(result.used)][gap.element]
+    corners = np.asarray(scene.parison.positions, float)[nodes]
+    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max())
+    size = float(np.ptp(scene.mold.where_it_turns(), axis=0).max())
+    if not np.asarray(result.stuck)[nodes].all() or gap.width <= max(_BRIDGED * side, _WIDE * size):
+        return []
+    return [
+        f"the sheet sticks all around a place of the mold that is {gap.width:.3g} m before it, at {place(gap.place)}: "
+        "its elements are too large to follow the mold there; add [refinement], or make parison.element_size smaller"
+    ]
+
+
+def _offset(result: Result, scene: Scene) -> np.ndarray:
+    """How far the mold has moved (3,) [m]: its grid is of how it starts, from where a sheet is looked at."""
+    return np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))))
 
 
 def _touching(result: Result) -> np.ndarray:

@@ -15,7 +15,7 @@ from jaxform.core.store import Store
 from jaxform.model.replacing import check_numbers, check_scene
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, Seconds
-from jaxform.results.review import warnings_of_part
+from jaxform.results.review import has_burst, warnings_of_part
 from jaxform.results.summary import warnings_of
 from jaxform.runs.loop import IN_MEMORY, programs
 from jaxform.runs.padding import on_rungs
@@ -54,8 +54,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
 
     Warns:
         InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, the pressure moved
-            nothing that could be measured, nothing touched the mold, the sheet left the mold's box, or a free wall
-            became thinner than makes any sense.
+            nothing that could be measured, nothing touched the mold, the sheet left the mold's box or passes through
+            itself, or a free wall became thinner than makes any sense.
     """
     check_scene(scene)
     check_numbers(scene)
@@ -98,6 +98,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     final = room.result(made(close(state, scene, first), scene, first, taken))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
+    if has_burst(final, own):
+        final = dataclasses.replace(final, status=final.status | Status.BURST)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2)
     return dataclasses.replace(final, seconds=seconds)

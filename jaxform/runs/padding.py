@@ -155,6 +155,7 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
         bound=grown.bound if grown is not None else like_first(tables.bound, elements),
         mobility=nodal_with_room(tables.mobility, order, 0.0),
         size=tables.size,
+        box=tables.box,
         grid=None if tables.grid is None else grid_with_room(tables.grid),
         forest=grown,
         lying=lying_with_room(scene, order),

@@ -19,7 +19,10 @@ from jaxform.sheet.heat import Heat
 
 
 class Status(enum.IntFlag):
-    """Why a run stopped early, or why it is not to be trusted (UNBALANCED); no bit is set when all went well."""
+    """Why a run stopped early, or why it is not to be trusted (UNBALANCED); no bit is set when all went well.
+
+    BURST is found by the host's loop, `run`, alone.
+    """
 
     NON_FINITE = 1
     UNSTABLE = 2
@@ -31,6 +34,8 @@ class Status(enum.IntFlag):
     RUNAWAY = 128
     UNBALANCED = 256
     INPUT = 512
+    ESCAPED = 1024
+    BURST = 2048
 
 
 Taken = tuple[jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)

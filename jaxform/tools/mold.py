@@ -36,6 +36,15 @@ class Mold:
         places = np.asarray(self.vertices, float)
         return places if self.motion is None else places + np.asarray(self.motion.offset(as_real(time)), float)
 
+    def where_it_turns(self) -> NDArray[np.float64]:
+        """Its corners (n, 3) [m] at all times between which it moves one way; on the host.
+
+        A mold that moves stays between where it starts and where it turns.
+        """
+        corners = np.unique(np.asarray(self.triangles))
+        times = [0.0] if self.motion is None else np.asarray(self.motion.time, float).tolist()
+        return np.concatenate([self.vertices_at(time)[corners] for time in times])
+
     def at(self, time: float) -> Mold:
         """The mold at rest where it is at a time [s]; on the host."""
         there: Any = self.vertices_at(time)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxform.model.scene import Scene
-from jaxform.results.review import thinnest, warnings_of_part
+from jaxform.results.review import has_burst, thinnest, warnings_of_part
 from jaxform.sheet.state import Status
 from tests import scenes
 
@@ -74,6 +74,28 @@ def test_a_sheet_that_left_the_molds_box() -> None:
     for rise, by in ((-0.3, "0.3 m"), (0.9, "0.4 m")):
         told = warnings_of_part(_part(scene, rise, contact_time=touched), scene)
         assert len(told) == 1 and f"left the mold's box, by {by} at (0, 0, {rise}) m" in told[0]
+
+
+def test_a_sheet_that_passes_through_itself_and_bursts() -> None:
+    scene = scenes.cup()
+    start, count = np.asarray(scene.parison.positions), len(scene.parison.triangles)
+    touched = np.ones(len(start))
+    radius = np.hypot(start[:, 0], start[:, 1])
+    # The middle of the sheet is turned over: it is drawn out, and back through what it came from.
+    folded = start.copy()
+    folded[:, :2] *= np.where(radius < 0.6, 1.9, 1.0)[:, None]
+    folded[:, 2] = np.where(radius < 0.6, 0.13 - 0.2 * radius, 0.05)
+    plain, stretches = _part(scene, 0.5, contact_time=touched), np.ones((count, 2))
+    part = dataclasses.replace(plain, positions=folded)
+    told = warnings_of_part(part, scene)
+    assert len(told) == 1 and "the sheet passes through itself" in told[0]
+    assert not has_burst(part, scene)
+    stretches[3] = [20.0, 10.0]
+    assert has_burst(dataclasses.replace(part, stretches=stretches), scene)
+    assert not has_burst(dataclasses.replace(plain, stretches=stretches), scene)
+    # What sticks wholly stays where it is.
+    stuck = dataclasses.replace(part, stretches=stretches, stuck=np.ones(len(start), bool))
+    assert not has_burst(stuck, scene)
 
 
 def test_walls_that_are_stretched_beyond_any_sense() -> None:

@@ -202,6 +202,26 @@ def test_an_unstable_run_stops_and_says_so() -> None:
     assert float(result.time) < 60.0
 
 
+def test_a_sheet_that_leaves_its_mold_ends_the_run() -> None:
+    # A plate beside the sheet, which the balloon passes.
+    plate = np.array([[1.5, 0.0, 0.0], [2.0, 0.0, 0.0], [1.5, 1.0, 0.0], [1.5, 0.0, 0.5]])
+    cup = scenes.cup()
+    scene = jaxform.build_scene(
+        parison=cup.parison,
+        material=cup.material,
+        pressure=cup.pressure,
+        solver=cup.solver,
+        mold=jaxform.make_mold(plate, np.array([[0, 1, 2], [0, 2, 3]], np.int32)),
+    )
+    with pytest.warns(jaxform.InputWarning):
+        result = jaxform.run(scene)
+    assert int(result.status) == Status.ESCAPED and "left its mold" in jaxform.explain(result)
+    assert int(jaxform.simulate(scene).status) == Status.ESCAPED
+    # 1 m, the longest side of the box, beyond it; at the next border of windows.
+    assert 1.5 < np.asarray(result.positions)[:, 2].max() < 10.0
+    assert float(result.time) < 0.95 * float(scene.solver.end_time)
+
+
 def test_running_out_of_windows_is_a_status() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     longer = jaxform.replace(scene, {"solver.end_time": 1e4})  # than its windows were counted for

@@ -57,6 +57,8 @@ class _Summary(_Table):
     mass: Number
     penetration_max: Number = None
     penetration_place: Place | None = None
+    gap_max: Number = None
+    gap_place: Place | None = None
     energy: dict[str, Number]
     warnings: list[str]
     design: _Design | None = None

@@ -104,6 +104,9 @@ def quality(results: Results) -> str:
         rows.append(
             ("deepest cut of an element into the mold", f"{number(summary['penetration_max'], 1e3, 3)} mm, {where}")
         )
+    if summary.get("gap_max"):
+        where = _place(summary.get("gap_place") or [])
+        rows.append(("widest gap before the mold", f"{number(summary['gap_max'], 1e3, 3)} mm, {where}"))
     body = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in rows)
     return f"<h2>The part</h2><table>{body}</table>"
 

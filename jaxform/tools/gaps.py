@@ -1,0 +1,130 @@
+"""How far a formed sheet is from the mold that it was to fill. On the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.tools.crossings import proper_crossings
+from jaxform.tools.distances import Distances, Triangulation
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid, build_grid
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.integer]
+
+_ASKED = 4000  # places of the mold, the farthest ones by a quick bound first, that are looked at together
+_MOST = 50_000  # places: of a mold of more triangles every few are looked at
+_REACH = 4.0  # sides of an element, to which distances are exact
+_LIFT = 0.05  # of a gap, how far before the mold, which a node may lie on, one looks from
+_FIRST = 0.2  # of the way to the mold, that is looked along first
+_CLOSE = 1e-3  # of the way to the mold, that is not looked along: the place itself is on it
+_EDGE = 1e-6  # of a triangle's sides: what is looked at through an edge is hidden
+
+
+class Gap(NamedTuple):
+    """Where the mold is farthest from the sheet before it.
+
+    Attributes:
+        width: How far [m]; 0 where the sheet lies on all of it.
+        place: Of the mold (3,) [m].
+        element: Of the sheet, which is nearest; -1 where none is.
+    """
+
+    width: float
+    place: Array
+    element: int
+
+
+NO_GAP = Gap(0.0, np.zeros(3), -1)
+"""Where the sheet lies on all of the mold, or there is none."""
+
+
+def widest_gap(
+    positions: Array, triangles: Integers, wall: Integers, push: float, mold: Mold, grid: SearchGrid | None = None
+) -> Gap:
+    """The widest gap between a sheet and the mold before it.
+
+    The mold's corners and the middles of its triangles are looked at. What is beside the sheet or behind it, and what
+    another part of the mold hides from it, is no gap.
+
+    Args:
+        positions: Of the nodes (n_node, 3) [m].
+        triangles: Their elements (n_element, 3), along whose normals pressure acts.
+        wall: What each node sticks to (n_node,), see `Result.wall`.
+        push: The pressure [Pa]; its sign alone counts.
+        mold: The mold.
+        grid: Its search structure; made here by default.
+    """
+    if not len(triangles):
+        return NO_GAP
+    grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles)) if grid is None else grid
+    walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
+    sheet = positions[triangles]
+    usual = float(np.linalg.norm(sheet - np.roll(sheet, 1, axis=1), axis=2).mean())
+    distances = Distances(Triangulation(positions, triangles), _REACH * usual)
+    back = _back(positions, triangles, wall, push, corners[walls])
+    sight = _Sight(sheet, back[triangles], distances, mold, grid)
+    places = np.concatenate([corners[np.unique(walls)], corners[walls].mean(1)])
+    places = places[:: 1 + len(places) // _MOST]
+    bound = distances.about(places)
+    order, best = np.argsort(-bound, kind="stable"), NO_GAP
+    for first in range(0, len(order), _ASKED):
+        if bound[order[first]] <= best.width:
+            break
+        best = max(best, sight.widest(places[order[first : first + _ASKED]]), key=lambda gap: gap.width)
+    return best
+
+
+def _back(positions: Array, triangles: Integers, wall: Integers, push: float, mold_corners: Array) -> Array:
+    """Unit vectors (n_node, 3) away from where the nodes are pushed: off the mold, of those that touch it."""
+    sheet = positions[triangles]
+    normal = -np.sign(push) * np.cross(sheet[:, 1] - sheet[:, 0], sheet[:, 2] - sheet[:, 0])
+    corner = triangles.ravel()
+    back = np.stack([np.bincount(corner, np.repeat(part, 3), len(positions)) for part in normal.T], axis=1)
+    node = np.flatnonzero(wall)
+    touched = mold_corners[np.abs(wall[node]) - 1]
+    off = np.cross(touched[:, 1] - touched[:, 0], touched[:, 2] - touched[:, 0])
+    back[node] = np.sign(wall[node])[:, None] * off
+    length = np.linalg.norm(back, axis=1, keepdims=True)
+    return back / np.where(length > 0, length, 1.0)
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """Elements (n_element, 3, 3) [m] that look at the mold, and which way is back at their nodes."""
+
+    sheet: Array
+    back: Array
+    distances: Distances
+    mold: Mold
+    grid: SearchGrid
+
+    def widest(self, places: Array) -> Gap:
+        """The widest of the gaps before places of the mold (n, 3) [m]."""
+        near = self.distances.nearest(places)
+        way, back = places - near.place, self.back[near.triangle]
+        before = np.einsum("nkj,nj->n", back, way) < 0
+        found = np.flatnonzero(before & ~near.at_rim & (near.distance > 0))
+        # A place of an element may be beyond an edge of the mold; its nodes are not.
+        eyes = self.sheet[near.triangle[found]] + _LIFT * near.distance[found, None, None] * back[found]
+        found = found[self._sees(eyes, places[found]).sum(1) >= 2]
+        if not len(found):
+            return NO_GAP
+        farthest = found[np.argmax(near.distance[found])]
+        return Gap(float(near.distance[farthest]), places[farthest], int(near.triangle[farthest]))
+
+    def _sees(self, eyes: Array, places: Array) -> NDArray[np.bool_]:
+        """Whether from eyes (n, 3, 3) [m] places (n, 3) [m] are seen, (n, 3)."""
+        way = places[:, None] - eyes
+        seen = np.ones(eyes.shape[:2], bool)
+        # What is right before the eye hides most.
+        for share in (_FIRST, 1 - _CLOSE):
+            row, eye = np.nonzero(seen)
+            begin = eyes[row, eye]
+            hidden = proper_crossings(begin, begin + share * way[row, eye], self.mold, self.grid, margin=-_EDGE)[0]
+            seen[row[hidden], eye[hidden]] = False
+        return seen

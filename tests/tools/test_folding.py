@@ -1,0 +1,42 @@
+"""Where a sheet passes through itself, against every pair of elements."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from jaxform import shapes
+from jaxform.tools.crossings import intersect
+from jaxform.tools.folding import through_itself
+
+SHEET = shapes.rectangle(size=(2.0, 1.0), element_size=0.15)
+
+
+def _folded(slope: float) -> np.ndarray:
+    """The sheet with its right half turned back over the left one, rising from 0.2 above it by a slope."""
+    x, y, _ = SHEET.positions.T
+    back = np.minimum(x, 2.0 - x)
+    return np.stack([back, y + 0.013 * (x > 1.0), np.where(x > 1.0, 0.2 + slope * (x - 1.0), 0.0)], axis=1)
+
+
+def test_a_sheet_that_is_folded_through_itself() -> None:
+    positions, triangles = _folded(-0.37), SHEET.triangles
+    expected = set()
+    for one, other in itertools.combinations(range(len(triangles)), 2):
+        if set(triangles[one]) & set(triangles[other]):
+            continue
+        if intersect(positions[triangles[[one]]], positions[triangles[[other]]])[0]:
+            expected |= {one, other}
+    everything = np.ones(len(triangles), bool)
+    assert len(expected) > 10
+    assert set(through_itself(positions, triangles, everything)) == expected
+    some = everything & (np.arange(len(triangles)) % 3 == 0)
+    assert set(through_itself(positions, triangles, some)) == {one for one in expected if some[one]}
+    assert not len(through_itself(positions, triangles, ~everything))
+
+
+def test_a_sheet_that_lies_over_itself_does_not_pass_through() -> None:
+    everything = np.ones(len(SHEET.triangles), bool)
+    for positions in (SHEET.positions, _folded(0.37), _folded(0.0)):
+        assert not len(through_itself(np.asarray(positions), SHEET.triangles, everything))

@@ -1,0 +1,88 @@
+"""How far a sheet is from the mold before it, on parts whose gaps are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from jaxform import shapes
+from jaxform.tools.gaps import NO_GAP, widest_gap
+from jaxform.tools.mold import Mold, make_mold
+from jaxform.tools.penetration import penetration
+
+SHEET = shapes.rectangle(size=(1.0, 1.0), element_size=0.08)
+
+
+def _solid(low: list[float], high: list[float]) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=[low, high])
+
+
+def _block() -> Mold:
+    """A solid block of which four walls and a bottom, at z = 1, surround a pocket that is 1 wide."""
+    walls = [
+        _solid([-0.4, -0.4, 0.0], [0.0, 1.4, 1.3]),
+        _solid([1.0, -0.4, 0.0], [1.4, 1.4, 1.3]),
+        _solid([0.0, -0.4, 0.0], [1.0, 0.0, 1.3]),
+        _solid([0.0, 1.0, 0.0], [1.0, 1.4, 1.3]),
+        _solid([0.0, 0.0, 1.0], [1.0, 1.0, 1.3]),
+    ]
+    finer = [wall.subdivide() for wall in walls]
+    vertices = np.concatenate([wall.vertices for wall in finer])
+    first = np.cumsum([0, *(len(wall.vertices) for wall in finer[:-1])])
+    faces = np.concatenate([wall.faces + start for wall, start in zip(finer, first, strict=True)])
+    return make_mold(vertices, faces.astype(np.int32))
+
+
+def _lying_at(height: float) -> np.ndarray:
+    positions = np.array(SHEET.positions)
+    positions[:, 2] = height
+    return positions
+
+
+@pytest.mark.parametrize("height", [0.3, 0.9])
+def test_a_flat_sheet_over_the_bottom_of_a_pocket(height: float) -> None:
+    positions = _lying_at(height)
+    # Clear of the walls, on which it would lie.
+    positions[:, :2] = 0.5 + 0.99 * (positions[:, :2] - 0.5)
+    free = np.zeros(len(positions), int)
+    found = widest_gap(positions, SHEET.triangles, free, 2.0, _block())
+    # The bottom's corners are a little farther away than the sheet is high; what is outside of the block is hidden.
+    assert 1.0 - height <= found.width <= np.hypot(1.0 - height, 0.01 * np.sqrt(0.5)) + 1e-12
+    assert found.place[2] == 1.0
+    assert np.linalg.norm(positions[SHEET.triangles[found.element], :2].mean(0) - found.place[:2]) < 0.2
+    # Pushed the other way it has nothing before it.
+    assert widest_gap(positions, SHEET.triangles, free, -2.0, _block()) == NO_GAP
+
+
+def test_what_is_beside_a_sheet_is_no_gap() -> None:
+    plate = _solid([1.5, 0.0, -0.5], [2.5, 1.0, 0.7])
+    mold = make_mold(np.asarray(plate.vertices), np.asarray(plate.faces, np.int32))
+    assert widest_gap(_lying_at(0.0), SHEET.triangles, np.zeros(len(SHEET.positions), int), 1.0, mold) == NO_GAP
+
+
+def _angle() -> Mold:
+    """A floor in z = 0, normals +z, and a wall in x = 0, normals +x, whose common edge has a corner in its middle."""
+    vertices = np.array([[x, y, z] for x, z in ((0, 0), (1, 0), (0, 1)) for y in (0.0, 0.5, 1.0)], float)
+    floor = [[k, k + 3, k + 4] for k in range(2)] + [[k, k + 4, k + 1] for k in range(2)]
+    wall = [[k, k + 1, k + 7] for k in range(2)] + [[k, k + 7, k + 6] for k in range(2)]
+    return make_mold(vertices, np.array(floor + wall, np.int32))
+
+
+@pytest.mark.parametrize("sharp", [False, True])
+def test_an_edge_that_elements_span_is_a_gap_or_a_cut(sharp: bool) -> None:
+    """A square whose elements stick to both walls of an angle, half a diagonal from its edge.
+
+    Pushed into the angle it bridges it; pushed over the edge from the other side it is beyond both walls.
+    """
+    nodes = np.array([[0.4, 0.3, 0.0], [0.4, 0.7, 0.0], [0.0, 0.7, 0.4], [0.0, 0.3, 0.4]])
+    triangles, wall = np.array([[0, 1, 2], [0, 2, 3]]), np.array([1, 2, 6, 5])
+    # The sheet's normals point away from the edge.
+    push, side = (1.0, -1) if sharp else (-1.0, 1)
+    gap = widest_gap(nodes, triangles, side * wall, push, _angle())
+    cut = penetration(nodes, triangles, side * wall, _angle()).elements
+    if sharp:
+        assert gap.width < 1e-9 and cut == pytest.approx(0.2, rel=1e-9)
+    else:
+        assert gap.width == pytest.approx(0.4 * np.sqrt(0.5), rel=1e-9) and cut == 0.0
+        np.testing.assert_allclose(gap.place, [0.0, 0.5, 0.0], atol=1e-12)
