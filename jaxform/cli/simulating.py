@@ -101,5 +101,5 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
         )
     if summary["gap_max"] > summary["thickness"]["mean"]:
         place = ", ".join(f"{value:.4g}" for value in summary["gap_place"])
-        say(f"least of all the wall follows the mold at ({place}) m: {1e3 * summary['gap_max']:.3g} mm are left there")
+        say(f"the mold is filled least at ({place}) m: {1e3 * summary['gap_max']:.3g} mm are left")
     say(f"status: {summary['status']}; results in {folder}")

@@ -70,13 +70,16 @@ def _check_positive(key: str, value: float | None) -> None:
 
 def _warn(made: Draft) -> None:
     """Of what was found and may be meant otherwise."""
-    from jaxform.io import drafting
+    from jaxform.io import drafting, firstscene
     from jaxform.tools import opening
 
     found, largest = made.found, float(made.size.max())
     if made.guessed and drafting.METRES < largest <= _LARGE:
         problem = f"its box is {largest:.4g} units long: taken for {made.units}"
         warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
+    if made.rest is not None:
+        problem = f"looks cut in {firstscene.cut_in(made.rest, made.scale)}: {firstscene.IMAGES} completes it"
+        warn_of(problem, "look at check.png, and write the scene by hand where the mold is meant so", key="--mold")
     if found.depth > _DEEP * made.width:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
         warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from jaxform.mesh import contours, masks, meshes
 from jaxform.mesh.contours import Circle, Rectangle
 from jaxform.mesh.resolution import triangle_side
-from jaxform.tools import covers, footprint, molds, opening, rims
+from jaxform.tools import covers, footprint, halves, molds, opening, rims
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
+from jaxform.tools.halves import Rest
 from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
@@ -50,6 +51,7 @@ class Draft:
         found: The opening.
         planform: Of the sheet, where the mold is in the view.
         polygon: Of the sheet (k, 2) [m] where the scene has it.
+        rest: What completes a mold that is cut in a half or a quarter, as its file has it [m]; None where it is whole.
         covers: What closes the mold, as its file has it [m].
         width: Of the sheet [m], the shorter way.
         pocket: Half the width of the smallest pocket [m].
@@ -66,6 +68,7 @@ class Draft:
     found: Opening
     planform: Planform
     polygon: Array
+    rest: Rest | None
     covers: Covers
     width: float
     pocket: float
@@ -129,6 +132,10 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
     guessed, scale = scale is None, scale or usual
     units = units if scale == usual else f"units of {scale:g} m"
     mold = rims.welded(raw.positions * scale, raw.triangles)
+    rest = halves.rest(mold)
+    if rest is not None:
+        whole = meshes.merged([mold, rest.mesh])
+        mold = rims.welded(whole.positions, whole.triangles)
     found = opening.find(mold.positions, mold.triangles)
     planform = footprint.fit(found, mold.positions, mold.triangles)
     rotate, translate, polygon = _placed(found, planform)
@@ -146,6 +153,7 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
         found=found,
         planform=planform,
         polygon=polygon,
+        rest=rest,
         covers=covers.cover(found, planform.polygon, mold),
         width=width,
         pocket=pocket,

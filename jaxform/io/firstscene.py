@@ -15,8 +15,11 @@ from jaxform.io.drafting import ALPHA, DENSITY, STIFFNESS, Draft
 from jaxform.io.rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools.halves import Rest
 
-COVERS = "covers.stl"
+COVERS, IMAGES = "covers.stl", "images.stl"
+"""The files of what closes a mold, and of what completes one that is cut."""
 
 
 def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
@@ -28,23 +31,35 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     Raises:
         InputError: A file cannot be written, or a file of the mold would be overwritten.
     """
-    names = _names(folder, paths)
-    if made.covers.mesh is not None and _is_one_of(folder / COVERS, paths):
-        problem = "would be overwritten by the covers of the mold's holes"
-        raise InputError(problem, "give it another name", "--mold", str(folder / COVERS))
+    names, added = _names(folder, paths), _added(made)
+    for name in added:
+        if _is_one_of(folder / name, paths):
+            what = "the covers of the mold's holes" if name == COVERS else "the images that complete the mold"
+            problem = f"would be overwritten by {what}"
+            raise InputError(problem, "give it another name", "--mold", str(folder / name))
     for path, name in zip(paths, names, strict=True):
         if not _is_one_of(folder / name, [path]):
             with whole(folder / name) as fresh:
                 shutil.copyfile(path, fresh)
-    if made.covers.mesh is not None:
-        with whole(folder / COVERS) as fresh:
-            meshes.write_stl(fresh, made.covers.mesh.positions / made.scale, made.covers.mesh.triangles)
+    for name, mesh in added.items():
+        with whole(folder / name) as fresh:
+            meshes.write_stl(fresh, mesh.positions / made.scale, mesh.triangles)
     files = {"scene.toml": scene_text(made, names), "study.toml": study_text(made)}
     for name, text in files.items():
         with whole(folder / name) as fresh:
             fresh.write_text(text, encoding="utf-8")
-    covers = [] if made.covers.mesh is None else [COVERS]
-    return [folder / name for name in [*files, *names, *covers]]
+    return [folder / name for name in [*files, *names, *added]]
+
+
+def _added(made: Draft) -> dict[str, Mesh]:
+    """Meshes beside the mold's own, by the names of their files."""
+    meshes_of = {IMAGES: None if made.rest is None else made.rest.mesh, COVERS: made.covers.mesh}
+    return {name: mesh for name, mesh in meshes_of.items() if mesh is not None}
+
+
+def cut_in(rest: Rest, scale: float) -> str:
+    """The planes in which a mold is cut, as its file has them, in words."""
+    return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in rest.planes)
 
 
 def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
@@ -54,7 +69,7 @@ def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
         # A name on disk may be no text.
         plain, count = Path(path.name.encode("utf-8", "replace").decode()), 1
         name, others = plain.name, [other for other in paths if not other.samefile(path)]
-        while name in names or name == COVERS or _is_one_of(folder / name, others):
+        while name in names or name in (COVERS, IMAGES) or _is_one_of(folder / name, others):
             count += 1
             name = f"{plain.stem}-{count}{plain.suffix}"
         names.append(name)
@@ -135,10 +150,11 @@ def _pressure(made: Draft) -> list[str]:
 
 
 def _mold(made: Draft, names: Sequence[str]) -> list[str]:
-    files, lines = list(names), []
+    files, lines = [*names, *_added(made)], []
+    if made.rest is not None:
+        lines += [f"# The mold is cut in {cut_in(made.rest, made.scale)} of its file: {IMAGES} completes it."]
     if made.covers.mesh is not None:
-        files.append(COVERS)
-        lines = [
+        lines += [
             f"# {COVERS} closes what the sheet would be blown through ({covered(made)}).",
             "# Leave it out if it should be.",
         ]

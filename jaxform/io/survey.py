@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.mesh import raster
+from jaxform.mesh import masks, raster
 from jaxform.model.scene import Scene
 from jaxform.model.seams import place, warn_of_joints
 from jaxform.results import sections
@@ -20,6 +20,7 @@ _GUESS = 5.0  # by which a mold in other units than m may be larger or smaller t
 _SAMPLES = 10_000  # points on the mold, of which each is on one side of the sheet
 _FLAT = 1e-3  # of the sheet's size: as near as that to its surface a mold lies on it
 _HARDLY = 0.01  # of the mold's area, or of the sheet's
+_BARE, _HOLE = 0.05, 0.025  # of the sheet, with no mold before it, and of its size, the radius of such a place
 _EXPOSED = 0.2  # of the sheet, with mold only behind it
 _FACING = 0.5  # length of the mean normal, from which a sheet can be looked at from one side
 _PIXELS = 200  # of the longer side of the sheet, for the overlap
@@ -45,6 +46,13 @@ class Box(NamedTuple):
         return " x ".join(f"{low + 0.0:.4g} to {high + 0.0:.4g}" for low, high in zip(*self, strict=True)) + " m"
 
 
+class Circle(NamedTuple):
+    """A circle on a sheet: its middle (3,) and radius [m]."""
+
+    middle: Array
+    radius: float
+
+
 class Survey(NamedTuple):
     """What a scene looks like before it runs.
 
@@ -59,6 +67,7 @@ class Survey(NamedTuple):
         behind: Share on the other side.
         overlap: Share of the sheet that has mold before it, in the direction of the push; None where it is curved.
         exposed: Share of the sheet that has mold only behind it.
+        bare: The widest circle of the sheet that has no mold before it; None where the sheet is curved.
     """
 
     sheet: Box
@@ -71,6 +80,7 @@ class Survey(NamedTuple):
     behind: float
     overlap: float | None
     exposed: float
+    bare: Circle | None
 
     @property
     def faces(self) -> bool:
@@ -110,7 +120,7 @@ def survey(scene: Scene) -> Survey:
     both = bool(knots.min() < -0.05 * np.abs(knots).max() and knots.max() > 0.05 * np.abs(knots).max())
     thinness = float(np.asarray(scene.parison.thickness, float).mean()) / (box.size or 1.0)
     ahead = behind = exposed = 0.0
-    overlap = mold = None
+    overlap = mold = bare = None
     if scene.mold is not None:
         walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
         mold = _box(walls.reshape(-1, 3))
@@ -119,8 +129,8 @@ def survey(scene: Scene) -> Survey:
         height = _heights(points, middle, unit)
         ahead, behind = (float((side * height > _FLAT * box.size).mean()) for side in (1, -1))
         if np.linalg.norm(facing) >= _FACING:
-            overlap, exposed = _overlap(corners, walls, facing)
-    return Survey(box, mold, thinness, facing, outwards, both, ahead, behind, overlap, exposed)
+            overlap, exposed, bare = _overlap(corners, walls, facing)
+    return Survey(box, mold, thinness, facing, outwards, both, ahead, behind, overlap, exposed, bare)
 
 
 def _box(points: Array) -> Box:
@@ -163,8 +173,11 @@ def _heights(points: Array, middle: Array, unit: Array) -> Array:
     return np.einsum("ij,ij->i", points - middle[nearest], unit[nearest])
 
 
-def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float]:
-    """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind."""
+def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Circle]:
+    """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind.
+
+    And the widest circle of it that has none before it.
+    """
     axis = facing / np.linalg.norm(facing)
     across = np.linalg.svd(axis[None])[2][1:]
     flat, wall = sheet @ across.T, walls @ across.T
@@ -181,7 +194,14 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float]:
         before[found.pixel[away >= -near]] = True
         behind[found.pixel[away < -near]] = True
     whole = max(1, int(seen.sum()))
-    return float((seen & before).sum() / whole), float((seen & behind & ~before).sum() / whole)
+    open_there = np.pad((seen & ~before).reshape(height, width), 1)
+    away = masks.distance(open_there)[1:-1, 1:-1].ravel()
+    widest = int(np.argmax(away))
+    row, column = divmod(widest, width)
+    middle = (low + (np.array([column, row]) + 0.5) * pixel) @ across
+    middle += (level[widest] if seen[widest] else 0.0) * axis
+    bare = Circle(middle, max(0.0, float(away[widest]) - 0.5) * pixel)
+    return float((seen & before).sum() / whole), float((seen & behind & ~before).sum() / whole), bare
 
 
 def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
@@ -258,6 +278,21 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
     elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:
         what = f"seen along the pressure ({seen.direction}), the mold is beside the sheet ({boxes})"
         warn_of(what, "move the mold (mold.translate)", key="mold", file=file)
+    elif not seen.changes_sign and seen.overlap is not None and seen.bare is not None:
+        _warn_of_bare(seen, seen.overlap, seen.bare, file)
+
+
+def _warn_of_bare(seen: Survey, overlap: float, bare: Circle, file: str) -> None:
+    """Of what the pressure would blow past the mold, or through it."""
+    if 1 - overlap < _BARE and bare.radius < _HOLE * seen.sheet.size:
+        return
+    share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold before it"
+    where = f"within {bare.radius:.2g} m of {place(bare.middle)} there is none at all"
+    remedy = (
+        "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
+        "mold, give parison.symmetry"
+    )
+    warn_of(f"{share}, {seen.direction}: {where}, so that nothing stops it there", remedy, key="mold", file=file)
 
 
 def _warn_of_side(seen: Survey, boxes: str, file: str) -> None:

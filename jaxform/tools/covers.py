@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     """
     turned = mold.positions @ found.view.turn.T
     size = meshes.size(mold.positions)
-    fans = _fans(turned, mold.triangles, found.level + FLAT * size, size)
+    fans = _fans(turned, mold.triangles, found, size)
     curtain, length = _curtain(found, polygon, size)
     closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
     patches = _patches(heights.seen(heights.surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon)
@@ -58,8 +58,8 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     return Covers(Mesh(joined.positions @ found.view.turn, joined.triangles), len(fans) + len(patches), length)
 
 
-def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list[Mesh]:
-    """A cover on each open rim of a shell that lies behind the clamp plane as a whole."""
+def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> list[Mesh]:
+    """A cover on each open rim of a shell, behind the clamp plane as a whole, not around what is formed."""
     edges, part = topology.open_rims(triangles, len(turned))
     if not len(edges):
         return []
@@ -68,8 +68,11 @@ def _fans(turned: Array, triangles: Integers, level: float, size: float) -> list
     nearest = np.full(len(count), np.inf)
     np.minimum.at(nearest, part, turned[edges][..., 2].min(1))
     made = []
-    for one in np.flatnonzero(~in_seams & (nearest > level)):
-        fan = _fan(turned[edges[part == one]])
+    for one in np.flatnonzero(~in_seams & (nearest > found.level + FLAT * size)):
+        rim = turned[edges[part == one]]
+        if _sampled(found.view.inside, found.view, rim[:, 0, :2]).mean() < 0.5:
+            continue
+        fan = _fan(rim)
         if volumes.areas(fan.positions, fan.triangles).sum() > _SPECK * size**2:
             made.append(fan)
     return made
@@ -141,7 +144,7 @@ def _edge_points(polygon: Array, step: float) -> Array:
     return polygon[side] + share[:, None] * (ends - polygon)[side]
 
 
-def _sampled(values: Array, view: Heights, places: Array) -> Array:
+def _sampled(values: NDArray[Any], view: Heights, places: Array) -> NDArray[Any]:
     """The values (n,) of the pixels that places (n, 2) [m] are in."""
     column, row = np.floor((places - view.low) / view.pixel).astype(int).T
     return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]

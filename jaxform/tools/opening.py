@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,9 @@ RIM = 0.8
 """Of the edge of what is seen, what is at one height: that is a rim."""
 _HOLLOW = 5e-4  # of the cube of the mold's size, the volume of what is a cavity
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
+_LEAST_RIM = 0.3  # the same of what is looked at with a warning
+_STEPS = (0.0, 0.25, 0.5, 0.75, 0.9)  # of the height of what stands out, where a rim of its own is looked for
+_NEARLY = 0.97  # of the best volume
 _FEW = 6  # directions of flat faces that are tried beside the axes
 _SPECK = 0.005  # of a cavity's area: less is a hole for a bolt
 
@@ -75,17 +79,40 @@ def find(vertices: Array, triangles: Integers) -> Opening:
     """
     size = meshes.size(vertices)
     surface = heights.surface(vertices, triangles)
-    looks = [_look(heights.seen(surface, turn, _COARSE), size) for turn in _turns(vertices, triangles)]
-    rimmed = [look for look in looks if look.share >= RIM] or looks
-    hollow, raised = max(rimmed, key=lambda look: look.hollow), max(rimmed, key=lambda look: look.raised)
-    male = raised.raised > _FAVOUR * hollow.hollow
-    best = raised if male else hollow
-    if max(best.hollow, best.raised) < _HOLLOW * size**3:
+    best, male = _chosen(surface, size)
+    if max(best.hollow, best.raised) < _HOLLOW * size**3 or best.share < _LEAST_RIM:
         problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
         raise InputError(problem, "write the scene by hand (docs/start.md has one to copy)")
     view = heights.seen(surface, best.view.turn, FINE)
     look = _look(view, size)
-    return _male(look, size) if male else _female(look, size)
+    return _male(look, size) if male else _female(_deeper(look, size), size)
+
+
+def is_rimmed(vertices: Array, triangles: Integers) -> bool:
+    """Whether a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
+    size = meshes.size(vertices)
+    best, _ = _chosen(heights.surface(vertices, triangles), size)
+    return best.share >= RIM and max(best.hollow, best.raised) >= _HOLLOW * size**3
+
+
+def _chosen(surface: heights.Surface, size: float) -> tuple[_Look, bool]:
+    """From where to look, and whether at what stands out."""
+    turns = _turns(surface.vertices, surface.triangles)
+    outer = [_look(heights.seen(surface, turn, _COARSE), size) for turn in turns]
+    inner = [_deeper(look, size) for look in outer]
+    hollow = _first_best(_rimmed(inner), lambda look: look.hollow)
+    raised = _first_best(_rimmed(outer), lambda look: look.raised)
+    male = raised.raised > _FAVOUR * hollow.hollow
+    return (raised if male else hollow), male
+
+
+def _rimmed(looks: list[_Look]) -> list[_Look]:
+    return [look for look in looks if look.share >= RIM] or looks
+
+
+def _first_best(looks: list[_Look], of: Callable[[_Look], float]) -> _Look:
+    """Of nearly the same the first, which is along an axis: a flange that is a little uneven is not tilted."""
+    return next(look for look in looks if of(look) >= _NEARLY * max(map(of, looks)))
 
 
 def _female(look: _Look, size: float) -> Opening:
@@ -103,6 +130,27 @@ def _male(look: _Look, size: float) -> Opening:
     view = look.view
     top = float(view.height.min())
     return Opening(view, top, look.level, view.inside, True, look.share, look.level - top)
+
+
+def _deeper(look: _Look, size: float) -> _Look:
+    """The look within a rim of its own that a cavity has, above what surrounds it; else the look as it is.
+
+    Such a rim stands out, and what it encloses holds more than it does itself.
+    """
+    view, best = look.view, look
+    above = look.level - view.height[view.inside & (view.height < look.level - FLAT * size)]
+    if not len(above):
+        return look
+    for share in _STEPS:
+        crest = masks.filled(view.inside & (view.height < look.level - max(share * above.max(), FLAT * size)))
+        part, count = masks.parts(crest)
+        if not count:
+            continue
+        largest = part == 1 + np.argmax(np.bincount(part.ravel())[1:])
+        own = _look(replace(view, inside=largest), size)
+        if own.share >= RIM and own.hollow > max(best.hollow, look.raised):
+            best = own
+    return best
 
 
 def _without_specks(deep: Mask) -> Mask:

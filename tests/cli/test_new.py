@@ -200,3 +200,65 @@ def test_wrong_outlines_in_a_scene_file(tmp_path, lines, words):
     with pytest.raises(InputError) as told:
         files.build(outline(tmp_path, lines))
     assert words in str(told.value) and "scene.toml" in str(told.value)
+
+
+def _sector(share: float) -> Mesh:
+    """So much of the dish, from the half plane y = 0, x > 0 on."""
+    profile = np.array([[0.0, 0.03], [0.06, 0.03], [0.08, 0.0], [0.1, 0.0]])
+    angle = 2 * np.pi * share * np.arange(round(60 * share) + 1) / round(60 * share)
+    points = np.stack([np.outer(np.cos(angle), profile[:, 0]), np.outer(np.sin(angle), profile[:, 0])], axis=2)
+    points = np.dstack([points, np.broadcast_to(profile[:, 1], points.shape[:2])]).reshape(-1, 3)
+    place = np.arange(len(points)).reshape(len(angle), 4)
+    a, b, c, d = place[:-1, :-1], place[:-1, 1:], place[1:, :-1], place[1:, 1:]
+    triangles = np.concatenate([np.stack(corners, 2).reshape(-1, 3) for corners in ((a, b, d), (a, d, c))])
+    return Mesh(points, triangles.astype(np.int32))
+
+
+@pytest.mark.parametrize(("share", "planes"), [(0.5, ["y"]), (0.25, ["x", "y"])])
+def test_a_mold_that_is_cut_is_completed(tmp_path, capfd, share, planes):
+    # Triangles without an area, at the axis, are left out.
+    mesh = _sector(share)
+    corners = mesh.positions[mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    mold = write(tmp_path / "cut.stl", Mesh(mesh.positions, mesh.triangles[area > 1e-12]), 0.001)
+    folder = tmp_path / "scene"
+    assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
+    said = capfd.readouterr().err
+    # The file is moved away from the origin.
+    levels = {"x": "500.0", "y": "-300.0"}
+    assert f"looks cut in {' and '.join(f'{axis} = {levels[axis]}' for axis in planes)}: images.stl" in said
+    document = files.read_scene(folder / "scene.toml")
+    assert document.data["mold"]["path"] == ["cut.stl", "images.stl"]
+    scene = files.build(document)
+    assert scene.mold is not None
+    walls = np.asarray(scene.mold.vertices)[np.unique(np.asarray(scene.mold.triangles))]
+    radius = np.linalg.norm(walls[:, :2], axis=1)
+    np.testing.assert_allclose(
+        np.interp(radius, [0.0, 0.06, 0.08, 0.1], [0.03, 0.03, 0.0, 0.0]), walls[:, 2], atol=2e-4
+    )
+    # As much of it on either side of both planes.
+    np.testing.assert_allclose([walls[:, :2].min(0), walls[:, :2].max(0)], [[-0.1, -0.1], [0.1, 0.1]], atol=2e-4)
+    assert 0.081 < survey(scene).sheet.high[0] < 0.09
+
+
+@pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
+def test_the_rim_around_the_cavity_is_clamped_on_not_a_lower_flange(tmp_path, capfd, step):
+    profile = [[0.0, 0.03], [0.03, 0.03], [0.04, 0.0], [0.046, 0.0], [0.046, step], [0.07, step]]
+    ringed = molds.revolved(profile=profile, segments=60)
+    mold = write(tmp_path / "ringed.stl", Mesh(ringed.vertices, ringed.triangles), 0.001)
+    folder = tmp_path / "scene"
+    assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
+    said = capfd.readouterr()
+    assert said.err == "" and "drawn 30 mm deep" in said.out and "covers" not in said.out
+    scene = files.load(folder / "scene.toml")
+    assert scene.mold is not None and np.asarray(scene.mold.vertices)[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+    assert 0.0405 < survey(scene).sheet.high[0] < 0.046
+
+
+def test_a_flange_that_is_a_little_uneven_is_not_tilted(tmp_path, capfd):
+    shape = dish()
+    uneven = shape.positions + np.random.default_rng(1).normal(0.0, 1e-5, shape.positions.shape)
+    mold = write(tmp_path / "dish.stl", Mesh(uneven, shape.triangles), 0.001)
+    assert command.main(["new", str(tmp_path / "scene"), "--mold", str(mold)]) == 0
+    said = capfd.readouterr()
+    assert said.err == "" and "pushed along (0, 0, 1) of the file" in said.out and "clamped on the flange" in said.out

@@ -11,7 +11,7 @@ import pytest
 import jaxform
 from jaxform import InputWarning, molds, shapes
 from jaxform.io import files
-from jaxform.io.survey import survey
+from jaxform.io.survey import survey, warn_of_scene
 from jaxform.mesh import meshes
 from tests import scenes
 
@@ -151,3 +151,31 @@ def test_nothing_is_said_of_the_built_in_scenes(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         files.load(name)
+
+
+@pytest.mark.parametrize("hole", [0.0, 0.02, 0.1])
+def test_a_hole_in_the_mold_is_told_with_its_place(hole: float) -> None:
+    """A flat ring under a disc, with a hole about (0.2, 0.1)."""
+    sheet = shapes.disc(radius=0.5, elements=400)
+    angle = 2 * np.pi * np.arange(48) / 48
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(48)], axis=1)
+    around = np.array([0.2, 0.1, 0.0]) + hole * ring
+    corners = np.concatenate([ring, around]) + np.array([0.0, 0.0, 0.1])
+    k = np.arange(48)
+    after = (k + 1) % 48
+    walls = np.concatenate([np.stack([k, after, after + 48], 1), np.stack([k, after + 48, k + 48], 1)])
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=jaxform.MooneyRivlin(*map(scenes.real, (2e5, 0.1, 1e3))),
+        pressure=jaxform.make_pressure([0.0, 1.0], [0.0, 2e3]),
+        solver=jaxform.make_solver(end_time=1.0),
+        mold=jaxform.make_mold(corners, walls),
+    )
+    bare = survey(scene).bare
+    assert bare is not None and bare.radius == pytest.approx(hole, abs=0.006)
+    if hole < 0.1:
+        warn_of_scene(scene)
+        return
+    np.testing.assert_allclose(bare.middle, [0.2, 0.1, 0.0], atol=0.01)
+    with pytest.warns(jaxform.InputWarning, match=r"4\S* % of the sheet has no mold before it.*within 0\.09\d m of"):
+        warn_of_scene(scene)

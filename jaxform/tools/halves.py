@@ -1,0 +1,66 @@
+"""Molds of which the file holds a half or a quarter: the planes that they are cut in, and the rest. On the host."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxform.mesh import meshes, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import opening, rims
+
+
+class Plane(NamedTuple):
+    """A plane across an axis, 0 to 2 for x to z, at a place [m] along it."""
+
+    axis: int
+    level: float
+
+    def image(self, mesh: Mesh) -> Mesh:
+        """The mesh mirrored in the plane."""
+        positions = mesh.positions.copy()
+        positions[:, self.axis] = 2 * self.level - positions[:, self.axis]
+        return Mesh(positions, mesh.triangles[:, ::-1])
+
+
+def _closes(mold: Mesh) -> bool:
+    """Whether what is open of a mold is the rim of its opening: else its cut is taken for one."""
+    edges, _ = topology.open_rims(mold.triangles, len(mold.positions))
+    if not len(edges):
+        return True
+    found, size = opening.find(mold.positions, mold.triangles), meshes.size(mold.positions)
+    ends = mold.positions[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    height = (ends @ found.view.turn[2]).mean(1)
+    return bool(length[np.abs(height - found.base) <= opening.FLAT * size].sum() >= opening.RIM * length.sum())
+
+
+class Rest(NamedTuple):
+    """What completes a mold, and the planes in which it is cut."""
+
+    mesh: Mesh
+    planes: list[Plane]
+
+
+def rest(mold: Mesh) -> Rest | None:
+    """What completes a mold that has no rim by itself, but one together with its images; None where there is none.
+
+    Args:
+        mold: Welded; its box touches the planes [m].
+    """
+    if opening.is_rimmed(mold.positions, mold.triangles):
+        return None
+    used = mold.positions[np.unique(mold.triangles)]
+    sides = [Plane(axis, float(end[axis])) for end in (used.min(0), used.max(0)) for axis in range(3)]
+    pairs = [pair for pair in itertools.combinations(sides, 2) if pair[0].axis != pair[1].axis]
+    for planes in [*((side,) for side in sides), *pairs]:
+        images: list[Mesh] = []
+        for plane in planes:
+            images += [plane.image(part) for part in [mold, *images]]
+        whole = meshes.merged([mold, *images])
+        whole = rims.welded(whole.positions, whole.triangles)
+        if opening.is_rimmed(whole.positions, whole.triangles) and _closes(whole):
+            return Rest(meshes.merged(images), list(planes))
+    return None
