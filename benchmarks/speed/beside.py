@@ -18,7 +18,8 @@ from jaxform.cli import checking
 from jaxform.core.store import Store
 from jaxform.io import files, output, plots
 from jaxform.mesh import meshes
-from jaxform.results.summary import penetrated
+from jaxform.results.review import warnings_of_part
+from jaxform.results.summary import penetrated, unfilled
 from jaxform.runs import padding
 from jaxform.tools.molds import MoldShape, revolved
 
@@ -85,9 +86,11 @@ def show(elements: int, triangles: int, folder: Path) -> None:
     _, roomy = timed("arrays of their rungs", lambda: padding.on_rungs(scene, recorded=True))
     result = jaxform.run(scene)
     _, through = timed("penetration", lambda: penetrated(result, scene))
+    _, apart = timed("gaps", lambda: unfilled(result, scene))
+    _, told = timed("warnings", lambda: warnings_of_part(result, scene))
     _, written = timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))
     _, drawn = timed("pictures", lambda: plots.thickness_picture(folder / "thickness.png", scene, result, None))
-    total = load + check + roomy + through + written + drawn
+    total = load + check + roomy + through + apart + told + written + drawn
     asked = f" (asked: {_LIMITS[elements]:g} s)" if elements in _LIMITS else ""
     print(f"  together: {total:.2f} s{asked}", flush=True)
 

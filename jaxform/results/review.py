@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 _OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
 _NEXT_TO = 1e-4  # of the sheet's size
-_MOST_ASKED = 10_000  # elements, whether they pass through the sheet
+_MOST_ASKED = 3000  # elements, whether they pass through the sheet
 _TORN = 0.01  # of the initial thickness: less of a free wall is beyond any sense
 
 
@@ -116,12 +116,9 @@ def _crossing(result: Result, scene: Scene) -> NDArray[np.int64]:
         return none
     used = np.flatnonzero(np.asarray(result.used))
     triangles = np.asarray(result.triangles)[used]
-    free = ~np.asarray(result.stuck)[triangles].all(1)
-    if not free.any():
-        return none
-    ratio = np.where(free, _ratio(result)[used], np.inf)
-    free &= ratio <= np.partition(ratio, min(_MOST_ASKED, len(ratio) - 1))[min(_MOST_ASKED, len(ratio) - 1)]
-    return used[folding.through_itself(np.asarray(result.positions, float), triangles, free)]
+    free = np.flatnonzero(~np.asarray(result.stuck)[triangles].all(1))
+    asked = free[np.argsort(_ratio(result)[used[free]], kind="stable")[:_MOST_ASKED]]
+    return used[folding.through_itself(np.asarray(result.positions, float), triangles, asked)]
 
 
 def _folded(result: Result, scene: Scene) -> list[str]:

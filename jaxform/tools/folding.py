@@ -12,25 +12,31 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
 
-def through_itself(positions: Array, triangles: Integers, free: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The free elements that another element cuts which shares no node with them.
+def through_itself(positions: Array, triangles: Integers, asked: Integers) -> NDArray[np.int64]:
+    """Which of some elements another one cuts that shares no node with them, in order.
 
     Args:
         positions: Of the nodes (n_node, 3) [m].
         triangles: Their elements (n_element, 3).
-        free: The elements (n_element,) that are asked about.
+        asked: Numbers of those elements (n,).
     """
-    asked = np.flatnonzero(free)
-    corners = positions[triangles]
-    if not len(asked):
-        return asked
+    asked, corners = np.asarray(asked, np.int64), positions[triangles]
+    if not len(asked) or _faces_one_way(corners):
+        return asked[:0]
     low, high = corners[asked].min((0, 1)), corners[asked].max((0, 1))
     near = np.flatnonzero(((corners.min(1) <= high) & (corners.max(1) >= low)).all(1))
-    grid = build_grid(positions, triangles[near])
+    # Looked up among the ones that are asked about, which are few.
+    grid = build_grid(positions, triangles[asked])
     found = []
-    for piece, place in near_pairs(corners[asked], corners[near], grid):
-        one, other = asked[piece], near[place]
+    for piece, place in near_pairs(corners[near], corners[asked], grid):
+        one, other = asked[place], near[piece]
         apart = ~(triangles[one][:, :, None] == triangles[other][:, None, :]).any((1, 2))
         one, other = one[apart], other[apart]
         found.append(one[intersect(corners[one], corners[other])])
     return np.unique(np.concatenate(found)) if found else asked[:0]
+
+
+def _faces_one_way(corners: Array) -> bool:
+    """Whether all elements (n, 3, 3) [m] are seen from their front, from one side: then none hides another."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return bool((normal @ normal.sum(0) > 0).all())

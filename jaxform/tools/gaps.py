@@ -16,8 +16,8 @@ from jaxform.tools.search import SearchGrid, build_grid
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
-_ASKED = 4000  # places of the mold, the farthest ones by a quick bound first, that are looked at together
-_MOST = 50_000  # places: of a mold of more triangles every few are looked at
+_ASKED, _MORE = 64, 4  # places, the farthest ones by a quick bound, that are looked at first, and times as many then
+_MOST = 20_000  # places: of a mold of more triangles every few are looked at
 _REACH = 4.0  # sides of an element, to which distances are exact
 _LIFT = 0.05  # of a gap, how far before the mold, which a node may lie on, one looks from
 _FIRST = 0.2  # of the way to the mold, that is looked along first
@@ -72,10 +72,10 @@ def widest_gap(
     places = places[:: 1 + len(places) // _MOST]
     bound = distances.about(places)
     order, best = np.argsort(-bound, kind="stable"), NO_GAP
-    for first in range(0, len(order), _ASKED):
-        if bound[order[first]] <= best.width:
-            break
-        best = max(best, sight.widest(places[order[first : first + _ASKED]]), key=lambda gap: gap.width)
+    first, count = 0, _ASKED
+    while first < len(order) and bound[order[first]] > best.width:
+        best = max(best, sight.widest(places[order[first : first + count]]), key=lambda gap: gap.width)
+        first, count = first + count, _MORE * count
     return best
 
 
