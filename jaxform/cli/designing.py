@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxform.cli import session
-from jaxform.core.errors import InputError, InputWarning
+from jaxform.core.errors import InputError, InputWarning, warn_of
 
 
 def optimize_study(arguments: argparse.Namespace) -> int:
@@ -28,6 +28,9 @@ def optimize_study(arguments: argparse.Namespace) -> int:
     reference = files.read_reference(study.document)
     folder: Path = arguments.out
     notes = folder / "search.jsonl"
+    if arguments.resume and not os.path.exists(notes):
+        problem, remedy = "has no search to go on with: it begins anew", "name the folder of the one that was stopped"
+        warn_of(problem, remedy, key="--resume", value=str(folder))
     session.open_folder(folder, arguments.force or (arguments.resume and os.path.exists(notes)))
     journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
     rows: list[dict[str, Any]] = []

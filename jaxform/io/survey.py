@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
+from jaxform.core.pytree import as_real
+from jaxform.materials.law import PlaneLaw
 from jaxform.mesh import masks, raster
 from jaxform.model.scene import Scene
 from jaxform.model.seams import place, warn_of_joints
@@ -22,6 +25,7 @@ _FLAT = 1e-3  # of the sheet's size: as near as that to its surface a mold lies 
 _HARDLY = 0.01  # of the mold's area, or of the sheet's
 _BARE, _HOLE = 0.05, 0.025  # of the sheet, with no mold before it, and of its size, the radius of such a place
 _EXPOSED = 0.2  # of the sheet, with mold only behind it
+_MOST_STRETCHED = 6.0  # times, to which a law is looked at
 _FACING = 0.5  # length of the mean normal, from which a sheet can be looked at from one side
 _PIXELS = 200  # of the longer side of the sheet, for the overlap
 _THIN, _THICK = 1.5e-5, 0.2  # of a sheet's size, its thickness
@@ -218,6 +222,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
         warn_of_joints(scene.parison, file, "parison.path", path)
     seen = survey(scene)
     _warn_of_sheet(scene, seen, file)
+    _warn_of_law(scene, file)
     _warn_of_load(scene, seen, file)
     if seen.mold is not None:
         _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
@@ -241,6 +246,20 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
     if not _LIGHT <= density <= _HEAVY:
         remedy = "give kg/m^3" + (f": {1e3 * density:.4g} where it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
         warn_of("no plastic or rubber has such a density", remedy, key="material.density", value=density, file=file)
+
+
+def _warn_of_law(scene: Scene, file: str) -> None:
+    """Of a law whose energy falls where a sheet is stretched more, equally both ways: it does not pull back there."""
+    law, stretch = scene.law.elastic, np.linspace(1.0, _MOST_STRETCHED, 501)
+    means: Any = {name: jnp.mean(values, axis=-1) for name, values in law.zones.items()}
+    square = as_real(np.square(stretch))
+    plane = 2 * square, jnp.square(square)
+    whole = 2 * square + jnp.square(1 / square), jnp.square(square) + 2 / square
+    energy = np.asarray(law.with_zones(means).energy(*(plane if isinstance(law, PlaneLaw) else whole)), float)
+    falls = np.flatnonzero(np.diff(energy) < 0.0)
+    if len(falls):
+        what = f"the law lets go of a sheet that is stretched {stretch[falls[0]]:.3g} times both ways: its energy falls"
+        warn_of(what, "change its numbers, or keep the sheet from such stretches", key="material", file=file)
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:

@@ -304,6 +304,10 @@ def make_refinement(
     for name, value in (given if jump is None else given | {"jump": jump}).items():
         check_one(f"refinement.{name}", value)
     require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
+    deepest = max(max_level, base_level)
+    if scaled_levels > deepest:
+        problem = f"is more than the {deepest} levels that there are"
+        raise InputError(problem, f"give at most {deepest}", "refinement.scaled_levels", scaled_levels)
     uneven = None if jump is None else as_real(jump)
     return Refinement(
         angle=as_real(angle),

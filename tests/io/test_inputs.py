@@ -98,6 +98,8 @@ def test_constructors_refuse_what_is_out_of_range() -> None:
             jaxform.make_solver(**{"end_time": 1.0, name: value})  # pyright: ignore
     with pytest.raises(jaxform.InputError, match=r"refinement.interval = 2.5: is not a whole number"):
         jaxform.make_refinement(angle=5.0, interval=2.5, max_level=2, elements=9)  # pyright: ignore
+    with pytest.raises(jaxform.InputError, match=r"refinement.scaled_levels = 3: is more than the 2 levels"):
+        jaxform.make_refinement(angle=5.0, interval=32, max_level=1, base_level=2, elements=9, scaled_levels=3)
     with pytest.raises(jaxform.InputError, match=r"pressure.value.*complex"):
         jaxform.make_pressure([0.0, 1.0], [0.0, 1j])  # pyright: ignore
 

@@ -179,3 +179,29 @@ def test_a_hole_in_the_mold_is_told_with_its_place(hole: float) -> None:
     np.testing.assert_allclose(bare.middle, [0.2, 0.1, 0.0], atol=0.01)
     with pytest.warns(jaxform.InputWarning, match=r"4\S* % of the sheet has no mold before it.*within 0\.09\d m of"):
         warn_of_scene(scene)
+
+
+def test_a_law_that_lets_go_is_told_with_the_stretch(tmp_path: Path) -> None:
+    text = """
+        [parison]
+        shape = "disc"
+        radius = 0.1
+        elements = 60
+        thickness = 1e-3
+        [material]
+        model = "yeoh"
+        c1 = 2e5
+        c2 = {c2}
+        c3 = 0.0
+        density = 1000.0
+        [pressure]
+        time = [0.0, 0.2]
+        value = [0.0, 2e3]
+        [solver]
+        end_time = 0.2
+        damping = 100.0
+        """
+    assert _told(tmp_path, text.format(c2=1e3)) == []
+    # dW/dI1 = c1 + 2 c2 (I1 - 3) is zero at I1 = 13: 2 x^2 + x^-4 for x = 2.546.
+    told = _told(tmp_path, text.format(c2=-1e4))
+    assert len(told) == 1 and "lets go of a sheet that is stretched 2.55 times both ways" in told[0]

@@ -104,7 +104,11 @@ def test_the_command_goes_on_after_a_kill(
     monkeypatch.setattr(session, "cache_folder", lambda: None)
     solver = 'method = "fixed-point"\niterations = 3'
     path, out = _write(tmp_path, [FIELD + "smoothness = 0.05"], TARGET, solver), tmp_path / "out"
-    assert command.main(["optimize", str(path), "--out", str(out)]) == 0
+    # There is nothing to go on with yet.
+    assert command.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
+    told = capfd.readouterr().err
+    assert "--resume" in told and "begins anew" in told and told.count("warning") == 1
+    assert any("begins anew" in sentence for sentence in json.loads((out / "summary.json").read_text())["warnings"])
     whole = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     notes = out / "search.jsonl"
     lines = notes.read_text().splitlines(keepends=True)
