@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import itertools
 import json
 import re
@@ -403,6 +404,23 @@ def test_a_scene_is_kept_in_its_own_words_and_runs_from_elsewhere(tmp_path: Path
         assert files.read_scene(kept).data["mold"]["path"] == str(tmp_path / "cup.stl")
     finally:
         kept.unlink()
+
+
+def test_a_mold_that_moves_is_where_it_was_at_each_frame(folder: Path) -> None:
+    results = reading.read_results(folder)
+    assert results.motion is None and results.scene is not None
+    text = results.scene[1] + "\n[mold.motion]\ndirection = [0, 0, 2]\ntime = [0.0, 1e-3]\ndisplacement = [0.0, 0.05]\n"
+    motion = reading._motion(text)
+    assert motion is not None
+    # Of a scene that a user has changed since, nothing is told.
+    for other in ("[mold", text.replace("1e-3", '"x"'), text.replace("direction", "way"), text.replace("0.05", "nan")):
+        assert reading._motion(other) is None
+    facts = contents.pack_parts(dataclasses.replace(results, motion=motion), packing.Parcel())
+    for part in facts["parts"]:
+        rise = [0.05 * s * s * (3 - 2 * s) for s in (min(time / 1e-3, 1.0) for time in (part["time"], facts["end"]))]
+        np.testing.assert_allclose(part["mold"], [0.0, 0.0, rise[0] - rise[1]], atol=1e-12)
+    assert facts["parts"][0]["label"] == "end" and facts["parts"][0]["mold"] == [0.0, 0.0, 0.0]
+    assert len({tuple(part["mold"]) for part in facts["parts"]}) > 1
 
 
 @pytest.fixture(scope="module")

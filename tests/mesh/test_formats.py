@@ -301,7 +301,7 @@ def test_data_of_triangles_go_to_the_nodes_by_area(tmp_path: Path, welded: bool)
 
 
 def test_cell_data_as_the_thickness_of_a_parison(tmp_path: Path) -> None:
-    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]) * 0.1
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]) * 0.07
     triangles = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
     meshes.write_vtu(tmp_path / "p.vtu", points, triangles, cell_data={"wall": np.arange(1.0, 5.0) * 1e-3})
     begin, end = scenes.FILE.index('shape = "disc"'), scenes.FILE.index("[material]")

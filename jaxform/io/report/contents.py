@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from jaxform.io.report.packing import Parcel, by_first_use, spatial_order
 from jaxform.io.report.reading import Part, Results
 from jaxform.io.scales import color_range, formed_elements
 from jaxform.mesh.meshes import Mesh
+
+if TYPE_CHECKING:
+    from jaxform.tools.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -47,9 +50,9 @@ _ALWAYS = ("thickness", "stretch_1", "stretch_2", "contact_time")  # others are 
 
 def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
     """Packs meshes, parts and mold; returns what the page has to know of them, as plain numbers and words."""
-    parts = _Parts(parcel)
     search = results.start is not None
     end = float(results.summary.get("time") or 0.0)
+    parts = _Parts(parcel, results.motion, end)
     parts.add(results.part, "best design" if search else "end", end)
     if results.start is not None:
         parts.add(results.start, "start of the search", end)
@@ -74,8 +77,9 @@ def symmetry_of(results: Results) -> dict[str, float]:
 class _Parts:
     """Parts that are packed one after the other; those with the same mesh share it."""
 
-    def __init__(self, parcel: Parcel) -> None:
+    def __init__(self, parcel: Parcel, motion: Motion | None, end: float) -> None:
         self.described: list[dict[str, Any]] = []
+        self._motion, self._end = motion, end
         self._parcel = parcel
         self._meshes: list[tuple[Part, NDArray[np.int64]]] = []
 
@@ -98,7 +102,15 @@ class _Parts:
                 self._parcel.add(name, part.cells[quantity.key], relative=quantity.relative, coarse=coarse)
         for name, values in nodal.items():
             self._parcel.add(f"{prefix}.{name}", values, coarse=coarse)
-        self.described.append({"label": label, "time": time, "mesh": mesh})
+        self.described.append({"label": label, "time": time, "mesh": mesh, "mold": self._moved(time)})
+
+    def _moved(self, time: float) -> list[float]:
+        """How far the mold is at a time [s] from where it is in the end (3,) [m]."""
+        if self._motion is None:
+            return [0.0, 0.0, 0.0]
+        moments: tuple[Any, ...] = time, self._end
+        there, last = (np.asarray(self._motion.offset(moment), float) for moment in moments)
+        return (there - last).tolist()
 
     def _as_known(self, part: Part) -> Part:
         """The same with its elements in an order that takes little room, unless its mesh is already there."""

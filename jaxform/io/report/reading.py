@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
+import tomllib
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from jaxform.core.errors import InputError
 from jaxform.io.earlier import AGAIN
 from jaxform.io.report.facts import read_summary
 from jaxform.mesh import meshes
+
+if TYPE_CHECKING:
+    from jaxform.tools.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -52,7 +56,8 @@ class Results:
         start: Of start.vtu, the part that a search began with; None of a simulation.
         frames: Times [s] and parts before the end; only so many as a page can hold.
         frame_count: How many there are in the folder.
-        mold: Of mold.vtu; None without a mold.
+        mold: Of mold.vtu, where it is in the end; None without a mold.
+        motion: How the mold moves; None where it rests.
         scene: The scene file, its name and its text; None where there is none.
         history: Rows of history.csv; empty for a simulation.
     """
@@ -63,6 +68,7 @@ class Results:
     frames: list[tuple[float, Part]] = field(default_factory=list)
     frame_count: int = 0
     mold: meshes.Mesh | None = None
+    motion: Motion | None = None
     scene: tuple[str, str] | None = None
     history: list[dict[str, str]] = field(default_factory=list)
 
@@ -82,6 +88,7 @@ def read_results(folder: Path) -> Results:
     is_search = summary.get("design") is not None
     scene = folder / ("best.toml" if is_search else "simulated.toml")
     frames, count = ([], 0) if is_search else _frames(folder, part, float(summary.get("time") or 0.0))
+    text = disk.read_text(scene) if disk.is_file(scene) else None
     return Results(
         summary=summary,
         part=part,
@@ -89,9 +96,23 @@ def read_results(folder: Path) -> Results:
         frames=frames,
         frame_count=count,
         mold=_mesh(folder / "mold.vtu") if disk.is_file(folder / "mold.vtu") else None,
-        scene=(scene.name, disk.read_text(scene)) if disk.is_file(scene) else None,
+        motion=None if text is None else _motion(text),
+        scene=None if text is None else (scene.name, text),
         history=_rows(folder / "history.csv") if is_search else [],
     )
+
+
+def _motion(scene: str) -> Motion | None:
+    """The motion of the mold of a scene file; None where it has none, or none that can be read."""
+    try:
+        table = tomllib.loads(scene).get("mold", {}).get("motion")
+        if table is None:
+            return None
+        from jaxform.tools.motion import make_motion  # with JAX, which takes a second to import
+
+        return make_motion(**table)
+    except (tomllib.TOMLDecodeError, InputError, AttributeError, TypeError):
+        return None
 
 
 def _mesh(path: Path) -> meshes.Mesh:

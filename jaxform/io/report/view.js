@@ -227,20 +227,24 @@ class View {
       // Where the part lies on it, the part is seen.
       gl.enable(gl.POLYGON_OFFSET_FILL);
       gl.polygonOffset(2, 40);
-      this.drawImages(this.mold, options.whole && this.moldMirrored);
+      this.drawImages(this.mold, options.whole && this.moldMirrored, gl.TRIANGLES, pane.part.mold);
       gl.disable(gl.POLYGON_OFFSET_FILL);
       gl.depthMask(true);
       gl.disable(gl.BLEND);
     }
   }
 
-  drawImages(surface, wanted, kind = this.gl.TRIANGLES) {
+  // The surface and its images, all moved first.
+  drawImages(surface, wanted, kind = this.gl.TRIANGLES, moved = [0, 0, 0]) {
     const { gl, at } = this;
     if (!surface) return;
     this.bind(surface);
     this.images(wanted).forEach(({ flip, shift }, number) => {
       gl.uniform3fv(at.flip, flip);
-      gl.uniform3fv(at.shift, shift);
+      gl.uniform3fv(
+        at.shift,
+        shift.map((x, axis) => x + flip[axis] * moved[axis]),
+      );
       gl.uniform1i(at.image, number);
       gl.drawArrays(kind, 0, surface.count);
     });
