@@ -180,7 +180,8 @@ def unfilled(result: Result, scene: Scene) -> Gap:
     pressures = scene.pushes()
     highest = float(pressures[np.argmax(np.abs(pressures))])
     offset, triangles = _offset(result, scene), np.asarray(result.triangles)[np.asarray(result.used)]
-    gap = widest_gap(positions - offset, triangles, np.asarray(result.wall), highest, scene.mold, scene.tables.grid)
+    nodes = np.asarray(result.wall), np.asarray(scene.parison.clamped)
+    gap = widest_gap(positions - offset, triangles, *nodes, highest, scene.mold, scene.tables.grid)
     return gap._replace(place=gap.place + offset)
 
 

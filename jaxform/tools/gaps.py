@@ -44,17 +44,24 @@ NO_GAP = Gap(0.0, np.zeros(3), -1)
 
 
 def widest_gap(
-    positions: Array, triangles: Integers, wall: Integers, push: float, mold: Mold, grid: SearchGrid | None = None
+    positions: Array,
+    triangles: Integers,
+    wall: Integers,
+    clamped: NDArray[np.bool_],
+    push: float,
+    mold: Mold,
+    grid: SearchGrid | None = None,
 ) -> Gap:
     """The widest gap between a sheet and the mold before it.
 
     The mold's corners and the middles of its triangles are looked at. What is beside the sheet or behind it, and what
-    another part of the mold hides from it, is no gap.
+    another part of the mold hides from it, is no gap; nor is what is nearest to its clamped edge, which ends there.
 
     Args:
         positions: Of the nodes (n_node, 3) [m].
         triangles: Their elements (n_element, 3), along whose normals pressure acts.
         wall: What each node sticks to (n_node,), see `Result.wall`.
+        clamped: Nodes of its edge (n_node,).
         push: The pressure [Pa]; its sign alone counts.
         mold: The mold.
         grid: Its search structure; made here by default.
@@ -67,7 +74,7 @@ def widest_gap(
     usual = float(np.linalg.norm(sheet - np.roll(sheet, 1, axis=1), axis=2).mean())
     distances = Distances(Triangulation(positions, triangles), _REACH * usual)
     back = _back(positions, triangles, wall, push, corners[walls])
-    sight = _Sight(sheet, back[triangles], distances, mold, grid)
+    sight = _Sight(sheet, back[triangles], clamped[triangles].any(1), distances, mold, grid)
     places = np.concatenate([corners[np.unique(walls)], corners[walls].mean(1)])
     places = places[:: 1 + len(places) // _MOST]
     bound = distances.about(places)
@@ -95,10 +102,11 @@ def _back(positions: Array, triangles: Integers, wall: Integers, push: float, mo
 
 @dataclass(frozen=True)
 class _Sight:
-    """Elements (n_element, 3, 3) [m] that look at the mold, and which way is back at their nodes."""
+    """Elements (n_element, 3, 3) [m] that look at the mold, which way is back at their nodes, and which are clamped."""
 
     sheet: Array
     back: Array
+    clamped: NDArray[np.bool_]
     distances: Distances
     mold: Mold
     grid: SearchGrid
@@ -108,7 +116,8 @@ class _Sight:
         near = self.distances.nearest(places)
         way, back = places - near.place, self.back[near.triangle]
         before = np.einsum("nkj,nj->n", back, way) < 0
-        found = np.flatnonzero(before & ~near.at_rim & (near.distance > 0))
+        before &= ~near.at_rim & ~self.clamped[near.triangle] & (near.distance > 0)
+        found = np.flatnonzero(before)
         # A place of an element may be beyond an edge of the mold; its nodes are not.
         eyes = self.sheet[near.triangle[found]] + _LIFT * near.distance[found, None, None] * back[found]
         found = found[self._sees(eyes, places[found]).sum(1) >= 2]

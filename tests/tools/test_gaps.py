@@ -46,19 +46,24 @@ def test_a_flat_sheet_over_the_bottom_of_a_pocket(height: float) -> None:
     # Clear of the walls, on which it would lie.
     positions[:, :2] = 0.5 + 0.99 * (positions[:, :2] - 0.5)
     free = np.zeros(len(positions), int)
-    found = widest_gap(positions, SHEET.triangles, free, 2.0, _block())
+    clamped = np.zeros(len(positions), bool)
+    found = widest_gap(positions, SHEET.triangles, free, clamped, 2.0, _block())
     # The bottom's corners are a little farther away than the sheet is high; what is outside of the block is hidden.
     assert 1.0 - height <= found.width <= np.hypot(1.0 - height, 0.01 * np.sqrt(0.5)) + 1e-12
     assert found.place[2] == 1.0
     assert np.linalg.norm(positions[SHEET.triangles[found.element], :2].mean(0) - found.place[:2]) < 0.2
     # Pushed the other way it has nothing before it.
-    assert widest_gap(positions, SHEET.triangles, free, -2.0, _block()) == NO_GAP
+    assert widest_gap(positions, SHEET.triangles, free, clamped, -2.0, _block()) == NO_GAP
+    # Nor does it look from its clamped edge.
+    whole = widest_gap(positions, SHEET.triangles, free, ~clamped, 2.0, _block())
+    assert whole == NO_GAP
 
 
 def test_what_is_beside_a_sheet_is_no_gap() -> None:
     plate = _solid([1.5, 0.0, -0.5], [2.5, 1.0, 0.7])
     mold = make_mold(np.asarray(plate.vertices), np.asarray(plate.faces, np.int32))
-    assert widest_gap(_lying_at(0.0), SHEET.triangles, np.zeros(len(SHEET.positions), int), 1.0, mold) == NO_GAP
+    none = np.zeros(len(SHEET.positions), int)
+    assert widest_gap(_lying_at(0.0), SHEET.triangles, none, none > 0, 1.0, mold) == NO_GAP
 
 
 def _angle() -> Mold:
@@ -79,7 +84,7 @@ def test_an_edge_that_elements_span_is_a_gap_or_a_cut(sharp: bool) -> None:
     triangles, wall = np.array([[0, 1, 2], [0, 2, 3]]), np.array([1, 2, 6, 5])
     # The sheet's normals point away from the edge.
     push, side = (1.0, -1) if sharp else (-1.0, 1)
-    gap = widest_gap(nodes, triangles, side * wall, push, _angle())
+    gap = widest_gap(nodes, triangles, side * wall, np.zeros(4, bool), push, _angle())
     cut = penetration(nodes, triangles, side * wall, _angle()).elements
     if sharp:
         assert gap.width < 1e-9 and cut == pytest.approx(0.2, rel=1e-9)
