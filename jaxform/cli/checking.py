@@ -114,10 +114,8 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
     rims = f"{found.rims} rim" if found.rims == 1 else f"{found.rims} rims"
     on_planes = f", {int(np.asarray(parison.fixed)[:first].any(1).sum())} on symmetry planes" if _cut(scene) else ""
     yield f"{parts}, {rims}, {held} of {first} nodes clamped{on_planes}"
-    knots = scene.pushes()
-    largest = float(knots[np.argmax(np.abs(knots))])
     turns = ", but it changes its sign" if seen.changes_sign else ""
-    yield f"the pressure, up to {largest:.4g} Pa, pushes the sheet {seen.direction}{turns}"
+    yield f"the pressure, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
 
 
 def _cut(scene: Scene) -> bool:

@@ -83,6 +83,8 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
 
 
 def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
+    from jaxform.model.seams import place
+
     wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
     say(
         f"{summary['scene']}: {summary['elements_final']} elements, {summary['steps']} steps in "
@@ -94,12 +96,12 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
         f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
     if summary["penetration_max"] > summary["thickness"]["mean"]:
-        place = ", ".join(f"{value:.4g}" for value in summary["penetration_place"])
+        where = place(summary["penetration_place"])
         say(
-            f"an element cuts an edge of the mold, {1e3 * summary['penetration_max']:.3g} mm deep at ({place}) m: "
+            f"an element cuts an edge of the mold, {1e3 * summary['penetration_max']:.3g} mm deep at {where}: "
             "smaller elements would follow it"
         )
     if summary["gap_max"] > summary["thickness"]["mean"]:
-        place = ", ".join(f"{value:.4g}" for value in summary["gap_place"])
-        say(f"the mold is filled least at ({place}) m: {1e3 * summary['gap_max']:.3g} mm are left")
+        where = place(summary["gap_place"])
+        say(f"the mold is filled least at {where}: {1e3 * summary['gap_max']:.3g} mm are left")
     say(f"status: {summary['status']}; results in {folder}")

@@ -143,8 +143,7 @@ def _box(points: Array) -> Box:
 
 def _sign(scene: Scene) -> float:
     """1 where the largest pressure pushes along the elements' normals, else -1."""
-    knots = scene.pushes()
-    return -1.0 if knots[np.argmax(np.abs(knots))] < 0 else 1.0
+    return -1.0 if scene.strongest_push() < 0 else 1.0
 
 
 def _on(walls: Array) -> Array:

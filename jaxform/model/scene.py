@@ -197,6 +197,11 @@ class Scene:
         """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
         return pushes_of(self.pressure, self.solver, self.parison)
 
+    def strongest_push(self) -> float:
+        """The pressure of the largest magnitude [Pa], with its sign; on the host."""
+        knots = self.pushes()
+        return float(knots[np.argmax(np.abs(knots))])
+
     @property
     def stiffens(self) -> bool:
         """Whether its moduli change while it runs, since it cools."""
@@ -303,8 +308,8 @@ def make_refinement(
     given |= {"base_level": base_level, "base_reach": base_reach, "scaled_levels": scaled_levels, "elements": elements}
     for name, value in (given if jump is None else given | {"jump": jump}).items():
         check_one(f"refinement.{name}", value)
-    require(max(max_level, base_level) > 0, "must not both be 0", "refinement.max_level", max_level)
     deepest = max(max_level, base_level)
+    require(deepest > 0, "must not both be 0", "refinement.max_level", max_level)
     if scaled_levels > deepest:
         problem = f"is more than the {deepest} levels that there are"
         raise InputError(problem, f"give at most {deepest}", "refinement.scaled_levels", scaled_levels)

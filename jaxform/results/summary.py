@@ -163,9 +163,8 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     if scene.mold is None or not np.isfinite(positions).all():
         return Penetration(0.0, 0.0, np.zeros(3))
     triangles = np.asarray(result.triangles)[np.asarray(result.used)]
-    pressures = scene.pushes()
-    start, highest = np.asarray(scene.parison.positions, float), pressures[np.argmax(np.abs(pressures))]
-    resting = resting_directions(start, positions, triangles, float(highest))
+    start = np.asarray(scene.parison.positions, float)
+    resting = resting_directions(start, positions, triangles, scene.strongest_push())
     offset = _offset(result, scene)
     wall, grid = np.asarray(result.wall), scene.tables.grid
     found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
@@ -177,11 +176,9 @@ def unfilled(result: Result, scene: Scene) -> Gap:
     positions, lost = np.asarray(result.positions, float), Status.RUNAWAY | Status.ESCAPED | Status.BURST
     if scene.mold is None or int(result.status) & lost or not np.isfinite(positions).all():
         return NO_GAP
-    pressures = scene.pushes()
-    highest = float(pressures[np.argmax(np.abs(pressures))])
     offset, triangles = _offset(result, scene), np.asarray(result.triangles)[np.asarray(result.used)]
     nodes = np.asarray(result.wall), np.asarray(scene.parison.clamped)
-    gap = widest_gap(positions - offset, triangles, *nodes, highest, scene.mold, scene.tables.grid)
+    gap = widest_gap(positions - offset, triangles, *nodes, scene.strongest_push(), scene.mold, scene.tables.grid)
     return gap._replace(place=gap.place + offset)
 
 

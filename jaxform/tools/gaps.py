@@ -12,6 +12,7 @@ from jaxform.tools.crossings import proper_crossings
 from jaxform.tools.distances import Distances, Triangulation
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
+from jaxform.tools.sides import normals_of_nodes, off_the_mold
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -88,16 +89,12 @@ def widest_gap(
 
 def _back(positions: Array, triangles: Integers, wall: Integers, push: float, mold_corners: Array) -> Array:
     """Unit vectors (n_node, 3) away from where the nodes are pushed: off the mold, of those that touch it."""
-    sheet = positions[triangles]
-    normal = -np.sign(push) * np.cross(sheet[:, 1] - sheet[:, 0], sheet[:, 2] - sheet[:, 0])
-    corner = triangles.ravel()
-    back = np.stack([np.bincount(corner, np.repeat(part, 3), len(positions)) for part in normal.T], axis=1)
-    node = np.flatnonzero(wall)
-    touched = mold_corners[np.abs(wall[node]) - 1]
-    off = np.cross(touched[:, 1] - touched[:, 0], touched[:, 2] - touched[:, 0])
-    back[node] = np.sign(wall[node])[:, None] * off
+    back = -np.sign(push) * normals_of_nodes(positions, triangles)
     length = np.linalg.norm(back, axis=1, keepdims=True)
-    return back / np.where(length > 0, length, 1.0)
+    back /= np.where(length > 0, length, 1.0)
+    node = np.flatnonzero(wall)
+    back[node] = off_the_mold(wall[node], mold_corners)
+    return back
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from jaxform.tools.distances import Distances, point_triangle_distance
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.sides import Ways, beyond_mold
+from jaxform.tools.sides import Ways, beyond_mold, normals_of_nodes, off_the_mold
 
 __all__ = ["Penetration", "penetration", "point_triangle_distance"]
 
@@ -94,9 +94,7 @@ def resting_directions(start: Array, end: Array, triangles: Integers, pressure: 
         pressure: The pressure [Pa]; its sign alone counts.
     """
     rests = np.linalg.norm(end - start, axis=1) <= _RESTING * np.ptp(start, axis=0).max()
-    corners = start[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.stack([np.bincount(triangles.ravel(), np.repeat(part, 3), len(start)) for part in normal.T], axis=1)
+    total = normals_of_nodes(start, triangles)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     away = -np.sign(pressure) * total / np.where(length > 0, length, 1.0)
     return np.where(rests[:, None], away, 0.0)
@@ -107,10 +105,8 @@ def _lift(
 ) -> tuple[Array, float]:
     """What lifts the nodes that landed off the mold (n_node, 3) [m], and how far they are below its planes [m]."""
     node = np.flatnonzero(landed)
-    corners = mold_corners[np.abs(wall[node]) - 1]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal *= (np.sign(wall[node]) / np.linalg.norm(normal, axis=1))[:, None]
-    height = np.einsum("ij,ij->i", positions[node] - corners[:, 0], normal)
+    normal = off_the_mold(wall[node], mold_corners)
+    height = np.einsum("ij,ij->i", positions[node] - mold_corners[np.abs(wall[node]) - 1, 0], normal)
     lift = np.zeros_like(positions)
     lift[node] = _LIFT * size * normal
     return lift, 0.0 - float(height.min(initial=0.0))

@@ -20,6 +20,20 @@ _APART = 1e-7  # of an element, how far inside it a way begins: it may end at an
 _CHUNK = 300_000  # ways and triangles looked at together
 
 
+def normals_of_nodes(positions: Array, triangles: Integers) -> Array:
+    """Sums (n_node, 3) [m^2] of the normals of the elements round each node, each twice as long as its area."""
+    corners = positions[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.stack([np.bincount(triangles.ravel(), np.repeat(part, 3), len(positions)) for part in normal.T], axis=1)
+
+
+def off_the_mold(wall: Integers, mold_corners: Array) -> Array:
+    """Unit normals (n, 3) of the mold, on the side from which nodes came that stick to `wall` (n,), nowhere 0."""
+    corners = mold_corners[np.abs(wall) - 1]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normal * (np.sign(wall) / np.linalg.norm(normal, axis=1))[:, None]
+
+
 class Ways:
     """Ways inside the elements that the mold cuts.
 
