@@ -27,7 +27,7 @@ from benchmarks.paper import bottle as bottle_tables
 from benchmarks.timing import best_in_turns, one_core, say, whole_loop
 from jaxform import scenes
 from jaxform.core.store import Store
-from jaxform.io import files, views
+from jaxform.io import files, surfaces
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.result import Result, only_used
@@ -129,7 +129,7 @@ def faces(scene: Scene, part: Result, *, whole: bool = True) -> tuple[np.ndarray
     if scene.name == "soap-bottle":
         images = [upright(corners), upright(corners * [1.0, 1.0, -1.0])] if whole else [upright(corners)]
     else:
-        images = [1e3 * image for image in views.mirrored(scene, corners / 1e3, open_front=whole)]
+        images = [1e3 * image for image in surfaces.mirrored(scene, corners / 1e3, open_front=whole)]
     return np.concatenate(images), np.tile(reduced(scene, part), len(images))
 
 

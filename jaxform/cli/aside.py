@@ -27,14 +27,13 @@ class Aside:
     Args:
         module: A module that it imports.
         ready: The function of that which it calls, so that all is there that will be needed.
-        precision: Whether JAX has double precision there, for the numbers that it is given.
     """
 
-    def __init__(self, module: str, ready: str, precision: bool) -> None:
+    def __init__(self, module: str, ready: str) -> None:
         """See the class."""
         context = multiprocessing.get_context("spawn")
         self._here, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, module, ready, precision), daemon=True)
+        self._process = context.Process(target=_serve, args=(there, module, ready), daemon=True)
         with _no_interrupts():
             self._process.start()
         there.close()
@@ -61,12 +60,12 @@ def here(function: Callable[..., object], *arguments: Any) -> None:
 
 
 @contextlib.contextmanager
-def aside(module: str, ready: str, precision: bool, wanted: bool) -> Iterator[Callable[..., None]]:
+def aside(module: str, ready: str, wanted: bool) -> Iterator[Callable[..., None]]:
     """What calls a function of a module with arguments: in another process, where one is wanted and can be had."""
     other = None
     if wanted and _cores() > 1:
         with contextlib.suppress(OSError):
-            other = Aside(module, ready, precision)
+            other = Aside(module, ready)
     try:
         yield other or here
     finally:
@@ -92,15 +91,10 @@ def _no_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(asked: Connection, module: str, ready: str, precision: bool) -> None:
+def _serve(asked: Connection, module: str, ready: str) -> None:
     """What the other process does, until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
-    import jax
-
-    # It draws; an accelerator is for the run.
-    jax.config.update("jax_platforms", "cpu")
-    jax.config.update("jax_enable_x64", precision)
     with contextlib.suppress(*_NO_ANSWER):
         getattr(importlib.import_module(module), ready)()
         while True:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import dataclasses
 import gc
 import os
 import sys
@@ -122,16 +121,7 @@ def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
 
 def drawing(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[Callable[..., None]]:
     """What has a picture drawn, meanwhile and elsewhere where the process is the command's own."""
-    return aside("jaxform.io.plots", "warm_up", arguments.dtype == "float64", arguments.own_process)
-
-
-def drawable(scene: Scene, result: Result) -> tuple[Scene, Result]:
-    """What pictures need of a part, in NumPy's arrays."""
-    import jax
-    import numpy as np
-
-    scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, grid=None))
-    return jax.tree.map(np.asarray, (scene, result))
+    return aside("jaxform.io.canvas", "warm_up", arguments.own_process)
 
 
 def write_part(
@@ -147,7 +137,7 @@ def write_part(
 
     The summary is amended on request.
     """
-    from jaxform.io import output, plots
+    from jaxform.io import canvas, output, plots
 
     folder, told = arguments.out, list(arguments.warned)
 
@@ -156,7 +146,7 @@ def write_part(
         return summary, None if draw is here else _failure(then)
 
     with meanwhile(write) as written:
-        draw(plots.thickness_picture, folder / "thickness.png", *drawable(scene, result), reference)
+        draw(canvas.draw_part, folder / "thickness.png", plots.part_picture(scene, result, reference))
     summary, failure = written.result()
     if draw is here:
         # To read files back, a process limits its memory; not while it draws.

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.writing import whole
-from jaxform.io.plots import AFTER, new_figure, save
+from jaxform.io.canvas import new_figure, save
+from jaxform.io.plots import AFTER
 from jaxform.io.rewriting import inline
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Pictures: the formed part with its wall, the search, and a design before and after. The only user of matplotlib."""
+"""Pictures: the formed part with its wall, the search, and a design before and after."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
-from jaxform.core.writing import whole
+from jaxform.io import canvas, views
+from jaxform.io.canvas import Diagram, Line, PartPicture
 from jaxform.io.scales import color_range, formed_elements, seen_apart
-from jaxform.io.views import draw_part
+from jaxform.io.surfaces import part_view
 from jaxform.model.replacing import number_at
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -26,7 +27,6 @@ Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
 
 _BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
-_DPI = 100
 MINIMUM = "#d00000"
 _KEPT = 5e-3  # of a limit, by which it may be broken
 
@@ -42,15 +42,14 @@ def thickness_picture(
         result: The part.
         reference: An exact solution to dot over it: `initial_radius` [m], `arc` [m] from the axis, `thickness_ratio`.
     """
+    canvas.draw_part(path, part_picture(scene, result, reference))
+
+
+def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | None = None) -> PartPicture:
+    """What is in the picture of a formed part, as arrays; the arguments are those of `thickness_picture`."""
     scene, result = only_used(scene, result)
-    figure = new_figure(16, 7, _title(scene, result))
-    view = figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d")
-    colors = draw_part(view, scene, result, _scale([(scene, result)]), mark=thinnest(result, scene)["formed"])
-    bar = figure.add_axes((0.475, 0.2, 0.012, 0.5))
-    _draw_bar(figure, colors, bar, "wall thickness [mm]", [result])
-    axes = figure.add_axes((0.58, 0.12, 0.39, 0.74))
-    _draw_wall(axes, scene, result, reference)
-    save(figure, path)
+    view = part_view(scene, result, _scale([(scene, result)]), mark=thinnest(result, scene)["formed"])
+    return PartPicture(_title(scene, result), view, _wall(result), _diagram(scene, result, reference))
 
 
 def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
@@ -60,7 +59,7 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
         path: Where the PNG goes.
         history: Rows of the search, with the columns of history.csv.
     """
-    figure = new_figure(14, 5.5, "")
+    figure = canvas.new_figure(14, 5.5, "")
     left, right = figure.subplots(1, 2)
     spent = _column(history, "simulations")
     error, words = 100 * _column(history, "thickness_rms_error"), "deviation from the target, rms [%]"
@@ -83,7 +82,7 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
     twin.spines["top"].set_visible(False)
     right.legend(handles=[*right.lines, *twin.lines], frameon=False, loc="center right")
     figure.tight_layout()
-    save(figure, path)
+    canvas.save(figure, path)
 
 
 def design_picture(path: str | Path, before: Part, after: Part, target: float | None = None) -> None:
@@ -97,14 +96,14 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     """
     designed = _designed_field(before[0], after[0])
     before, after = only_used(*before), only_used(*after)
-    figure = new_figure(16, 12, "")
+    figure = canvas.new_figure(16, 12, "")
     scale = _scale([before, after])
     for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
         view = figure.add_axes((place, 0.46, 0.45, 0.47), projection="3d")
-        colors = draw_part(view, *part, scale)
+        colors = views.draw(view, part_view(*part, scale))
         figure.text(place + 0.225, 0.955, _part_words(words, part), ha="center", fontsize=13)
     bar = figure.add_axes((0.925, 0.52, 0.012, 0.34))
-    _draw_bar(figure, colors, bar, "wall thickness [mm]", [before[1], after[1]])
+    canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", [_wall(before[1]), _wall(after[1])])
     same = np.array_equal(before[0].pressure.value, after[0].pressure.value)
     count = 2 if same else 3
     width = 0.93 / count
@@ -117,7 +116,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     _draw_walls(figure.add_axes(places[1]), before, after, target)
     if not same:
         _draw_pressures(figure.add_axes(places[2]), before[0], after[0])
-    save(figure, path)
+    canvas.save(figure, path)
 
 
 def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) -> None:
@@ -129,44 +128,15 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
         results: The part at each time.
     """
     parts = [only_used(scene, result) for result in results]
-    figure, scale = new_figure(5.5 * len(parts), 5.5, scene.name), _scale(parts[-1:])
+    figure, scale = canvas.new_figure(5.5 * len(parts), 5.5, scene.name), _scale(parts[-1:])
     for k, (shown, part) in enumerate(parts):
         view = figure.add_axes((0.95 * k / len(parts), 0.02, 0.95 / len(parts), 0.84), projection="3d")
-        colors = draw_part(view, shown, part, scale, edges=True)
+        colors = views.draw(view, part_view(shown, part, scale, edges=True))
         words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
         figure.text(0.95 * (k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
     bar = figure.add_axes((0.96, 0.25, 0.005, 0.45))
-    _draw_bar(figure, colors, bar, "wall [mm]", [part for _, part in parts])
-    save(figure, path)
-
-
-def warm_up() -> None:
-    """Imports and sets up what a picture needs, half of what a first one takes."""
-    new_figure(1, 1, "").add_axes((0, 0, 1, 1), projection="3d")
-
-
-def new_figure(width: float, height: float, title: str) -> Any:
-    """A figure of some width and height, in hundreds of pixels, which needs no display."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), dpi=_DPI)
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title, fontsize=14)
-    return figure
-
-
-def save(figure: Any, path: str | Path) -> None:
-    """Writes a figure as PNG, its diagrams with a grid, from 0 where all is positive."""
-    for axes in figure.axes:
-        if axes.name != "3d" and axes.lines:  # neither a view nor a colour bar
-            axes.grid(alpha=0.25)
-            if axes.get_yscale() == "linear" and axes.get_aspect() == "auto" and axes.dataLim.y0 >= 0:
-                axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
-            axes.spines["top"].set_visible(False)
-    with whole(path) as fresh:
-        figure.savefig(fresh, dpi=_DPI, metadata={"Software": None})
+    canvas.draw_bar(figure, colors, bar, "wall [mm]", [_wall(part) for _, part in parts])
+    canvas.save(figure, path)
 
 
 def _title(scene: Scene, result: Result) -> str:
@@ -190,14 +160,6 @@ def _part_words(words: str, part: Part) -> str:
     )
 
 
-def _draw_bar(figure: Any, colors: Any, axes: Any, label: str, results: Sequence[Result]) -> None:
-    """The colour bar, which says where walls are thinner or thicker than its range."""
-    walls = 1e3 * np.concatenate([np.asarray(result.element_thickness, float) for result in results])
-    below, above = walls.min() < 0.999 * colors.norm.vmin, walls.max() > 1.001 * colors.norm.vmax
-    extend = "both" if below and above else "min" if below else "max" if above else "neither"
-    figure.colorbar(colors, cax=axes, label=label, extend=extend)
-
-
 def _scale(parts: Sequence[Part]) -> tuple[float, float]:
     """Range of the colours [mm], shared by all that are drawn: of what was formed, not of flanges that stayed flat."""
     walls, areas = [], []
@@ -209,7 +171,12 @@ def _scale(parts: Sequence[Part]) -> tuple[float, float]:
     return color_range(1e3 * np.concatenate(walls), np.concatenate(areas))
 
 
-def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> None:
+def _wall(result: Result) -> Array:
+    """Thickness of the elements (n_element,) [mm]."""
+    return 1e3 * np.asarray(result.element_thickness, float)
+
+
+def _diagram(scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> Diagram:
     """Wall thickness over arc length, or over the initial radius with the exact solution in dots.
 
     With an exact solution the place is that in the initial sheet: flat elements cut a sharp corner short, and beyond
@@ -217,46 +184,44 @@ def _draw_wall(axes: Any, scene: Scene, result: Result, reference: Mapping[str, 
     """
     disc = sections.is_disc(scene)
     if reference is not None and disc:
-        _draw_exact(axes, scene, result, reference)
-        return
-    thin = thinnest(result, scene)
+        return _exact(scene, result, reference)
+    thin, lines = thinnest(result, scene), []
     for curve, color in zip(sections.curves(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
         style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
         shown = seen_apart(curve.arc, curve.thickness) if disc else slice(None)
-        axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], color=color, label=curve.label, **style)
+        style |= {"color": color, "label": curve.label}
+        lines.append(Line(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], style))
         if curve.marked is not None:
-            _mark(axes, 1e3 * curve.marked, thin)
+            lines.append(_mark(1e3 * curve.marked, thin, lines))
     where = "arc length from the axis" if disc else "arc length along the section"
-    axes.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]")
-    if axes.lines:
-        axes.legend(frameon=False)
+    return Diagram(lines, f"{where} [mm]", "wall thickness [mm]")
 
 
-def _mark(axes: Any, arc: float, thin: Mapping[str, Any]) -> None:
-    """The thinnest place, named once."""
+def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Line:
+    """The thinnest place, named once among the lines."""
     where = ", ".join(f"{1e3 * x + 0.0:.3g}" for x in thin["formed"])
-    named = any(line.get_label().startswith("minimum") for line in axes.lines)
+    named = any(line.style["label"].startswith("minimum") for line in lines)
     label = "_" if named else f"minimum {1e3 * thin['thickness']:.3g} mm, at ({where}) mm"
-    wall = 1e3 * thin["thickness"]
-    axes.plot([arc], [wall], "o", color=MINIMUM, mec="white", mew=1.2, ms=9, zorder=5, label=label)
+    look = {"color": MINIMUM, "markeredgecolor": "white", "markeredgewidth": 1.2, "markersize": 9, "zorder": 5}
+    return Line(np.array([arc]), np.array([1e3 * thin["thickness"]]), _POINTS | look | {"label": label})
 
 
-def _draw_exact(axes: Any, scene: Scene, result: Result, reference: Mapping[str, Any]) -> None:
+_POINTS = {"marker": "o", "linestyle": "none"}
+
+
+def _exact(scene: Scene, result: Result, reference: Mapping[str, Any]) -> Diagram:
     place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
     shown = seen_apart(place, wall)
-    place, wall = place[shown], wall[shown]
-    axes.plot(place, wall, "o", color=AFTER, markersize=4, alpha=0.6, label="simulated, all nodes")
+    look = {"color": AFTER, "markersize": 4, "alpha": 0.6, "label": "simulated, all nodes"}
+    nodes = Line(place[shown], wall[shown], _POINTS | look)
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
     thin = thinnest(result, scene)
-    _mark(axes, 1e3 * float(np.hypot(*thin["initial"][:2])), thin)
+    mark = _mark(1e3 * float(np.hypot(*thin["initial"][:2])), thin)
     order = np.argsort(np.asarray(reference["initial_radius"]))
     radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
-    axes.plot(1e3 * radius, initial * ratio, ":", color=_EXACT, linewidth=2.5, label="exact solution")
-    axes.set(
-        xlabel="place along the meridian: radius in the initial sheet [mm]",
-        ylabel="wall thickness [mm]",
-    )
-    axes.legend(frameon=False)
+    dotted = {"linestyle": ":", "color": _EXACT, "linewidth": 2.5, "label": "exact solution"}
+    lines = [nodes, mark, Line(1e3 * radius, initial * ratio, dotted)]
+    return Diagram(lines, "place along the meridian: radius in the initial sheet [mm]", "wall thickness [mm]")
 
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:

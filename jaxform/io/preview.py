@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io.plots import AFTER, MINIMUM, new_figure, save
+from jaxform.io.canvas import new_figure, save
+from jaxform.io.plots import AFTER, MINIMUM
+from jaxform.io.surfaces import SHEET, mirrored, sheet_view
 from jaxform.io.survey import Survey, survey
-from jaxform.io.views import SHEET, draw_sheet, mirrored
+from jaxform.io.views import draw
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 
@@ -32,7 +34,7 @@ def check_picture(path: str | Path, scene: Scene, warned: Sequence[str] = ()) ->
     seen = survey(scene)
     figure = new_figure(16, 7.5, f"{scene.name}: the pressure pushes the sheet {seen.direction}")
     view = figure.add_axes((0.0, 0.02, 0.5, 0.82), projection="3d")
-    draw_sheet(view, scene)
+    draw(view, sheet_view(scene))
     _draw_cut(figure.add_axes((0.57, 0.12, 0.4, 0.68)), scene, seen)
     for line, words in enumerate(warned[:3]):
         text = words if len(words) < 190 else f"{words[:187]}..."

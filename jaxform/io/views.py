@@ -1,4 +1,4 @@
-"""Parts, sheets and molds seen from outside: solid surfaces in matplotlib's 3-D axes, drawn pixel by pixel.
+"""Surfaces seen from outside, drawn in matplotlib's 3-D axes pixel by pixel. Knows arrays alone, and no JAX.
 
 Matplotlib sorts polygons by their mean depth and draws each by itself, which takes a minute for 400 000 and lets large
 ones hide small ones wrongly. Here every pixel looks for the nearest surface; what no eye can see costs nothing.
@@ -6,37 +6,32 @@ ones hide small ones wrongly. Here every pixel looks for the nearest surface; wh
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import raster, topology
-from jaxform.model.scene import Scene
-from jaxform.results import sections
-from jaxform.results.result import Result
-from jaxform.tools.search import cut
+from jaxform.mesh import raster
 
 Array = NDArray[np.float64]
 
-COLORS = "viridis"  # reads the same to all eyes, and in grey
-SHEET = "#5b9bd5"
-_GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
-_TO_EYE = np.array([1.0, -1.0, 0.0])
+TO_EYE = np.array([1.0, -1.0, 0.0])
+_COLORS = "viridis"  # reads the same to all eyes, and in grey
 _LIGHT = np.array([0.35, -0.5, 0.79])
-_MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
-_MOLD_PIECES = 20  # of its size, along a large triangle of the mold
 _FINER, _MANY = 2, 150_000  # pixels of the surfaces along one of the picture; triangles from which it is one
 _LINE, _LINED = 0.7, 5.0  # pixels: half an element's edge, and how high an element is whose edges are drawn
-_TOO_LARGE = 2.5  # times as large as the part, a mold is left out
 
 
 class Surface(NamedTuple):
-    """Triangles (n, 3, 3) [mm], their colours (n, 3), how opaque they are, whether edges are drawn, what is cut away.
+    """A surface to draw.
 
-    `open_at` are two axes and places [mm]: what lies between the eye and both planes is left out.
+    Attributes:
+        faces: Triangles (n, 3, 3) [mm].
+        paint: Their colours (n, 3), or numbers (n,) that colours show.
+        opaque: How opaque they are.
+        edges: Whether their edges are drawn.
+        open_at: Two axes and places [mm]: what lies between the eye and both planes is left out.
     """
 
     faces: Array
@@ -46,113 +41,53 @@ class Surface(NamedTuple):
     open_at: tuple[tuple[int, float], tuple[int, float]] | None = None
 
 
-def draw_part(
-    axes: Any, scene: Scene, result: Result, scale: tuple[float, float], *, edges: bool = False, mark: Any = None
-) -> Any:
-    """The part in colours of its wall, with the mold in grey behind it.
+class View(NamedTuple):
+    """What is seen from outside.
 
-    Args:
-        axes: Matplotlib's 3-D axes.
-        scene: What was simulated.
-        result: The part, of used nodes and elements alone.
-        scale: Range of the colours [mm].
-        edges: Draw the elements' edges.
-        mark: A place (3,) [m] to mark as the minimum, or None.
-
-    Returns:
-        What a colour bar needs.
+    Attributes:
+        surfaces: From behind to the front.
+        outline: Lines (n, 2, 3) [mm] behind them, thin and grey; None where there are none.
+        hangs: Whether it hangs, so that one looks into it.
+        scale: Range of the numbers that colours show.
+        mark: A place (3,) [mm] to mark as the minimum, or None.
     """
+
+    surfaces: list[Surface]
+    outline: Array | None = None
+    hangs: bool = False
+    scale: tuple[float, float] = (0.0, 1.0)
+    mark: Array | None = None
+
+
+def draw(axes: Any, view: View) -> Any:
+    """Draws a view in matplotlib's 3-D axes; returns what a colour bar needs."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    colors = ScalarMappable(Normalize(*scale, clip=True), COLORS)
-    corners = 1e3 * np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)]
-    images = [1e3 * image for image in mirrored(scene, corners / 1e3, open_front=True)]
-    paint = np.asarray(colors.to_rgba(1e3 * np.asarray(result.element_thickness, float)))[:, :3]
-    part = Surface(np.concatenate(images), np.tile(paint, (len(images), 1)), edges=edges)
-    _draw(axes, [*_mold(axes, scene, part.faces), part], _hangs(scene, result))
-    if mark is not None:
-        axes.plot(*(1e3 * np.asarray(mark)[:, None]), "o", color="#d00000", mec="white", mew=1.2, ms=8, zorder=5)
+    colors = ScalarMappable(Normalize(*view.scale, clip=True), _COLORS)
+    if view.outline is not None:
+        _draw_outline(axes, view.outline)
+    _draw_surfaces(axes, [_painted(surface, colors) for surface in view.surfaces], view.hangs)
+    if view.mark is not None:
+        axes.plot(*view.mark[:, None], "o", color="#d00000", mec="white", mew=1.2, ms=8, zorder=5)
     return colors
 
 
-def draw_sheet(axes: Any, scene: Scene) -> None:
-    """The sheet before the first step, with the mold in grey behind it."""
-    corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
-    faces = 1e3 * np.concatenate(mirrored(scene, corners))
-    from matplotlib.colors import to_rgb
-
-    paint = np.tile(to_rgb(SHEET), (len(faces), 1))
-    sheet = Surface(faces, paint, opaque=0.8, edges=True)
-    _draw(axes, [*_mold(axes, scene, faces, whole=True), sheet], hangs=False)
+def _painted(surface: Surface, colors: Any) -> Surface:
+    """With colours for its numbers."""
+    if surface.paint.ndim == 2:
+        return surface
+    return surface._replace(paint=np.asarray(colors.to_rgba(surface.paint))[:, :3])
 
 
-def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
-    """The points (..., 3) and their images in the symmetry planes, so that the whole part is seen.
-
-    Args:
-        scene: The scene, which knows the planes.
-        points: In the modelled part.
-        open_front: Leave one image out where there are four, for a look inside.
-    """
-    planes = sections.symmetry_planes(scene)
-    images = []
-    for flips in itertools.product((False, True), repeat=len(planes)):
-        image = np.array(points)
-        for (axis, place), flip in zip(planes.items(), flips, strict=True):
-            if flip:
-                image[..., axis] = 2 * place - image[..., axis]
-        images.append(image)
-    if not open_front or len(images) != 4:
-        return images
-    front = int(np.argmax([image.reshape(-1, 3).mean(0) @ _TO_EYE for image in images]))
-    return [image for k, image in enumerate(images) if k != front]
-
-
-def _hangs(scene: Scene, result: Result) -> bool:
-    """Whether the part is drawn hanging, so that one looks into it: sheets that rose from a plane."""
-    rise = np.asarray(result.positions, float)[:, 2] - np.asarray(scene.parison.positions, float)[:, 2]
-    return bool(np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene))
-
-
-def _mold(axes: Any, scene: Scene, part: Array, whole: bool = False) -> list[Surface]:
-    """The mold behind a part (n, 3, 3) [mm], unless it is so much larger that nothing else would be seen."""
-    if scene.mold is None:
-        return []
-    vertices, triangles = np.asarray(scene.mold.vertices, float), np.asarray(scene.mold.triangles)
-    size = 1e3 * float(np.ptp(vertices[np.unique(triangles)], axis=0).max())
-    if size > _TOO_LARGE * float(np.ptp(part, axis=(0, 1)).max()) and not whole:
-        return []
-    walls, planes = vertices[triangles], sections.symmetry_planes(scene)
-    tolerance = 1e-6 * size / 1e3
-    crosses = all(
-        walls[..., k].min() < level - tolerance and walls[..., k].max() > level + tolerance
-        for k, level in planes.items()
-    )
-    opened = None
-    if crosses and len(planes) == 2 and not whole:
-        (one, at), (other, there) = planes.items()
-        opened = (one, 1e3 * at), (other, 1e3 * there)
-    images = [walls] if crosses else mirrored(scene, walls, open_front=not whole)
-    faces = 1e3 * np.concatenate(images)
-    if opened is not None:
-        faces = cut(faces, size / _MOLD_PIECES)[0]
-    if opened is None and len(triangles) <= _MOLD_LINES:
-        _draw_outline(axes, scene, vertices, triangles, crosses)
-    return [Surface(faces, np.full((len(faces), 3), _GREY), _MOLD_SHARE, open_at=opened)]
-
-
-def _draw_outline(axes: Any, scene: Scene, vertices: Array, triangles: NDArray[Any], crosses: bool) -> None:
-    """The mold's sharp and free edges, thin and grey."""
+def _draw_outline(axes: Any, lines: Array) -> None:
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-    lines = np.asarray(topology.feature_edges(vertices, triangles), np.float64)
-    lines = 1e3 * np.concatenate([lines] if crosses else mirrored(scene, lines, open_front=True))
     axes.computed_zorder = False
     axes.add_collection3d(Line3DCollection(lines, colors="#00000040", linewidths=0.6, zorder=0.5), autolim=False)
 
 
-def _draw(axes: Any, surfaces: list[Surface], hangs: bool) -> None:
+def _draw_surfaces(axes: Any, surfaces: list[Surface], hangs: bool) -> None:
     axes.computed_zorder = False
     for order, surface in enumerate(surfaces):
         axes.add_artist(_scenery(surface, zorder=float(order)))
@@ -183,7 +118,7 @@ def _scenery(surface: Surface, zorder: float) -> Any:
             width, height = (int(extent) for extent in high - low)
             pixels, depth = _projected(axes, surface.faces)
             finer = _FINER if len(surface.faces) <= _MANY else 1
-            image = _painted(surface, finer * (pixels - low), depth, width, height, finer)
+            image = _image(surface, finer * (pixels - low), depth, width, height, finer)
             context = renderer.new_gc()
             renderer.draw_image(context, float(low[0]), float(low[1]), np.round(255 * image).astype(np.uint8))
             context.restore()
@@ -201,7 +136,7 @@ def _projected(axes: Any, faces: Array) -> tuple[Array, Array]:
     return pixels.reshape(-1, 3, 2), (depth / away).reshape(-1, 3)
 
 
-def _painted(surface: Surface, corners: Array, depth: Array, width: int, height: int, finer: int) -> Array:
+def _image(surface: Surface, corners: Array, depth: Array, width: int, height: int, finer: int) -> Array:
     """Colours of a surface and how much it covers (height, width, 4), looked at in so many times as many pixels.
 
     The corners are in these finer pixels. What is covered in part is less opaque.
@@ -238,7 +173,7 @@ def _behind(surface: Surface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
         for axis, place in surface.open_at or ():
             # As the triangles are small, perspective hardly bends them.
             at = np.einsum("nc,nc->n", found.weight, surface.faces[found.triangle, :, axis])
-            front &= _TO_EYE[axis] * (at - place) > 0
+            front &= TO_EYE[axis] * (at - place) > 0
         return ~front
 
     return kept

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import Delaunay, KDTree
 
 Array = NDArray[np.float64]
 Size = Callable[[Array], Array]
@@ -109,6 +107,8 @@ def inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
 
 def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
     """Distance to the loops, each side sampled ten times."""
+    from scipy.spatial import KDTree
+
     share = np.arange(10)[:, None] / 10
     samples = [(loop[:, None] + share * (np.roll(loop, -1, axis=0) - loop)[:, None]).reshape(-1, 2) for loop in loops]
     return KDTree(np.concatenate(samples)).query(points)[0]
@@ -116,6 +116,8 @@ def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
 
 def _kept(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
     """The Delaunay triangles inside the loops."""
+    from scipy.spatial import Delaunay
+
     triangles = Delaunay(points).simplices.astype(np.int64)
     corners = points[triangles]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -146,6 +148,9 @@ def _missing(triangles: NDArray[np.int64], loops: Sequence[Array]) -> NDArray[np
 
 def interpolator(points: Array, values: Array) -> Callable[[Array], Array]:
     """Linear interpolation of (n, k) values at scattered points (n, 2); outside of them the nearest one's value."""
+    from scipy.interpolate import LinearNDInterpolator  # takes a third of a second to import
+    from scipy.spatial import KDTree
+
     inside, tree = LinearNDInterpolator(points, values), KDTree(points)
 
     def at(places: Array) -> Array:

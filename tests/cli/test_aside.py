@@ -28,7 +28,7 @@ def _fail_elsewhere(path: Path, own: int) -> None:
 
 def test_what_it_is_asked_for_is_done_there_and_what_it_cannot_do_here(tmp_path: Path) -> None:
     path, own = tmp_path / "note", str(os.getpid())
-    with aside("json", "JSONDecoder", precision=True, wanted=True) as ask:
+    with aside("json", "JSONDecoder", wanted=True) as ask:
         if ask is here:
             pytest.skip("one core")
         ask(_note, path)
@@ -45,14 +45,14 @@ def test_what_it_is_asked_for_is_done_there_and_what_it_cannot_do_here(tmp_path:
 
 
 def test_what_it_is_asked_for_after_its_end_is_done_here(tmp_path: Path) -> None:
-    other = Aside("json", "JSONDecoder", precision=True)
+    other = Aside("json", "JSONDecoder")
     other.end()
     other(_note, tmp_path / "note")
     assert (tmp_path / "note").read_text() == str(os.getpid())
 
 
 def test_none_is_started_where_none_is_wanted() -> None:
-    with aside("json", "JSONDecoder", precision=True, wanted=False) as ask:
+    with aside("json", "JSONDecoder", wanted=False) as ask:
         assert ask is here
 
 

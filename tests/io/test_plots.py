@@ -15,7 +15,7 @@ from PIL import Image
 import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
-from jaxform.io import plots, views
+from jaxform.io import plots, surfaces
 from jaxform.mesh import raster, topology
 from jaxform.results import sections
 from jaxform.results.result import Result
@@ -72,7 +72,7 @@ def test_the_sections_of_a_rectangle_have_its_sides_lengths(name: str) -> None:
 def test_images_make_the_part_whole() -> None:
     scene, _ = _at_rest(SHEETS["disc"])
     corners = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)]
-    whole = np.concatenate(views.mirrored(scene, corners))
+    whole = np.concatenate(surfaces.mirrored(scene, corners))
     edges = np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0])
     area = 0.5 * np.linalg.norm(edges, axis=1).sum()
     assert len(whole) == 4 * len(corners)
@@ -104,7 +104,7 @@ def test_the_image_in_front_of_the_eye_is_left_out() -> None:
     for name, middle in (("disc", [0.0, 0.0]), ("quarter rectangle", [1.0, 0.5])):
         sheet = SHEETS.get(name) or shapes.rectangle(size=(2.0, 1.0), elements=64, symmetry="quarter")
         scene, _ = _at_rest(sheet)
-        images = views.mirrored(scene, np.asarray(scene.parison.positions), open_front=True)
+        images = surfaces.mirrored(scene, np.asarray(scene.parison.positions), open_front=True)
         centers = np.array([image[:, :2].mean(0) for image in images]) - middle
         assert len(images) == 3 and not np.any((centers[:, 0] > 0) & (centers[:, 1] < 0))
 

@@ -1,0 +1,117 @@
+"""What is seen of parts, sheets and molds: their surfaces, with images in symmetry planes, for views to draw."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.io.views import TO_EYE, Surface, View
+from jaxform.mesh import topology
+from jaxform.model.scene import Scene
+from jaxform.results import sections
+from jaxform.results.result import Result
+from jaxform.tools.search import cut
+
+Array = NDArray[np.float64]
+
+SHEET = "#5b9bd5"
+_SHEET_PAINT = np.array([0x5B, 0x9B, 0xD5]) / 255
+_GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
+_MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
+_MOLD_PIECES = 20  # of its size, along a large triangle of the mold
+_TOO_LARGE = 2.5  # times as large as the part, a mold is left out
+
+
+def part_view(
+    scene: Scene, result: Result, scale: tuple[float, float], *, edges: bool = False, mark: Any = None
+) -> View:
+    """The part in colours of its wall, with the mold in grey behind it.
+
+    Args:
+        scene: What was simulated.
+        result: The part, of used nodes and elements alone.
+        scale: Range of the colours [mm].
+        edges: Draw the elements' edges.
+        mark: A place (3,) [m] to mark as the minimum, or None.
+    """
+    corners = 1e3 * np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)]
+    images = [1e3 * image for image in mirrored(scene, corners / 1e3, open_front=True)]
+    wall = np.tile(1e3 * np.asarray(result.element_thickness, float), len(images))
+    part = Surface(np.concatenate(images), wall, edges=edges)
+    mold, outline = _mold(scene, part.faces)
+    place = None if mark is None else 1e3 * np.asarray(mark)
+    return View([*mold, part], outline, _hangs(scene, result), scale, place)
+
+
+def sheet_view(scene: Scene) -> View:
+    """The sheet before the first step, with the mold in grey behind it."""
+    corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
+    faces = 1e3 * np.concatenate(mirrored(scene, corners))
+    sheet = Surface(faces, np.tile(_SHEET_PAINT, (len(faces), 1)), opaque=0.8, edges=True)
+    mold, outline = _mold(scene, faces, whole=True)
+    return View([*mold, sheet], outline)
+
+
+def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
+    """The points (..., 3) and their images in the symmetry planes, so that the whole part is seen.
+
+    Args:
+        scene: The scene, which knows the planes.
+        points: In the modelled part.
+        open_front: Leave one image out where there are four, for a look inside.
+    """
+    planes = sections.symmetry_planes(scene)
+    images = []
+    for flips in itertools.product((False, True), repeat=len(planes)):
+        image = np.array(points)
+        for (axis, place), flip in zip(planes.items(), flips, strict=True):
+            if flip:
+                image[..., axis] = 2 * place - image[..., axis]
+        images.append(image)
+    if not open_front or len(images) != 4:
+        return images
+    front = int(np.argmax([image.reshape(-1, 3).mean(0) @ TO_EYE for image in images]))
+    return [image for k, image in enumerate(images) if k != front]
+
+
+def _hangs(scene: Scene, result: Result) -> bool:
+    """Whether the part is drawn hanging, so that one looks into it: sheets that rose from a plane."""
+    rise = np.asarray(result.positions, float)[:, 2] - np.asarray(scene.parison.positions, float)[:, 2]
+    return bool(np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene))
+
+
+def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[Surface], Array | None]:
+    """The mold and its outline behind a part (n, 3, 3) [mm], unless it is so large that nothing else would be seen."""
+    if scene.mold is None:
+        return [], None
+    vertices, triangles = np.asarray(scene.mold.vertices, float), np.asarray(scene.mold.triangles)
+    size = 1e3 * float(np.ptp(vertices[np.unique(triangles)], axis=0).max())
+    if size > _TOO_LARGE * float(np.ptp(part, axis=(0, 1)).max()) and not whole:
+        return [], None
+    walls, planes = vertices[triangles], sections.symmetry_planes(scene)
+    tolerance = 1e-6 * size / 1e3
+    crosses = all(
+        walls[..., k].min() < level - tolerance and walls[..., k].max() > level + tolerance
+        for k, level in planes.items()
+    )
+    opened = None
+    if crosses and len(planes) == 2 and not whole:
+        (one, at), (other, there) = planes.items()
+        opened = (one, 1e3 * at), (other, 1e3 * there)
+    images = [walls] if crosses else mirrored(scene, walls, open_front=not whole)
+    faces = 1e3 * np.concatenate(images)
+    if opened is not None:
+        faces = cut(faces, size / _MOLD_PIECES)[0]
+    outline = None
+    if opened is None and len(triangles) <= _MOLD_LINES:
+        outline = _outline(scene, vertices, triangles, crosses)
+    return [Surface(faces, np.full((len(faces), 3), _GREY), _MOLD_SHARE, open_at=opened)], outline
+
+
+def _outline(scene: Scene, vertices: Array, triangles: NDArray[Any], crosses: bool) -> Array:
+    """The mold's sharp and free edges (n, 2, 3) [mm]."""
+    lines = np.asarray(topology.feature_edges(vertices, triangles), np.float64)
+    return 1e3 * np.concatenate([lines] if crosses else mirrored(scene, lines, open_front=True))
