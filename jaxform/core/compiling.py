@@ -6,7 +6,7 @@ import contextlib
 import functools
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -49,16 +49,36 @@ def compiled(function: Any, *arguments: Any) -> Any:
     return compiling_soon(function, *arguments)[1].result()
 
 
-def compiling_soon(function: Any, *arguments: Any) -> tuple[Any, Future[Any]]:
+def compiled_here(function: Any, *arguments: Any) -> Any:
+    """The same, on this thread."""
+    return function.lower(*arguments).compile(compiler_options())
+
+
+def compiling_soon(
+    function: Any, *arguments: Any, done: Callable[[Any, Any], None] | None = None
+) -> tuple[Any, Future[Any]]:
     """The shapes of a jitted function's results, and the function, which is being compiled for arguments like these.
 
-    XLA holds no lock of the interpreter: others are traced and compiled meanwhile.
+    XLA holds no lock of the interpreter: others are traced and compiled meanwhile. When it is compiled, `done` is
+    called with both.
     """
     if crowded():
         jax.clear_caches()
     with _no_collection():
         lowered = function.lower(*arguments)
-    return lowered.out_info, _compilers().submit(lowered.compile, compiler_options())
+
+    def compile_it() -> Any:
+        program = lowered.compile(compiler_options())
+        if done is not None:
+            done(lowered.out_info, program)
+        return program
+
+    return lowered.out_info, side_by_side(compile_it)
+
+
+def side_by_side[T](work: Callable[[], T]) -> Future[T]:
+    """Work of a compiler or loader of programs, which is done on another thread while others are compiled."""
+    return _compilers().submit(work)
 
 
 @functools.cache

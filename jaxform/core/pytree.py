@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, dataclass_transform
@@ -10,7 +9,6 @@ from typing import Any, dataclass_transform
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import export
 from numpy.typing import ArrayLike
 
 
@@ -22,17 +20,7 @@ def static(**kwargs: Any) -> Any:
 @dataclass_transform(frozen_default=True, field_specifiers=(field, static))
 def pytree[T](cls: type[T]) -> type[T]:
     """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`."""
-    made = jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
-    if not _is_own(cls):
-        return made
-    # So that traced programs that take or give it can be kept in files; choices are numbers, texts and tuples of them.
-    export.register_pytree_node_serialization(
-        made,
-        serialized_name=f"{cls.__module__}.{cls.__qualname__}",
-        serialize_auxdata=lambda choices: repr(choices).encode(),
-        deserialize_auxdata=lambda text: ast.literal_eval(text.decode()),
-    )
-    return made
+    return jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
 
 
 def marked(parts: Any, mark: dict[str, Any]) -> list[str]:

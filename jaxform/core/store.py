@@ -1,6 +1,6 @@
-"""What is expensive to make and the same every time, kept in files between runs: search grids and traced programs.
+"""What is expensive to make and the same every time, kept in files between runs: search grids and compiled programs.
 
-The command line keeps one in the user's cache folder, beside JAX's own compiled programs. Names of files are digests
+The command line keeps one in the user's cache folder, beside JAX's own of small programs. Names of files are digests
 of everything the content depends on, this package's source included, so that nothing in it can be out of date; what
 cannot be read or written is made anew.
 """
@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxform.core import disk
-from jaxform.core.compiling import compiling_soon, crowded
+from jaxform.core import disk, executables
+from jaxform.core.compiling import compiled_here, compiling_soon, crowded, side_by_side
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import is_own
 
@@ -110,23 +110,40 @@ class Store:
         """As `program`; it is compiled while others are traced and compiled."""
         key, path = self._key(function, arguments)
         if key not in self._programs:
-            made = function if path is None else jax.jit(self._exported(path, function, arguments).call)
             if crowded():
                 self._programs.clear()
             while len(self._programs) >= _MOST_PROGRAMS:
                 self._programs.pop(next(iter(self._programs)), None)
-            self._programs[key] = Soon(*compiling_soon(made, *arguments))
+            self._programs[key] = self._loading(path, function, arguments) or self._compiling(path, function, arguments)
         return self._programs[key]
 
-    def _exported(self, path: Path, function: Any, arguments: tuple[Any, ...]) -> Any:
-        from jax import export
+    def _loading(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> Soon | None:
+        """A program that is being read from its file; None where there is none."""
+        kept = None if path is None else _kept(path)
+        found = None if kept is None else executables.unpacked(kept)
+        if found is None:
+            return None
+        shapes, load = found
 
-        kept = _kept(path)
-        if kept is not None:
-            return export.deserialize(bytearray(kept))
-        made = export.export(function)(*arguments)
-        self._write(path, made.serialize())
-        return made
+        def load_or_compile() -> Callable[..., Any]:
+            try:
+                return load()
+            except Exception:  # whatever XLA says of a program that this machine or version does not take
+                return compiled_here(function, *arguments)
+
+        return Soon(shapes, side_by_side(load_or_compile))
+
+    def _compiling(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> Soon:
+        """A program that is being compiled, and then written into its file where it has one."""
+        if path is None:
+            return Soon(*compiling_soon(function, *arguments))
+
+        def keep(shapes: Any, program: Any) -> None:
+            content = executables.packed(shapes, program)
+            if content is not None:
+                self._write(path, content)
+
+        return Soon(*compiling_soon(executables.unheard_of(function), *arguments, done=keep))
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:
@@ -186,9 +203,9 @@ def _kept(path: Path) -> memoryview | None:
 
 @functools.cache
 def _origin() -> bytes:
-    """A digest of what makes the things: this package's source, JAX, the precision."""
+    """A digest of what makes the things: this package's source, the precision, and what programs are made for."""
     precision = jax.config.read("jax_enable_x64")
-    return hashlib.sha256(f"{jax.__version__} {precision}".encode() + _sources(PACKAGE)).digest()
+    return hashlib.sha256(f"{precision}".encode() + executables.machine() + _sources(PACKAGE)).digest()
 
 
 def _sources(package: Path) -> bytes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import zlib
 from pathlib import Path
 
 import jax
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform.core import compiling, store
+from jaxform.core import compiling, executables, store
 from jaxform.core.store import Store
 from jaxform.io import files
 from jaxform.runs.host import run
@@ -88,6 +90,37 @@ def test_a_program_is_compiled_once_for_arguments_alike() -> None:
     assert kept.program(double, jnp.ones(2)) is kept.program(double, jnp.zeros(2))
     assert kept.program(double, jnp.ones(3))(jnp.ones(3)).tolist() == [2, 2, 2]
     assert traced == [(2,), (3,)]
+
+
+def test_a_kept_program_is_neither_traced_nor_compiled_again(tmp_path: Path) -> None:
+    traced, x = [], jnp.arange(3.0)
+
+    @jax.jit
+    def double(x: jax.Array) -> dict[str, jax.Array]:
+        traced.append(x.shape)
+        return {"twice": 2 * x}
+
+    for _ in range(3):
+        soon = Store(tmp_path).soon(double, x)
+        assert soon.shapes["twice"].shape == (3,) and soon.shapes["twice"].dtype == x.dtype
+        assert soon.ready()(x)["twice"].tolist() == [0.0, 2.0, 4.0]
+    assert traced == [(3,)] and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_program_that_this_machine_cannot_load_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    double, x = jax.jit(lambda x: 2 * x), jnp.arange(3.0)
+    Store(tmp_path).program(double, x)
+
+    def load() -> None:
+        raise RuntimeError("made for another processor")
+
+    monkeypatch.setattr(executables, "unpacked", lambda _: (None, load))
+    assert Store(tmp_path).program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
+
+
+def test_what_another_version_wrote_is_not_read() -> None:
+    assert executables.unpacked(b"") is None
+    assert executables.unpacked(zlib.compress(pickle.dumps("a program of tomorrow"))) is None
 
 
 def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
