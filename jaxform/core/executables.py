@@ -15,6 +15,8 @@ from typing import Any
 
 import jax
 
+from jaxform.core.compiling import compiler_options
+
 
 def unheard_of(function: Any) -> Any:
     """A jitted function under a name that JAX's own cache has no program of: what it gave could not be packed.
@@ -71,6 +73,7 @@ def machine() -> bytes:
         device.client.platform_version,
         device.device_kind,
         len(jax.local_devices()),
+        compiler_options(),
         os.environ.get("XLA_FLAGS", ""),
         platform.machine(),
         _instructions(),
