@@ -18,7 +18,7 @@ import jax
 from jaxform.core.compiling import compiler_options
 
 
-def unheard_of(function: Any) -> Any:
+def freshly_named(function: Any) -> Any:
     """A jitted function under a name that JAX's own cache has no program of: what it gave could not be packed.
 
     XLA leaves out of a program that it has read what it would need to write it again.

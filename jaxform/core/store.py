@@ -143,7 +143,7 @@ class Store:
             if content is not None:
                 self._write(path, content)
 
-        return Soon(*compiling_soon(executables.unheard_of(function), *arguments, done=keep))
+        return Soon(*compiling_soon(executables.freshly_named(function), *arguments, done=keep))
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:

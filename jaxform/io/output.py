@@ -129,7 +129,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
 class Frames:
     """Writes the part every so often: so many frames, evenly from the sheet before the first step to the end.
 
-    A single frame is that of the end.
+    A single frame is that of the end. A mold that moves is written where it is in each of them.
 
     Attributes:
         folder: Where frames.pvd goes, and the folder of the frames.
@@ -147,14 +147,14 @@ class Frames:
         """Writes the sheet before the first step, where there is more than one frame; a list from before goes."""
         (self.folder / "frames.pvd").unlink(missing_ok=True)
         if self.count > 1:
-            write_sheet(scene, self._next(0.0))
+            write_sheet(scene, self._next(scene, 0.0))
 
     def offer(self, scene: Scene, moment: Moment) -> None:
         """Writes a frame if one is due; the last one is left to `finish`."""
         written = len(self.times)
         if written < self.count - 1 and moment.time >= written * moment.end_time / (self.count - 1):
             try:
-                write_part(scene, moment.result(), self._next(moment.time))
+                write_part(scene, moment.result(), self._next(scene, moment.time))
             except (OSError, InputError) as error:
                 self.count, self.failure = 0, error
 
@@ -170,20 +170,30 @@ class Frames:
         if not self.count:
             return
         if not self.times or self.times[-1] < float(result.time):
-            write_part(scene, result, self._next(float(result.time)))
-        names = [f"frames/{_frame_name(index)}" for index in range(len(self.times))]
+            write_part(scene, result, self._next(scene, float(result.time)))
         with whole(self.folder / "frames.pvd") as fresh:
-            meshes.write_pvd(fresh, list(zip(self.times, names, strict=True)))
+            meshes.write_pvd(fresh, self._listed("frame"), self._listed("mold") if _moves(scene) else ())
 
-    def _next(self, time: float) -> Path:
-        """Where the frame of a time [s] goes."""
-        (self.folder / "frames").mkdir(exist_ok=True)
+    def _listed(self, what: str) -> list[tuple[float, str]]:
+        return [(time, f"frames/{_name(what, index)}") for index, time in enumerate(self.times)]
+
+    def _next(self, scene: Scene, time: float) -> Path:
+        """Where the frame of a time [s] goes; the mold's is written."""
+        folder, index = self.folder / "frames", len(self.times)
+        folder.mkdir(exist_ok=True)
         self.times.append(time)
-        return self.folder / "frames" / _frame_name(len(self.times) - 1)
+        if scene.mold is not None and _moves(scene):
+            with whole(folder / _name("mold", index)) as fresh:
+                meshes.write_vtu(fresh, scene.mold.vertices_at(time), np.asarray(scene.mold.triangles))
+        return folder / _name("frame", index)
 
 
-def _frame_name(index: int) -> str:
-    return f"frame_{index:04d}.vtu"
+def _name(what: str, index: int) -> str:
+    return f"{what}_{index:04d}.vtu"
+
+
+def _moves(scene: Scene) -> bool:
+    return scene.mold is not None and scene.mold.motion is not None
 
 
 def _valid(value: Any) -> Any:

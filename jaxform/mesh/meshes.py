@@ -209,14 +209,19 @@ def write_stl(path: str | Path, positions: ArrayLike, triangles: ArrayLike) -> N
     Path(path).write_bytes(head + len(facets).to_bytes(4, "little") + facets.tobytes())
 
 
-def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]]) -> None:
+def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]], beside: Sequence[tuple[float, str]] = ()) -> None:
     """Writes the list of frames that ParaView plays.
 
     Args:
         path: File to write, replaced if it is there.
         frames: Time [s] and file name of each frame, relative to the folder of `path`.
+        beside: The same of what is shown beside, such as a mold that moves.
     """
-    rows = [f'    <DataSet timestep="{float(time)!r}" file={quoteattr(name)}/>' for time, name in frames]
+    rows = [
+        f'    <DataSet timestep="{float(time)!r}"{part} file={quoteattr(name)}/>'
+        for part, shown in (("", frames), (' part="1"', beside))
+        for time, name in shown
+    ]
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
     Path(path).write_text("\n".join([*lines, *rows, "  </Collection>", "</VTKFile>", ""]), encoding="utf-8")
 

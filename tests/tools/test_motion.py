@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,8 @@ from scipy import optimize
 import jaxform
 from jaxform.core.errors import InputError
 from jaxform.io import output
+from jaxform.io.output import Frames
+from jaxform.io.report import reading
 from jaxform.model.replacing import number_at
 from jaxform.results.result import Result, only_used
 
@@ -191,3 +194,20 @@ def test_a_mold_must_move_along_the_symmetry_planes(tmp_path: Path) -> None:
         plug(tmp_path, direction="[1.0, 0.0, 1.0]")
     with pytest.raises(InputError, match=r"plug\.toml.*mold\.motion\.displacement.*does not start where it is"):
         plug(tmp_path, displacement="[0.01, 0.052]")
+
+
+def test_frames_show_the_mold_where_it_is(formed: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
+    scene, result = formed
+    assert scene.mold is not None
+    frames = Frames(tmp_path, 2)
+    frames.begin(scene)
+    frames.finish(scene, result)
+    listed = [item.attrib for item in ElementTree.parse(tmp_path / "frames.pvd").getroot().iter("DataSet")]
+    molds = [item for item in listed if item.get("part") == "1"]
+    assert len(listed) == 4 and [float(item["timestep"]) for item in molds] == [0.0, float(result.time)]
+    for item in molds:
+        places = meshio.read(tmp_path / item["file"]).points
+        np.testing.assert_allclose(places, scene.mold.vertices_at(float(item["timestep"])), atol=1e-12)
+    assert np.ptp([meshio.read(tmp_path / item["file"]).points[:, 2].max() for item in molds]) > 0.05
+    shown, count = reading._frames(tmp_path, reading._part(tmp_path / listed[1]["file"]), float(result.time))
+    assert (len(shown), count) == (1, 2)

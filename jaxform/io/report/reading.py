@@ -144,7 +144,7 @@ def _frames(folder: Path, last: Part, end: float) -> tuple[list[tuple[float, Par
         return [], 0
     try:
         entries = [item.attrib for item in ElementTree.fromstring(disk.read_text(listed)).iter("DataSet")]
-        named = [(float(item["timestep"]), item["file"]) for item in entries]
+        named = [(float(item["timestep"]), item["file"]) for item in entries if item.get("part", "0") == "0"]
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
