@@ -161,6 +161,8 @@ def _outcome(out: Path) -> dict[str, Any]:
     """What must not depend on whether a run was killed: the best design, the mesh, and the summary without times."""
     summary = json.loads((out / "summary.json").read_text())
     same: dict[str, Any] = {key: value for key, value in summary.items() if not _TIMED.search(key)}
+    # Killed before its first answer, a search has nothing to go on with, and says so.
+    same["warnings"] = [sentence for sentence in summary["warnings"] if not sentence.startswith("--resume")]
     same["mesh"] = (out / "final.vtu").read_bytes()
     same["best"] = (out / "best.toml").read_text() if (out / "best.toml").exists() else ""
     same["frames"] = sorted(path.name for path in (out / "frames").glob("*.vtu"))
