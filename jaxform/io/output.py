@@ -19,6 +19,7 @@ from jaxform.model.scene import Parison, Scene
 from jaxform.results.result import Result, only_used
 from jaxform.results.summary import summarize, wrinkled
 from jaxform.runs.host import Moment
+from jaxform.tools.mold import Mold
 
 
 def write_result(
@@ -172,7 +173,7 @@ class Frames:
         if not self.times or self.times[-1] < float(result.time):
             write_part(scene, result, self._next(scene, float(result.time)))
         with whole(self.folder / "frames.pvd") as fresh:
-            meshes.write_pvd(fresh, self._listed("frame"), self._listed("mold") if _moves(scene) else ())
+            meshes.write_pvd(fresh, self._listed("frame"), self._listed("mold") if _moving(scene) else ())
 
     def _listed(self, what: str) -> list[tuple[float, str]]:
         return [(time, f"frames/{_name(what, index)}") for index, time in enumerate(self.times)]
@@ -182,9 +183,9 @@ class Frames:
         folder, index = self.folder / "frames", len(self.times)
         folder.mkdir(exist_ok=True)
         self.times.append(time)
-        if scene.mold is not None and _moves(scene):
+        if mold := _moving(scene):
             with whole(folder / _name("mold", index)) as fresh:
-                meshes.write_vtu(fresh, scene.mold.vertices_at(time), np.asarray(scene.mold.triangles))
+                meshes.write_vtu(fresh, mold.vertices_at(time), np.asarray(mold.triangles))
         return folder / _name("frame", index)
 
 
@@ -192,8 +193,9 @@ def _name(what: str, index: int) -> str:
     return f"{what}_{index:04d}.vtu"
 
 
-def _moves(scene: Scene) -> bool:
-    return scene.mold is not None and scene.mold.motion is not None
+def _moving(scene: Scene) -> Mold | None:
+    """Its mold, if that moves."""
+    return scene.mold if scene.mold is not None and scene.mold.motion is not None else None
 
 
 def _valid(value: Any) -> Any:

@@ -15,6 +15,7 @@ from jaxform.io import canvas, views
 from jaxform.io.canvas import Diagram, Line, PartPicture
 from jaxform.io.scales import color_range, formed_elements, seen_apart
 from jaxform.io.surfaces import part_view
+from jaxform.io.views import MINIMUM
 from jaxform.model.replacing import number_at
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
 
 _BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
-MINIMUM = "#d00000"
+_POINTS = {"marker": "o", "linestyle": "none"}
 _KEPT = 5e-3  # of a limit, by which it may be broken
 
 
@@ -48,8 +49,9 @@ def thickness_picture(
 def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | None = None) -> PartPicture:
     """What is in the picture of a formed part, as arrays; the arguments are those of `thickness_picture`."""
     scene, result = only_used(scene, result)
-    view = part_view(scene, result, _scale([(scene, result)]), mark=thinnest(result, scene)["formed"])
-    return PartPicture(_title(scene, result), view, _wall(result), _diagram(scene, result, reference))
+    thin = thinnest(result, scene)
+    view = part_view(scene, result, _scale([(scene, result)]), mark=thin["formed"])
+    return PartPicture(_title(scene, result), view, _wall(result), _diagram(scene, result, thin, reference))
 
 
 def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
@@ -176,7 +178,7 @@ def _wall(result: Result) -> Array:
     return 1e3 * np.asarray(result.element_thickness, float)
 
 
-def _diagram(scene: Scene, result: Result, reference: Mapping[str, Any] | None) -> Diagram:
+def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any] | None) -> Diagram:
     """Wall thickness over arc length, or over the initial radius with the exact solution in dots.
 
     With an exact solution the place is that in the initial sheet: flat elements cut a sharp corner short, and beyond
@@ -184,10 +186,10 @@ def _diagram(scene: Scene, result: Result, reference: Mapping[str, Any] | None) 
     """
     disc = sections.is_disc(scene)
     if reference is not None and disc:
-        return _exact(scene, result, reference)
-    thin, lines = thinnest(result, scene), []
+        return _exact(scene, result, thin, reference)
+    lines = []
     for curve, color in zip(sections.curves(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
-        style = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
+        style = _POINTS | {"markersize": 3.5, "alpha": 0.6} if disc else {}
         shown = seen_apart(curve.arc, curve.thickness) if disc else slice(None)
         style |= {"color": color, "label": curve.label}
         lines.append(Line(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], style))
@@ -206,16 +208,12 @@ def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Li
     return Line(np.array([arc]), np.array([1e3 * thin["thickness"]]), _POINTS | look | {"label": label})
 
 
-_POINTS = {"marker": "o", "linestyle": "none"}
-
-
-def _exact(scene: Scene, result: Result, reference: Mapping[str, Any]) -> Diagram:
+def _exact(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any]) -> Diagram:
     place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
     shown = seen_apart(place, wall)
     look = {"color": AFTER, "markersize": 4, "alpha": 0.6, "label": "simulated, all nodes"}
     nodes = Line(place[shown], wall[shown], _POINTS | look)
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
-    thin = thinnest(result, scene)
     mark = _mark(1e3 * float(np.hypot(*thin["initial"][:2])), thin)
     order = np.argsort(np.asarray(reference["initial_radius"]))
     radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.io.canvas import new_figure, save
-from jaxform.io.plots import AFTER, MINIMUM
+from jaxform.io.plots import AFTER
 from jaxform.io.surfaces import SHEET, mirrored, sheet_view
 from jaxform.io.survey import Survey, survey
-from jaxform.io.views import draw
+from jaxform.io.views import MINIMUM, draw
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 

@@ -18,7 +18,6 @@ from jaxform.tools.search import cut
 Array = NDArray[np.float64]
 
 SHEET = "#5b9bd5"
-_SHEET_PAINT = np.array([0x5B, 0x9B, 0xD5]) / 255
 _GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
 _MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
 _MOLD_PIECES = 20  # of its size, along a large triangle of the mold
@@ -50,7 +49,8 @@ def sheet_view(scene: Scene) -> View:
     """The sheet before the first step, with the mold in grey behind it."""
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     faces = 1e3 * np.concatenate(mirrored(scene, corners))
-    sheet = Surface(faces, np.tile(_SHEET_PAINT, (len(faces), 1)), opaque=0.8, edges=True)
+    paint = np.array([*bytes.fromhex(SHEET[1:])]) / 255
+    sheet = Surface(faces, np.tile(paint, (len(faces), 1)), opaque=0.8, edges=True)
     mold, outline = _mold(scene, faces, whole=True)
     return View([*mold, sheet], outline)
 

@@ -17,6 +17,7 @@ from jaxform.mesh import raster
 Array = NDArray[np.float64]
 
 TO_EYE = np.array([1.0, -1.0, 0.0])
+MINIMUM = "#d00000"
 _COLORS = "viridis"  # reads the same to all eyes, and in grey
 _LIGHT = np.array([0.35, -0.5, 0.79])
 _FINER, _MANY = 2, 150_000  # pixels of the surfaces along one of the picture; triangles from which it is one
@@ -69,7 +70,7 @@ def draw(axes: Any, view: View) -> Any:
         _draw_outline(axes, view.outline)
     _draw_surfaces(axes, [_painted(surface, colors) for surface in view.surfaces], view.hangs)
     if view.mark is not None:
-        axes.plot(*view.mark[:, None], "o", color="#d00000", mec="white", mew=1.2, ms=8, zorder=5)
+        axes.plot(*view.mark[:, None], "o", color=MINIMUM, mec="white", mew=1.2, ms=8, zorder=5)
     return colors
 
 
