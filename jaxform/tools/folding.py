@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.crossings import intersect, near_pairs
-from jaxform.tools.search import build_grid
+from jaxform.tools.boxes import overlapping
+from jaxform.tools.crossings import intersect
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -23,17 +23,13 @@ def through_itself(positions: Array, triangles: Integers, asked: Integers) -> ND
     asked, corners = np.asarray(asked, np.int64), positions[triangles]
     if not len(asked) or _faces_one_way(corners):
         return asked[:0]
-    low, high = corners[asked].min((0, 1)), corners[asked].max((0, 1))
-    near = np.flatnonzero(((corners.min(1) <= high) & (corners.max(1) >= low)).all(1))
-    # Looked up among the ones that are asked about, which are few.
-    grid = build_grid(positions, triangles[asked])
     found = []
-    for piece, place in near_pairs(corners[near], corners[asked], grid):
-        one, other = asked[place], near[piece]
+    for place, other in overlapping(corners[asked], corners):
+        one = asked[place]
         apart = ~(triangles[one][:, :, None] == triangles[other][:, None, :]).any((1, 2))
         one, other = one[apart], other[apart]
         found.append(one[intersect(corners[one], corners[other])])
-    return np.unique(np.concatenate(found)) if found else asked[:0]
+    return np.unique(np.concatenate(found))
 
 
 def _faces_one_way(corners: Array) -> bool:

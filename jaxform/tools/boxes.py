@@ -1,0 +1,81 @@
+"""Which triangles of two sets may meet, by cells that are made for one look. On the host."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.tools.search import cut
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_CHUNK = 1_000_000  # pairs looked at together, to bound the memory
+_WIDE = 2.0  # cells, in boxes: most triangles then need not be cut
+
+
+class _Cells(NamedTuple):
+    """The cells of a set's pieces, in the order of the cells: cell and piece of each entry (n_entry,)."""
+
+    cell: Integers
+    piece: Integers
+
+
+class _Pieces(NamedTuple):
+    """Boxes of pieces of triangles (n, 3), (n, 3) [m], no wider than a cell, and which triangle each is part of."""
+
+    low: Array
+    high: Array
+    owner: Integers
+
+    @classmethod
+    def of(cls, corners: Array, width: float) -> _Pieces:
+        pieces, owner = cut(corners, width)
+        return cls(pieces.min(1), pieces.max(1), owner)
+
+    def cells(self, corner: Array, width: float, shape: Integers) -> _Cells:
+        """Where each is: in at most two cells along each axis."""
+        first, last = (np.floor((end - corner) / width).astype(np.int64) for end in (self.low, self.high))
+        found = []
+        for step in np.ndindex(2, 2, 2):
+            index = first + step
+            piece = np.flatnonzero((index <= last).all(1))
+            found.append((np.ravel_multi_index(tuple(index[piece].T), tuple(shape)), piece))
+        cell, piece = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        order = np.argsort(cell, kind="stable")
+        return _Cells(cell[order], piece[order])
+
+
+def overlapping(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]:
+    """Numbers of triangles (n, 3, 3) [m] and of others (m, 3, 3) that may meet, part by part; the first are not empty.
+
+    Large ones are cut into pieces: each pair that has pieces with boxes that overlap comes at least once. The width of
+    the cells follows the mean of the logarithms of the first set's boxes: then neither the pieces of the large ones nor
+    the small ones in a cell are many.
+    """
+    extent = np.ptp(one, axis=1).max(1)
+    width = _WIDE * float(np.exp(np.log(np.maximum(extent, 1e-3 * extent.max())).mean()))
+    box_low, box_high = one.min((0, 1)), one.max((0, 1))
+    near = np.flatnonzero(((other.min(1) <= box_high) & (other.max(1) >= box_low)).all(1))
+    if not len(near):
+        return
+    sets = _Pieces.of(one, width), _Pieces.of(other[near], width)
+    corner = np.min([pieces.low.min(0) for pieces in sets], axis=0)
+    shape = np.max([np.floor((pieces.high - corner) / width).max(0) for pieces in sets], axis=0) + 2
+    mine, theirs = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
+    begin, end = (np.searchsorted(theirs.cell, mine.cell, side) for side in ("left", "right"))
+    count = end - begin
+    total = np.cumsum(count)
+    parts = np.searchsorted(total, np.arange(_CHUNK, total[-1], _CHUNK)) + 1
+    for part in np.split(np.arange(len(count)), parts):
+        row = np.repeat(part, count[part])
+        place = np.arange(len(row)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
+        first, second = mine.piece[row], theirs.piece[begin[row] + place]
+        for axis in range(3):
+            over = sets[0].low[first, axis] <= sets[1].high[second, axis]
+            over &= sets[0].high[first, axis] >= sets[1].low[second, axis]
+            first, second = first[over], second[over]
+        yield sets[0].owner[first], near[sets[1].owner[second]]
