@@ -75,6 +75,7 @@ def main() -> None:
     parser.add_argument("--small", action="store_true", help="few elements, few steps")
     parser.add_argument("--out", type=Path, default=FOLDER, help="where the run notebooks go; by default in place")
     arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as cache:
         for path in sorted(FOLDER.glob("*.ipynb")):
             if not arguments.names or path.stem in arguments.names:

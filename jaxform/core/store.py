@@ -59,7 +59,7 @@ class Store:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
-        self._programs: dict[tuple[Any, ...], Soon] = {}
+        self._programs: dict[_Key, Soon] = {}
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -92,24 +92,23 @@ class Store:
 
     def holds(self, function: Any, *arguments: Any) -> bool:
         """Whether a program is there already, in memory or in a file."""
-        key, path = self._key(function, arguments)
+        key = _key(function, arguments)
+        path = self._file(key)
         return key in self._programs or (path is not None and path.exists())
 
     def forget(self) -> None:
         """Lets go of the programs in memory; those in files stay."""
         self._programs.clear()
 
-    def _key(self, function: Any, arguments: Any) -> tuple[tuple[Any, ...], Path | None]:
-        """What a program is known by in memory, and its file; None where it is kept in none."""
-        leaves, tree = jax.tree.flatten(arguments)
-        kinds = tuple((np.shape(leaf), str(getattr(leaf, "dtype", type(leaf)))) for leaf in leaves)
-        key = function, tree, kinds, jax.default_backend()
-        return key, self._path(function.__name__, tuple(str(part) for part in key[1:])) if is_own(tree) else None
+    def _file(self, key: _Key) -> Path | None:
+        """Where a program is kept; None where it is in no file."""
+        return self._path(key.function.__name__, tuple(str(part) for part in key[1:])) if is_own(key.tree) else None
 
     def soon(self, function: Any, *arguments: Any) -> Soon:
         """As `program`; it is compiled while others are traced and compiled."""
-        key, path = self._key(function, arguments)
+        key = _key(function, arguments)
         if key not in self._programs:
+            path = self._file(key)
             if crowded():
                 self._programs.clear()
             while len(self._programs) >= _MOST_PROGRAMS:
@@ -179,6 +178,21 @@ class Store:
             used += status.st_size
             if used > _MOST_BYTES:
                 file.unlink(missing_ok=True)
+
+
+class _Key(NamedTuple):
+    """What a program is known by in memory: a function, the structure of its arguments, their shapes and types."""
+
+    function: Any
+    tree: Any
+    kinds: tuple[tuple[tuple[int, ...], Any], ...]
+    backend: str
+
+
+def _key(function: Any, arguments: Any) -> _Key:
+    leaves, tree = jax.tree.flatten(arguments)
+    kinds = tuple((np.shape(leaf), getattr(leaf, "dtype", type(leaf))) for leaf in leaves)
+    return _Key(function, tree, kinds, jax.default_backend())
 
 
 def _seal(path: Path, content: Any) -> bytes:
