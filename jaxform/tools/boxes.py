@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.search import cut
+from jaxform.tools.crossings import short_pieces
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -32,8 +32,8 @@ class _Pieces(NamedTuple):
     owner: Integers
 
     @classmethod
-    def of(cls, corners: Array, width: float) -> _Pieces:
-        pieces, owner = cut(corners, width)
+    def of(cls, corners: Array, width: float, low: Array, high: Array) -> _Pieces:
+        pieces, owner = short_pieces(corners, width, low, high)
         return cls(pieces.min(1), pieces.max(1), owner)
 
     def cells(self, corner: Array, width: float, shape: Integers) -> _Cells:
@@ -58,11 +58,10 @@ def overlapping(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]
     """
     extent = np.ptp(one, axis=1).max(1)
     width = _WIDE * float(np.exp(np.log(np.maximum(extent, 1e-3 * extent.max())).mean()))
-    box_low, box_high = one.min((0, 1)), one.max((0, 1))
-    near = np.flatnonzero(((other.min(1) <= box_high) & (other.max(1) >= box_low)).all(1))
-    if not len(near):
+    box = one.min((0, 1)), one.max((0, 1))
+    sets = _Pieces.of(one, width, *box), _Pieces.of(other, width, *box)
+    if not len(sets[1].owner):
         return
-    sets = _Pieces.of(one, width), _Pieces.of(other[near], width)
     corner = np.min([pieces.low.min(0) for pieces in sets], axis=0)
     shape = np.max([np.floor((pieces.high - corner) / width).max(0) for pieces in sets], axis=0) + 2
     mine, theirs = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
@@ -78,4 +77,4 @@ def overlapping(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]
             over = sets[0].low[first, axis] <= sets[1].high[second, axis]
             over &= sets[0].high[first, axis] >= sets[1].low[second, axis]
             first, second = first[over], second[over]
-        yield sets[0].owner[first], near[sets[1].owner[second]]
+        yield sets[0].owner[first], sets[1].owner[second]

@@ -60,7 +60,7 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     """
     cells = _cells(grid)
     box = mold_corners.min((0, 1)) - margin, mold_corners.max((0, 1)) + margin
-    pieces, owner = _short(corners, cells.reach, *box)
+    pieces, owner = short_pieces(corners, cells.reach, *box)
     low, high = pieces.min(1) - margin, pieces.max(1) + margin
     middle = pieces.mean(1)
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
@@ -86,7 +86,7 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         yield Pairs(owner[piece], triangle)
 
 
-def _short(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
+def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
     """What of segments or triangles may be in a box, in parts that are no longer, and which each is part of.
 
     They are halved again and again, and what is outside is left out each time: of one that is far larger than the box

@@ -36,6 +36,12 @@ def test_all_that_meet_are_found_and_none_whose_boxes_are_apart(
     assert meet.any() and not (meet & ~found).any() and not (found & ~over).any()
 
 
+def test_one_that_ran_away_is_not_cut_where_the_others_are_not() -> None:
+    one = _triangles(1, 20, 1.0)
+    away = np.array([[[0.5, 0.5, 0.0], [1e6, 0.0, 1e6], [0.5, 0.5, 1.0]]])
+    assert {int(other) for part in boxes.overlapping(one, away) for other in part[1]} == {0}
+
+
 def test_sets_apart_have_none() -> None:
     one = _triangles(1, 20, 1.0)
     assert not list(boxes.overlapping(one, one + 10.0))
