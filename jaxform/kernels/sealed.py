@@ -47,7 +47,12 @@ def sealed(function: Callable[..., Any], *arguments: Any, name: Hashable = None)
         if name is None
         else flat.jitted.trace(*_plain_shapes(leaves)).jaxpr
     )
-    return jax.tree.unflatten(flat.made, _sealed_p.bind(*varying(leaves), jaxpr=jaxpr))
+    leaves = varying(leaves)
+    results = _sealed_p.bind(*leaves, jaxpr=jaxpr)
+    # What is handed on as it was given stays the same value for whoever looks at it, such as a loop.
+    given = dict(zip(map(id, jaxpr.jaxpr.invars), leaves, strict=True))
+    outgoing = map(id, jaxpr.jaxpr.outvars)
+    return jax.tree.unflatten(flat.made, [given.get(*pair) for pair in zip(outgoing, results, strict=True)])
 
 
 class _Flat:

@@ -1,0 +1,36 @@
+"""What the reverse derivative of a run keeps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxform
+
+
+def kept_by_loops(jaxpr: Any, length: int) -> int:
+    """How many numbers the loops of a length keep of all their passes."""
+    total = 0
+    for equation in jaxpr.eqns:
+        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda value: hasattr(value, "eqns")):
+            total += kept_by_loops(inner, length) if hasattr(inner, "eqns") else 0
+        if equation.primitive.name == "scan" and equation.params["length"] == length:
+            total += sum(v.aval.size for v in equation.outvars if v.aval.shape[:1] == (length,))
+    return total
+
+
+@pytest.mark.parametrize("adjoint", [jaxform.Reversed(), jaxform.Checkpointed()], ids=["reversed", "checkpointed"])
+def test_the_scene_is_kept_once_for_all_windows(adjoint: Any) -> None:
+    scene = jaxform.load("dish-coarse")
+
+    def objective(thickness: jax.Array) -> jax.Array:
+        formed = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), adjoint=adjoint)
+        return jnp.sum(jnp.square(formed.thickness))
+
+    count = scene.tables.window_count
+    kept = kept_by_loops(jax.make_jaxpr(jax.grad(objective))(scene.parison.thickness), count)
+    whole, nodes = sum(leaf.size for leaf in jax.tree.leaves(scene)), len(scene.parison.positions)
+    assert 10 * nodes < kept / count < 50 * nodes < 0.1 * whole
