@@ -45,10 +45,18 @@ def _runs() -> dict[str, Callable[[], Any]]:
         return jnp.sum(jnp.square(formed.thickness))
 
     thickness = coarse.parison.thickness
-    gradient = jax.jit(jax.value_and_grad(objective)).lower(thickness).compile(jaxform.compiler_options())
+    several = thickness * jnp.linspace(0.9, 1.1, 4)[:, None]
+    gradient, mapped = (
+        jax.jit(function).lower(argument).compile(jaxform.compiler_options())
+        for function, argument in (
+            (jax.value_and_grad(objective), thickness),
+            (jax.vmap(jax.value_and_grad(objective)), several),
+        )
+    )
     scenes = {name: jaxform.load(name) for name in ("dish", "soap-bottle", "box-insert", "dish-refined")}
     whole = {name: lambda scene=scene: jaxform.run(scene).positions for name, scene in scenes.items()}
-    return {"bare steps": lambda: jaxform.run(free).positions, **whole, "gradient": lambda: gradient(thickness)}
+    slopes = {"gradient": lambda: gradient(thickness), "four gradients, mapped": lambda: mapped(several)}
+    return {"bare steps": lambda: jaxform.run(free).positions, **whole, **slopes}
 
 
 def _serve() -> None:

@@ -14,9 +14,10 @@ import jax
 from jaxform.adjoint.reversed_scheme import differentiable_window
 from jaxform.core.errors import InputError
 from jaxform.dynamics.window import window
+from jaxform.kernels.branches import branch
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
-from jaxform.sheet.state import Schedule, State
+from jaxform.sheet.state import Schedule, State, carries
 
 Look = Callable[[State], tuple[State, Discretization]]
 
@@ -45,6 +46,10 @@ class Adjoint:
         """What a window's border does, with what is kept of it."""
         return jax.checkpoint(look)
 
+    def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
+        """The state after work where that is asked for, else as it is."""
+        return jax.lax.cond(asked, work, lambda state: state, state)
+
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
     ) -> State:
@@ -67,6 +72,14 @@ class Reversed(Adjoint):
                 "the volume"
             )
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
+
+    def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
+        """The same, left out where several runs go side by side and none asks for it.
+
+        Not for JAX's derivative of a window, which goes back over those results alone that have an influence: here it
+        would go back over all.
+        """
+        return branch(asked, work, state, carries)
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None

@@ -86,11 +86,11 @@ def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: C
         leaves, structure = jax.tree.flatten(arguments)
 
         def moved(*new: Any) -> list[Any]:
-            result = function(*jax.tree.unflatten(structure, _merged(cotangents.wanted, new, leaves)))
+            result = function(*jax.tree.unflatten(structure, merged(cotangents.wanted, new, leaves)))
             return _smooth_leaves(result, smooth)[0]
 
         wanted = [leaf for leaf, here in zip(leaves, cotangents.wanted, strict=True) if here]
-        cotangents.found = _merged(cotangents.wanted, jax.vjp(moved, *wanted)[1](jax.tree.leaves(end)))
+        cotangents.found = merged(cotangents.wanted, jax.vjp(moved, *wanted)[1](jax.tree.leaves(end)))
 
     return Rule(value, jax.checkpoint(function), pull, like, smooth)
 
@@ -117,23 +117,24 @@ def apart(function: Callable[..., Any], *arguments: Any) -> Any:
         leaves, structure = jax.tree.flatten(arguments)
 
         def moved(*new: Any) -> tuple[list[Any], Any]:
-            result = function(*jax.tree.unflatten(structure, _merged(moving, new, leaves)))
+            result = function(*jax.tree.unflatten(structure, merged(moving, new, leaves)))
             return _smooth_leaves(result, smooth)[0], result
 
-        _, apply, result = jax.vjp(moved, *_only(leaves, moving), has_aux=True)
+        _, apply, result = jax.vjp(moved, *only(leaves, moving), has_aux=True)
         return result, _Pullback(apply, moving)
 
     def pull(kept: _Pullback, cotangents: Cotangents, end: Any) -> None:
-        cotangents.found = _merged(kept.moving, kept.apply(jax.tree.leaves(end)))
+        cotangents.found = merged(kept.moving, kept.apply(jax.tree.leaves(end)))
 
     return Rule(value, function, pull, lambda *_: results, smooth)(*arguments)
 
 
-def _only(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
+def only(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
+    """The values at whose places it is true."""
     return [value for value, own in zip(values, here, strict=True) if own]
 
 
-def _merged(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
+def merged(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
     """One after the other the next of `some` where it is here, else what is at its place in `others`."""
     new = iter(some)
     return [next(new) if own else other for own, other in zip(here, others, strict=False)]
@@ -161,7 +162,7 @@ def _like(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
 
 def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
     moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
-    given = _only(tangents, moving)
+    given = only(tangents, moving)
     if any(isinstance(t, pe.JaxprTracer) for t in given):
         name = (rule, moving) if rule.lasting else None
         result, kept = sealed(partial(rule.value, moving), *jax.tree.unflatten(structure, primals), name=name)
@@ -182,7 +183,7 @@ def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[An
         smooth = _smooth_leaves(result, rule.smooth)[1]
     results = jax.tree.leaves(result)
     none = [ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results]
-    return results, _merged(smooth, changes, none)
+    return results, merged(smooth, changes, none)
 
 
 def _forward(rule: Rule, structure: Any, moving: tuple[bool, ...], primals: Any, given: Any) -> tuple[Any, list[Any]]:
@@ -190,10 +191,10 @@ def _forward(rule: Rule, structure: Any, moving: tuple[bool, ...], primals: Any,
 
     def both(primals: Any, given: Any) -> tuple[Any, list[Any]]:
         def plain(*moved: Any) -> tuple[list[Any], Any]:
-            result = rule.plain(*jax.tree.unflatten(structure, _merged(moving, moved, primals)))
+            result = rule.plain(*jax.tree.unflatten(structure, merged(moving, moved, primals)))
             return _smooth_leaves(result, rule.smooth)[0], result
 
-        _, changes, result = jax.jvp(plain, _only(primals, moving), given, has_aux=True)
+        _, changes, result = jax.jvp(plain, only(primals, moving), given, has_aux=True)
         return result, changes
 
     if not manual_axes(primals):
@@ -219,9 +220,9 @@ def _transpose(
     shapes: Any,
 ) -> list[Any]:
     count = kept.num_leaves
-    end = jax.tree.unflatten(like, _merged(smooth, map(ad.instantiate_zeros, cotangents)))
+    end = jax.tree.unflatten(like, merged(smooth, map(ad.instantiate_zeros, cotangents)))
     change = map(ad.is_undefined_primal, leaves[count:])
-    wanted = tuple(_merged(moving, change, itertools.repeat(False)))
+    wanted = tuple(merged(moving, change, itertools.repeat(False)))
 
     def pull(kept: Any, end: Any) -> list[Any]:
         own = Cotangents(structure, wanted)
@@ -230,7 +231,7 @@ def _transpose(
 
     name = (rule, structure, wanted) if rule.lasting else None
     found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
-    return [None] * count + _only(found, moving)
+    return [None] * count + only(found, moving)
 
 
 def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:

@@ -75,7 +75,7 @@ def advance(
                 stale |= active.idle.since > carry.active.idle.since
         state, active = repacked(state, scene, now, active, stale)
         whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
-        after, active = unless_full(state.status, scene, whole_window, (state, active), differentiable=False)
+        after, active = unless_full(state.status, scene, whole_window, (state, active))
         at = state.windows
         taken = jax.tree.map(lambda rows, row: rows.at[at].set(row), carry.taken, latest(after))
         return _Going(after, now, active, taken, carry.count + 1)
@@ -103,12 +103,10 @@ def latest(state: State) -> Taken:
 
 
 def unless_full[T](
-    status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, *, differentiable: bool = True
+    status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, only_if: Callable[..., T] = only_if
 ) -> T:
     """A window, unless refinement found no room at its border: then the state is left for a run with more."""
-    if scene.refinement is None:
-        return take(now)
-    return only_if(status == 0, take, now, differentiable=differentiable)
+    return take(now) if scene.refinement is None else only_if(status == 0, take, now)
 
 
 class _Programs(NamedTuple):

@@ -111,11 +111,11 @@ def _windows(
         def whole(state: State) -> State:
             return adjoint.window(state, scene, now, first, schedule)
 
-        return unless_full(state.status, scene, whole, state)
+        return unless_full(state.status, scene, whole, state, adjoint.only_if)
 
     def unless_finished(state: State, _: None) -> tuple[State, Taken]:
         done = finished(state, scene) | (state.windows >= scene.tables.window_count)
-        state = jax.lax.cond(done, lambda state: state, take, state)
+        state = adjoint.only_if(~done, take, state)
         return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), latest(state))
 
     return jax.lax.scan(unless_finished, state, length=count)

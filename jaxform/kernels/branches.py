@@ -1,0 +1,125 @@
+"""A branch with a reverse derivative that is left out as the branch is, also where several runs go side by side.
+
+Side by side, JAX's `cond` works out both branches for each run. A loop that is entered at most once is left out as soon
+as no run asks for it, but has no reverse derivative of JAX's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import jaxpr_as_fun
+from jax.interpreters import partial_eval as pe
+
+from jaxform.core.pytree import pytree, static
+from jaxform.kernels.blocks import only_if
+from jaxform.kernels.derivatives import Cotangents, Rule, merged, only
+
+Leaves = Sequence[jax.Array]
+
+
+@pytree
+class _Kept:
+    """What the reverse derivative of a branch needs.
+
+    Attributes:
+        asked: Whether it was taken.
+        given: What it was called with: what it closed over, then the value.
+        own: What it has worked out.
+        place: Where each leaf of its derivative is: in `given`, or beyond that in `own`.
+        structure: Of its derivative, a function.
+        moving: Which of `given` it is a derivative by.
+    """
+
+    asked: jax.Array
+    given: list[jax.Array]
+    own: list[jax.Array]
+    place: tuple[int, ...] = static()
+    structure: Any = static()
+    moving: tuple[bool, ...] = static()
+
+
+def branch[T](asked: jax.Array, work: Callable[[T], T], value: T, smooth: Callable[[T], Any] | None = None) -> T:
+    """What `work` makes of the value where it is asked for, else the value as it is; differentiable.
+
+    Args:
+        asked: Whether it is.
+        work: It gives a value of the same structure and shapes, and may close over traced values.
+        value: A tree of arrays.
+        smooth: Of the value's tree, whether each leaf carries a derivative; by default all real numbers do.
+    """
+    leaves, structure = jax.tree.flatten(value)
+    made = jax.make_jaxpr(lambda *leaves: jax.tree.leaves(work(jax.tree.unflatten(structure, leaves))))(*leaves)
+    function = jaxpr_as_fun(pe.convert_constvars_jaxpr(made.jaxpr))
+    flags = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves]
+    flags = flags if smooth is None else jax.tree.leaves(smooth(value))
+    rule = Rule(
+        value=partial(_value, function, flags),
+        plain=partial(_plain, function),
+        pull=partial(_pull, flags),
+        like=lambda _, __, leaves: leaves,
+        smooth=lambda _: flags,
+    )
+    return jax.tree.unflatten(structure, rule(asked, made.consts, leaves))
+
+
+def _plain(function: Callable[..., Leaves], asked: jax.Array, constants: Leaves, leaves: Leaves) -> list[jax.Array]:
+    take = lambda leaves: list(function(*constants, *leaves))  # noqa: E731
+    return only_if(asked, take, list(leaves), differentiable=True)
+
+
+def _value(
+    function: Callable[..., Leaves],
+    smooth: Sequence[bool],
+    moving: tuple[bool, ...],
+    asked: jax.Array,
+    constants: Leaves,
+    leaves: Leaves,
+) -> tuple[Leaves, _Kept | None]:
+    here, given = moving[1:], [*constants, *leaves]
+    if not any(here):
+        return only_if(asked, lambda leaves: list(function(*constants, *leaves)), list(leaves)), None
+    structures = []
+
+    def with_kept(*given: jax.Array) -> list[jax.Array]:
+        def moved(*new: jax.Array) -> tuple[list[jax.Array], Leaves]:
+            results = function(*merged(here, new, given))
+            return only(results, smooth), results
+
+        _, back, results = jax.vjp(moved, *only(given, here), has_aux=True)
+        kept, structure = jax.tree.flatten(back)
+        structures.append(structure)
+        return [*results, *kept]
+
+    made, shapes = jax.make_jaxpr(with_kept, return_shape=True)(*given)
+    variables, place = list(map(id, made.jaxpr.invars)), []
+    own = []
+    for k, variable in enumerate(made.jaxpr.outvars[len(leaves) :], len(leaves)):
+        if id(variable) not in variables:
+            variables.append(id(variable))
+            own.append(k)
+        place.append(variables.index(id(variable)))
+
+    def take(now: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
+        results = jaxpr_as_fun(made)(*constants, *now[0])
+        return results[: len(leaves)], [results[k] for k in own]
+
+    none = [jnp.zeros(shapes[k].shape, shapes[k].dtype) for k in own]
+    results, kept = only_if(asked, take, (list(leaves), none))
+    return results, _Kept(asked, given, kept, tuple(place), structures[-1], here)
+
+
+def _pull(smooth: Sequence[bool], kept: _Kept, cotangents: Cotangents, end: Sequence[jax.Array | None]) -> None:
+    values = [*kept.given, *kept.own]
+    back = jax.tree.unflatten(kept.structure, [values[where] for where in kept.place])
+    wanted = cotangents.wanted[1:]
+    results = only(end, smooth)
+    through = only([*[None] * (len(kept.given) - len(end)), *end], wanted)
+    pairs = zip(only(kept.given, wanted), through, strict=True)
+    through = [jnp.zeros_like(value) if new is None else new for value, new in pairs]
+    found = only_if(kept.asked, lambda _: only(merged(kept.moving, back(results)), wanted), through)
+    cotangents.found = [None, *merged(wanted, found)]

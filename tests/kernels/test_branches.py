@@ -1,0 +1,69 @@
+"""A branch with a derivative of its own, against JAX's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxform.kernels.branches import branch
+
+COUNT = 5
+START, TABLE = jnp.linspace(0.1, 0.5, 3), jnp.linspace(0.5, 1.5, COUNT + 1)
+
+
+def of_jax(asked: jax.Array, work: Callable[[Any], Any], value: Any) -> Any:
+    return jax.lax.cond(asked, work, lambda value: value, value)
+
+
+def walked(choose: Callable[..., Any], start: jax.Array, table: jax.Array, limit: jax.Array) -> jax.Array:
+    """A few passes, of which only those below a limit do anything; the work reads of a table."""
+
+    def step(carry: tuple[jax.Array, jax.Array], number: jax.Array) -> tuple[Any, None]:
+        def work(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            x, seen = carry
+            return jnp.sin(x) * table[seen] + x**2 * table[seen + 1], seen + 1
+
+        return choose(number < limit, work, carry), None
+
+    return jnp.sum(jax.lax.scan(step, (start, jnp.int32(0)), jnp.arange(COUNT))[0][0])
+
+
+@pytest.mark.parametrize("limit", [0, 2, COUNT])
+def test_derivatives_are_those_of_jax(limit: int) -> None:
+    def derivatives(choose: Callable[..., Any]) -> Any:
+        def both(x: jax.Array, table: jax.Array) -> jax.Array:
+            return walked(choose, x, table, jnp.int32(limit))
+
+        return [
+            jax.value_and_grad(both, (0, 1))(START, TABLE),
+            jax.jacfwd(both)(START, TABLE),
+            jax.hessian(both)(START, TABLE),
+            jax.vmap(jax.grad(both), (0, None))(jnp.stack([START, 2 * START]), TABLE),
+            jax.grad(lambda x: jnp.sum(jax.vmap(both, (0, None))(x, TABLE)))(jnp.stack([START, 2 * START])),
+        ]
+
+    mine, its = derivatives(branch), derivatives(of_jax)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15), mine, its)
+
+
+def test_side_by_side_each_takes_its_own_way() -> None:
+    limits = jnp.arange(COUNT + 1)
+
+    def slopes(choose: Callable[..., Any]) -> jax.Array:
+        slope = jax.grad(lambda x, limit: walked(choose, x, TABLE, limit))
+        return jax.vmap(slope, (None, 0))(START, limits)
+
+    np.testing.assert_allclose(slopes(branch), slopes(of_jax), rtol=1e-14)
+
+
+def test_only_what_carries_a_derivative_is_gone_back_over() -> None:
+    def both(x: jax.Array, y: jax.Array) -> jax.Array:
+        value = branch(jnp.asarray(True), lambda pair: (pair[0] * y, pair[1] * y), (x, x), lambda _: (True, False))
+        return value[0] + value[1]
+
+    assert jax.grad(both, 1)(jnp.asarray(2.0), jnp.asarray(3.0)) == 2.0
