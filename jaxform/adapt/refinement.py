@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxform.adapt.inheritance import ancestry, inherited
 from jaxform.adapt.insertion import frame_of, insert_nodes
-from jaxform.adapt.remeshing import Queue, bisected, closed, queued
+from jaxform.adapt.remeshing import Queue, bisected, closed, queued, with_sides
 from jaxform.contact.cells import cell_of
 from jaxform.kernels import sizes
 from jaxform.kernels.blocks import BLOCK, listed, only_if, over_blocks, padded
@@ -41,7 +41,7 @@ def refined(
     With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
 
     Args:
-        state: The state.
+        state: The state; its mesh has no `side`.
         scene: The scene.
         discrete: The sheet with the state's mesh.
         schedule: The decisions that are taken; None where the mesh decides.
@@ -57,9 +57,17 @@ def refined(
         due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, scene=scene)
 
     def look(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
-        return _grown(now[0], scene, adaptivity, now[1], *wanted(*now, adaptivity), None)
+        state, body = now
+        state = dataclasses.replace(state, mesh=with_sides(state.refined_mesh, adaptivity.forest))
+        state, body = _grown(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
+        return without_sides(state), body
 
     return only_if(due, look, (state, discrete), differentiable=True)
+
+
+def without_sides(state: State) -> State:
+    """The state, with a mesh that has no `side`."""
+    return state if state.mesh is None else dataclasses.replace(state, mesh=dataclasses.replace(state.mesh, side=None))
 
 
 def refined_in_place(
@@ -199,7 +207,7 @@ def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, scen
             wanted |= (own[4] > 0.0) & (level < limits.base_level)
         return [[wanted & ~fine & (area > 0.0)]], []
 
-    across = mesh.side[forest.half_edges[:, mesh.element] ^ 1]
+    across = mesh.sides[forest.half_edges[:, mesh.element] ^ 1]
     lists = mesh.element, across, shapes[:, : mesh.element.size], fine, sheet.area
     inputs = tuple(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, room - x.shape[-1])]) for x in lists)
     (marks,), _ = over_blocks(work, blocks, inputs, [jnp.zeros((1, room), bool)])

@@ -111,6 +111,14 @@ def bisected(mesh: Mesh, queue: Queue, forest: Forest) -> Mesh:
     return jax.lax.fori_loop(0, queue.count, bisect, mesh)
 
 
+def with_sides(mesh: Mesh, forest: Forest) -> Mesh:
+    """The mesh with `side`, from the elements that there are."""
+    number = jnp.arange(mesh.element.size, dtype=jnp.int32)
+    there = jnp.where(number < mesh.element_count, forest.half_edges[:, mesh.element], forest.half_edge_count)
+    side = jnp.full(forest.half_edge_count, -1, jnp.int32).at[there].set(number, mode="drop")
+    return dataclasses.replace(mesh, side=side)
+
+
 def started_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
     """The mesh when a run begins: that of the scene, fine at once where its tables say so."""
     mesh, forest = first_mesh(scene, adaptivity), adaptivity.forest
@@ -152,8 +160,8 @@ def _with_parts(mesh: Mesh, triangle: jax.Array, forest: Forest) -> tuple[Mesh, 
     """The mesh with two triangles for one, and which element that was; the second part comes last in the list."""
     half_edges, first = forest.half_edges, 2 * triangle + forest.root_count
     last, cut = mesh.element_count, _at(half_edges, 1, triangle)
-    element, cut = once((_at(mesh.side, _at(half_edges, 0, triangle)), cut))
-    side = _with(mesh.side, -1, cut)
+    element, cut = once((_at(mesh.sides, _at(half_edges, 0, triangle)), cut))
+    side = _with(mesh.sides, -1, cut)
     for part, number in ((first, element), (first + 1, last)):
         for k in range(3):
             side = _with(side, number, _at(half_edges, k, part))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray, Tracer
 from jax.custom_derivatives import SymbolicZero
 
-from jaxform.adapt.refinement import refined
+from jaxform.adapt.refinement import refined, without_sides
 from jaxform.adjoint.strategies import Adjoint, adjoint_of
 from jaxform.core.errors import InputError
 from jaxform.core.ranges import RANGES
@@ -82,7 +82,7 @@ def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Resu
 
 def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
     given, (scene, out_of_range) = scene, with_stand_ins(scene)
-    first, state = discretize(scene), initial_state(scene)
+    first, state = discretize(scene), without_sides(initial_state(scene))
     state = dataclasses.replace(state, status=jnp.where(jnp.all(out_of_range == 0), state.status, Status.INPUT))
     count = scene.tables.window_count
     if adjoint.windows > 1:

@@ -30,7 +30,8 @@ class Mesh:
         node: The node at each place (node_room,), in the order in which they came to be.
         place: The place of each node (n_node,); 0 where there is no such node.
         node_count: How many there are.
-        side: The element with each half edge (n_half_edge,), -1 where there is none.
+        side: The element with each half edge (n_half_edge,), -1 where there is none. None where derivatives are taken,
+            which would keep it for each window: it is as long as the forest, and made anew where it is needed.
         corner: Four times the element, and its corner, of those at each place (valence, node_room); -1 beyond them.
         corner_count: How many they are (node_room,).
         row: The row of `corner` in which each element's corners are (3, element_room).
@@ -42,10 +43,16 @@ class Mesh:
     node: jax.Array
     place: jax.Array
     node_count: jax.Array
-    side: jax.Array
+    side: jax.Array | None
     corner: jax.Array
     corner_count: jax.Array
     row: jax.Array
+
+    @property
+    def sides(self) -> jax.Array:
+        """The element with each half edge, where that is known."""
+        assert self.side is not None
+        return self.side
 
 
 class Substance(NamedTuple):

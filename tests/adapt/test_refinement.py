@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform.adapt import refinement
+from jaxform.adapt import refinement, remeshing
 from jaxform.core.errors import InputError
 from jaxform.io import output
 from jaxform.mesh import meshes, topology
@@ -93,6 +93,7 @@ def lists_of(mesh: discretization.Mesh, forest: Forest) -> None:
     side = np.full(forest.half_edge_count, -1)
     side[half] = np.arange(count)
     np.testing.assert_array_equal(mesh.side, side)
+    np.testing.assert_array_equal(remeshing.with_sides(mesh, forest).side, side)
     corner, room = np.asarray(mesh.corner), mesh.corner_count
     np.testing.assert_array_equal(np.bincount(places[triangles].ravel(), minlength=room.size), room)
     np.testing.assert_array_equal((corner >= 0).sum(0), room)
@@ -222,6 +223,7 @@ def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> No
     @jax.value_and_grad
     def swiftness(positions: jax.Array) -> jax.Array:
         moving = before.with_nodes(positions=positions, velocities=jnp.ones_like(positions))
+        moving = refinement.without_sides(moving)
         return jnp.sum(jnp.square(refinement.refined(moving, scene, now)[0].nodes.velocities))
 
     value, slope = swiftness(before.nodes.positions)
