@@ -14,6 +14,7 @@ import jax
 from jaxform.adjoint.reversed_scheme import differentiable_window
 from jaxform.core.errors import InputError
 from jaxform.dynamics.window import window
+from jaxform.kernels.blocks import only_if
 from jaxform.kernels.branches import branch
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
@@ -48,7 +49,7 @@ class Adjoint:
 
     def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
         """The state after work where that is asked for, else as it is."""
-        return jax.lax.cond(asked, work, lambda state: state, state)
+        return only_if(asked, work, state, differentiable=True)
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None

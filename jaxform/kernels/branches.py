@@ -59,7 +59,7 @@ def branch[T](asked: jax.Array, work: Callable[[T], T], value: T, smooth: Callab
     flags = flags if smooth is None else jax.tree.leaves(smooth(value))
     rule = Rule(
         value=partial(_value, function, flags),
-        plain=partial(_plain, function),
+        plain=partial(_result, function, differentiable=True),
         pull=partial(_pull, flags),
         like=lambda _, __, leaves: leaves,
         smooth=lambda _: flags,
@@ -67,9 +67,11 @@ def branch[T](asked: jax.Array, work: Callable[[T], T], value: T, smooth: Callab
     return jax.tree.unflatten(structure, rule(asked, made.consts, leaves))
 
 
-def _plain(function: Callable[..., Leaves], asked: jax.Array, constants: Leaves, leaves: Leaves) -> list[jax.Array]:
+def _result(
+    function: Callable[..., Leaves], asked: jax.Array, constants: Leaves, leaves: Leaves, *, differentiable: bool
+) -> list[jax.Array]:
     take = lambda leaves: list(function(*constants, *leaves))  # noqa: E731
-    return only_if(asked, take, list(leaves), differentiable=True)
+    return only_if(asked, take, list(leaves), differentiable=differentiable)
 
 
 def _value(
@@ -82,7 +84,7 @@ def _value(
 ) -> tuple[Leaves, _Kept | None]:
     here, given = moving[1:], [*constants, *leaves]
     if not any(here):
-        return only_if(asked, lambda leaves: list(function(*constants, *leaves)), list(leaves)), None
+        return _result(function, asked, constants, leaves, differentiable=False), None
     structures = []
 
     def with_kept(*given: jax.Array) -> list[jax.Array]:
