@@ -17,7 +17,7 @@ from jaxform.kernels.blocks import once
 from jaxform.mesh import bisection
 from jaxform.model.scene import Adaptivity, Scene
 from jaxform.model.tables import Forest
-from jaxform.sheet.discretization import NEVER, Mesh, first_mesh
+from jaxform.sheet.discretization import NEVER, Mesh, first_mesh, sides_of
 
 
 @pytree
@@ -113,10 +113,7 @@ def bisected(mesh: Mesh, queue: Queue, forest: Forest) -> Mesh:
 
 def with_sides(mesh: Mesh, forest: Forest) -> Mesh:
     """The mesh with `side`, from the elements that there are."""
-    number = jnp.arange(mesh.element.size, dtype=jnp.int32)
-    there = jnp.where(number < mesh.element_count, forest.half_edges[:, mesh.element], forest.half_edge_count)
-    side = jnp.full(forest.half_edge_count, -1, jnp.int32).at[there].set(number, mode="drop")
-    return dataclasses.replace(mesh, side=side)
+    return dataclasses.replace(mesh, side=sides_of(mesh.element, mesh.element_count, forest))
 
 
 def started_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:

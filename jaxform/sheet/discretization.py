@@ -226,19 +226,26 @@ def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
     # What is beyond the first triangles goes nowhere.
     there = roots < counts.elements
     at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
-    half_edges = jnp.where(there, forest.half_edges[:, : forest.root_count], forest.half_edge_count)
+    element = jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0))
     return Mesh(
         split_at=jnp.full(forest.bound.size, NEVER, jnp.int32),
-        element=jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0)),
+        element=element,
         element_count=counts.elements,
         node=jnp.where(node < counts.nodes, node, 0),
         place=jnp.where(place < counts.nodes, place, 0),
         node_count=counts.nodes,
-        side=jnp.full(forest.half_edge_count, -1, jnp.int32).at[half_edges].set(roots, mode="drop"),
+        side=sides_of(element, counts.elements, forest),
         corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, at].set(corner, mode="drop"),
         corner_count=jnp.zeros(node.size, jnp.int32).at[at].add(1, mode="drop"),
         row=jnp.zeros((3, room), jnp.int32).at[:, : roots.size].set(row),
     )
+
+
+def sides_of(element: jax.Array, count: jax.Array, forest: Forest) -> jax.Array:
+    """Which of the elements (room,), of which so many are in use, has each half edge, as `Mesh.side`."""
+    number = jnp.arange(element.size, dtype=jnp.int32)
+    there = jnp.where(number < count, forest.half_edges[:, element], forest.half_edge_count)
+    return jnp.full(forest.half_edge_count, -1, jnp.int32).at[there].set(number, mode="drop")
 
 
 def node_room(elements: int, first_nodes: int, most: int) -> int:
