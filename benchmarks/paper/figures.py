@@ -193,16 +193,18 @@ def animation(name: str, parts: Sequence[Part]) -> None:
     """The forming of the part as a GIF."""
     shown = evenly(parts, _FRAMES)
     tall = name == "soap-bottle"
-    figure = plt.figure(figsize=(2.9, 4.2) if tall else (4.6, 3.4))
+    figure = plt.figure(figsize=(3.6, 4.6) if tall else (6.4, 4.2))
     colors, (low, high) = colors_of(shown), bounds(parts)
     writer = PillowWriter(fps=10)
-    with writer.saving(figure, str(DOCS / f"{name}.gif"), dpi=80):
+    with writer.saving(figure, str(DOCS / f"{name}.gif"), dpi=100):
         for scene, part in [*shown, *[shown[-1]] * 8]:
             figure.clear()
-            view: Any = figure.add_axes((0.0, 0.0, 1.0, 0.94), projection="3d")
+            view: Any = figure.add_axes((0.0, 0.0, 0.8 if tall else 0.88, 0.94), projection="3d")
             surface(view, *faces(scene, part), colors, edges=True)
             frame(view, low, high, **view_of(name))
-            figure.text(0.5, 0.94, f"t = {1e3 * float(part.time):5.1f} ms", ha="center", fontsize=10)
+            figure.text(0.45, 0.94, f"t = {1e3 * float(part.time):5.1f} ms", ha="center", fontsize=10)
+            room = figure.add_axes((0.8, 0.2, 0.03, 0.6) if tall else (0.88, 0.2, 0.018, 0.6))
+            figure.colorbar(colors, cax=room, label="h / h$_0$")
             writer.grab_frame()
     plt.close(figure)
 

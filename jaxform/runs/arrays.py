@@ -13,7 +13,7 @@ from jaxform.kernels import sizes
 from jaxform.loads import Loading, Pressure
 from jaxform.materials import Law
 from jaxform.model.field import Field
-from jaxform.model.scene import Parison, Refinement, Scene
+from jaxform.model.scene import Parison, Refinement
 from jaxform.model.tables import Assembly, Bend, Forest, Pairs, Sheet
 from jaxform.sheet.discretization import NEVER, node_room
 from jaxform.tools.mold import Mold
@@ -111,11 +111,8 @@ def sheet_with_room(sheet: Sheet, room: int, order: Order) -> Sheet:
     )
 
 
-def lying_with_room(scene: Scene, order: Order) -> Any:
-    """What lies on the mold at first; None without a mold."""
-    if scene.mold is None:
-        return None
-    lying = scene.tables.lying
+def lying_with_room(lying: Any, order: Order) -> Any:
+    """What lies on the mold at first; where nothing does, it says so of every node."""
     return nodal_with_room(np.zeros(len(order.node), np.int32) if lying is None else lying, order, 0)
 
 

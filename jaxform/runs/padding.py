@@ -17,7 +17,7 @@ from jax.core import Tracer
 from jaxform.core.errors import InputError
 from jaxform.core.ranges import MOST_STEPS
 from jaxform.kernels import sizes
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Refinement, Scene
 from jaxform.model.tables import Assembly, Counts, Tables
 from jaxform.results.result import NODAL, OF_ELEMENTS, Result
 from jaxform.runs.arrays import (
@@ -38,8 +38,10 @@ from jaxform.runs.arrays import (
     sheet_with_room,
     spread,
 )
+from jaxform.runs.kept import kept
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.state import Schedule
+from jaxform.tools.mold import Mold
 
 _OF_WINDOWS = ("lengths", "counts", "bounds")
 
@@ -126,24 +128,57 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
     """
     if scene.tables.counts is not None:
         return Padded(scene, scene, None)
-    forest, refinement, tables = scene.tables.forest, scene.refinement, scene.tables
+    room = kept(_rungs, scene.tables, len(scene.parison.triangles), scene.refinement, least, recorded)
+    order, elements = room.order, room.order.elements
+    own = {
+        "parison": parison_with_room(scene.parison, elements, order),
+        "material": material_with_room(scene.material, order),
+        "pressure": pressure_with_room(scene.pressure),
+        "solver": dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
+        "fields": {name: field_with_room(field, order) for name, field in scene.fields.items()},
+        "cooling": scene.cooling,
+    }
+    whole = Scene(
+        mold=None if scene.mold is None else kept(_mold, scene.mold),
+        refinement=room.refinement,
+        tables=room.tables,
+        name="",
+        **jax.device_put(own),
+    )
+    return Padded(whole, scene, order)
+
+
+def _mold(mold: Mold) -> Mold:
+    return jax.device_put(mold_with_room(mold))
+
+
+class _Rungs(NamedTuple):
+    """Tables with room, limits of refinement that go with it, and where things of a scene are in them."""
+
+    tables: Tables
+    refinement: Refinement | None
+    order: Order
+
+
+def _rungs(tables: Tables, count: int, refinement: Refinement | None, least: int, recorded: bool) -> _Rungs:
+    """Of the tables of a scene of so many elements; the rest as of `on_rungs`."""
+    forest, nodes = tables.forest, tables.mobility.shape[1]
+    pair_count = None
     if forest is None:
-        elements = sizes.elements(max(len(scene.parison.triangles), least))
-        count = len(scene.parison.positions)
-        room = sizes.nodes(count, elements)
-        order = Order(np.arange(count), None, elements, room, room, 0)
+        elements = sizes.elements(max(count, least))
+        room = sizes.nodes(nodes, elements)
+        order = Order(np.arange(nodes), None, elements, room, room, 0)
         pairs = tables.assembly.pairs
         pair_count = None if pairs is None else pairs.element.shape[1]
         assembly = assembly_with_room(tables.assembly, elements, order.node_room)
     else:
         elements = sizes.roots(max(forest.root_count, least))
-        order, pair_count = forest_order(forest, elements), None
+        order = forest_order(forest, elements)
+        nodes = forest.first_nodes
         none: Any = np.zeros(0, np.int32)
         # What the mesh was before it was refined is not active.
         assembly = Assembly(none[None], none, none)
-    numbers: list[Any] = [
-        np.int32(count) for count in (len(scene.parison.triangles), scene.first_nodes, pair_count or 0)
-    ]
+    numbers: list[Any] = [np.int32(number) for number in (count, nodes, pair_count or 0)]
     counts = Counts(numbers[0], numbers[1], None if pair_count is None else numbers[2])
     grown = None
     if forest is not None and refinement is not None:
@@ -158,23 +193,12 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
         box=tables.box,
         grid=None if tables.grid is None else grid_with_room(tables.grid),
         forest=grown,
-        lying=lying_with_room(scene, order),
+        lying=None if tables.grid is None else lying_with_room(tables.lying, order),
         longest_window=tables.longest_window,
         window_count=sizes.windows(tables.window_count, recorded=recorded),
         window_room=tables.window_room,
         pairs_per_node=tables.pairs_per_node,
         counts=counts,
     )
-    whole = Scene(
-        parison=parison_with_room(scene.parison, elements, order),
-        material=material_with_room(scene.material, order),
-        pressure=pressure_with_room(scene.pressure),
-        solver=dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
-        mold=None if scene.mold is None else mold_with_room(scene.mold),
-        refinement=refinement,
-        tables=made,
-        name="",
-        fields={name: field_with_room(own, order) for name, own in scene.fields.items()},
-        cooling=scene.cooling,
-    )
-    return Padded(jax.device_put(whole), scene, order)
+    made, refinement = jax.device_put((made, refinement))
+    return _Rungs(made, refinement, order)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -216,6 +218,31 @@ def test_what_has_room_already_keeps_it() -> None:
     result = jaxform.run(scene)
     assert result.thickness.shape == scene.parison.thickness.shape
     assert int(result.active.sum()) < len(result.active)
+
+
+def test_what_scenes_share_is_padded_once_while_it_is_there() -> None:
+    scene = dish(0.05, 60)
+    other = jaxform.replace(scene, {"parison.thickness": 2e-3, "material.c": 3e5})
+    rooms = [padding.on_rungs(each, recorded=True).scene for each in (scene, other)]
+    assert rooms[0].tables is rooms[1].tables and rooms[0].mold is rooms[1].mold
+    assert np.all(np.asarray(rooms[1].parison.thickness) == 2e-3)
+    assert padding.on_rungs(scene).scene.tables.window_count != rooms[0].tables.window_count
+    gone = weakref.ref(rooms[0].tables), weakref.ref(rooms[0].mold)
+    del scene, other, rooms
+    gc.collect()
+    assert gone[0]() is None and gone[1]() is None
+
+
+def test_what_can_be_written_into_is_padded_anew() -> None:
+    scene = dish(0.05, 60)
+    assert scene.mold is not None
+    vertices = np.array(scene.mold.vertices)
+    scene = dataclasses.replace(scene, mold=dataclasses.replace(scene.mold, vertices=vertices))
+    first = padding.on_rungs(scene).scene.mold
+    vertices += 1e-3
+    second = padding.on_rungs(scene).scene.mold
+    assert first is not None and second is not None
+    np.testing.assert_allclose(second.vertices, np.asarray(first.vertices) + 1e-3)
 
 
 def test_a_traced_scene_is_not_padded() -> None:
