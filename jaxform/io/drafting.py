@@ -32,6 +32,8 @@ _RE_ENTRANT = (
     1.3  # the same of an outline, over whose re-entrant edges a sheet folds, and blows up where it is not held
 )
 _SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
+_LEVEL = 0.01  # of the cavity's depth: what is at one height, but for rounding
+_RESOLVED = 2.0  # pixels: half the width below which a part of the cavity is not seen as it is
 _SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
 _SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
 _DAMPING = 2.0  # the same times the damping
@@ -200,12 +202,12 @@ def _pocket(found: Opening) -> float:
     view = found.view
     halves = [0.5 * view.pixel * min(view.inside.shape)]
     for share in () if found.male else (0.0, 0.5):
-        deep = found.cavity & ~(view.height <= found.level + share * found.depth)
+        deep = found.cavity & ~(view.height <= found.level + (share + _LEVEL) * found.depth)
         part, count = masks.parts(deep)
         area, half = np.bincount(part.ravel()), np.zeros(count + 1)
         np.maximum.at(half, part, masks.distance(deep))
         smallest = np.argsort(half[1:])
-        counts = np.cumsum(area[1:][smallest]) > _SPECK * deep.sum()
+        counts = (np.cumsum(area[1:][smallest]) > _SPECK * deep.sum()) & (half[1:][smallest] >= _RESOLVED)
         halves += (view.pixel * half[1:][smallest][counts]).tolist()
     return min(halves)
 

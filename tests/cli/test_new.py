@@ -12,7 +12,7 @@ import pytest
 
 from jaxform.cli import command, session
 from jaxform.core.errors import InputError
-from jaxform.io import files, firstscene
+from jaxform.io import drafting, files, firstscene
 from jaxform.io.survey import survey
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
@@ -71,6 +71,41 @@ def test_the_opening_is_in_z_0_and_the_mold_behind_it(tmp_path, capfd, unit, deg
     assert seen.overlap is not None and seen.overlap > 0.999
     study = files.read_study(folder / "study.toml")
     assert study.scene.data == tomllib.loads((folder / "scene.toml").read_text())
+
+
+def _boxes(depths: list[float]) -> Mesh:
+    """Pockets of 0.1 x 0.1, side by side in a flange, with upright walls."""
+    sides, corners = [], np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+    def level(low: list[float], high: list[float], height: float) -> None:
+        flat = np.array(low) + corners * np.subtract(high, low)
+        sides.append(np.column_stack([flat, np.full(4, height)]))
+
+    ends = [0.02 + 0.12 * k for k in range(len(depths))]
+    for y, high in ((0.0, 0.02), (0.12, 0.14)):
+        level([0.0, y], [ends[-1] + 0.12, high], 0.0)
+    for x in [0.0, *(end + 0.1 for end in ends)]:
+        level([x, 0.02], [x + 0.02, 0.12], 0.0)
+    for x, depth in zip(ends, depths, strict=True):
+        level([x, 0.02], [x + 0.1, 0.12], depth)
+        rim = [[x, 0.02], [x + 0.1, 0.02], [x + 0.1, 0.12], [x, 0.12]]
+        for a, b in zip(rim, rim[1:] + rim[:1], strict=True):
+            sides.append(np.array([[*a, 0.0], [*b, 0.0], [*b, depth], [*a, depth]]))
+    triangles = [[4 * k + i for i in half] for k in range(len(sides)) for half in ((0, 1, 2), (0, 2, 3))]
+    return Mesh(np.concatenate(sides), np.array(triangles))
+
+
+@pytest.mark.parametrize("degrees", [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (20.0, 100.0, -40.0)])
+def test_a_pocket_half_as_deep_as_another_is_one_pocket(tmp_path, degrees):
+    """Its bottom lies half way down, where pockets are looked for: rounding once made thousands of it."""
+    made = drafting.draft([write(tmp_path / "clam.stl", _boxes([0.06, 0.03]), 0.001, degrees)])
+    assert made.pocket == pytest.approx(0.05, rel=0.03) and made.levels == 0
+    assert made.draw == pytest.approx(1 + 0.06 / 0.05 * 2, rel=0.03)
+
+
+def test_small_pockets_count_together(tmp_path):
+    made = drafting.draft([write(tmp_path / "row.stl", _boxes([0.06] * 5), 0.001)])
+    assert made.pocket == pytest.approx(0.05, rel=0.03)
 
 
 def test_a_hole_is_closed_and_what_is_given_counts(tmp_path, capfd):
