@@ -43,6 +43,8 @@ PAPER: dict[str, Row] = {
 }
 """Counts that the paper states (4.1 to 4.3)."""
 _STAGES, _FRAMES = 4, 24
+_ROOM = {"dish": (0.0, 0.0, 0.88, 0.94), "box-insert": (-0.06, -0.2, 1.0, 1.3), "soap-bottle": (0.0, 0.0, 0.8, 0.94)}
+"""Of an animation, where the part is drawn; the colours' bar is beside it."""
 _LIGHT = np.array([0.35, -0.62, 0.70])
 
 
@@ -196,10 +198,10 @@ def animation(name: str, parts: Sequence[Part]) -> None:
     figure = plt.figure(figsize=(3.6, 4.6) if tall else (6.4, 4.2))
     colors, (low, high) = colors_of(shown), bounds(parts)
     writer = PillowWriter(fps=10)
-    with writer.saving(figure, str(DOCS / f"{name}.gif"), dpi=100):
+    with writer.saving(figure, str(DOCS / f"{name}.gif"), dpi=90):
         for scene, part in [*shown, *[shown[-1]] * 8]:
             figure.clear()
-            view: Any = figure.add_axes((0.0, 0.0, 0.8 if tall else 0.88, 0.94), projection="3d")
+            view: Any = figure.add_axes(_ROOM[name], projection="3d")
             surface(view, *faces(scene, part), colors, edges=True)
             frame(view, low, high, **view_of(name))
             figure.text(0.45, 0.94, f"t = {1e3 * float(part.time):5.1f} ms", ha="center", fontsize=10)
