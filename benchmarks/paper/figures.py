@@ -43,6 +43,7 @@ PAPER: dict[str, Row] = {
 }
 """Counts that the paper states (4.1 to 4.3)."""
 _STAGES, _FRAMES = 4, 24
+_LOOK = 16  # steps between two looks at a part
 _ROOM = {"dish": (0.0, 0.0, 0.88, 0.94), "box-insert": (-0.06, -0.2, 1.0, 1.3), "soap-bottle": (0.0, 0.0, 0.8, 0.94)}
 """Of an animation, where the part is drawn; the colours' bar is beside it."""
 _LIGHT = np.array([0.35, -0.62, 0.70])
@@ -64,8 +65,9 @@ SCENES: dict[str, Callable[[], Scene]] = {
 
 
 def watched(scene: Scene) -> list[Part]:
-    """The part after every window, each with the elements that are there."""
+    """The part after every window, all of them short, each with the elements that are there."""
     parts: list[Part] = []
+    scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=np.int32(_LOOK)))
     jaxform.run(scene, on_window=lambda moment: parts.append(only_used(scene, moment.result())))
     return parts
 
