@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ _RE_ENTRANT = (
 _SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
 _LEVEL = 0.01  # of the cavity's depth: what is at one height, but for rounding
 _RESOLVED = 2.0  # pixels: half the width below which a part of the cavity is not seen as it is
+_SLIT, _SLIT_AREA = 4.0, 0.25  # a slit's depth in half widths at least, and at most of the cavity's area
+_BEFORE = 1.0  # of the pressure that blows the sheet into a slit, as thick as it is at first
 _SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
 _SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
 _DAMPING = 2.0  # the same times the damping
@@ -57,6 +60,7 @@ class Draft:
         covers: What closes the mold, as its file has it [m].
         width: Of the sheet [m], the shorter way.
         pocket: Half the width of the smallest pocket [m].
+        slit: The same of the widest slits, which are left open; None where there are none.
         thickness: Of the sheet [m].
         element_size: [m]
     """
@@ -74,6 +78,7 @@ class Draft:
     covers: Covers
     width: float
     pocket: float
+    slit: float | None
     thickness: float
     element_size: float
 
@@ -82,11 +87,15 @@ class Draft:
         """The pressure [Pa] that fills the pockets: 2 T / r for corners of radius r and a tension T.
 
         T = 2 c h (1 + alpha stretch^2) of a Mooney-Rivlin sheet at large equal stretches, which are taken twice as
-        large as those of the cavity's area on average.
+        large as those of the cavity's area on average. Less where that would blow the sheet into slits: it goes in
+        at one place first, spreads below what is still above it, and meets itself.
         """
         tension = 2 * STIFFNESS * self.thickness * (1 + ALPHA * 2 * self.draw)
         folds = isinstance(self.planform.shape, np.ndarray)
-        return _rounded(2 * tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size))
+        filling = 2 * tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size)
+        if self.slit is None:
+            return _rounded(filling)
+        return _rounded(min(filling, _BEFORE * 2 * STIFFNESS * self.thickness / self.slit))
 
     @property
     def draw(self) -> float:
@@ -143,7 +152,8 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
     rotate, translate, polygon = _placed(found, planform)
     area = abs(contours.outlines.area(polygon))
     width = _width(polygon, area)
-    pocket = min(_pocket(found), 0.5 * width)
+    pockets = _pockets(found)
+    pocket = min(pockets.half, 0.5 * width)
     fine = max(2 * pocket / _ACROSS, triangle_side(area, _MOST))
     return Draft(
         scale=scale,
@@ -159,6 +169,7 @@ def draft(paths: Sequence[Path], scale: float | None = None, thickness: float | 
         covers=covers.cover(found, planform.polygon, mold),
         width=width,
         pocket=pocket,
+        slit=pockets.slit,
         thickness=thickness or _rounded(_THICKNESS * width),
         element_size=_rounded(min(fine, triangle_side(area, _ELEMENTS))),
     )
@@ -197,19 +208,31 @@ def _width(polygon: Array, area: float) -> float:
     return float(min(sides.min(), area / sides.max() * 1.2))
 
 
-def _pocket(found: Opening) -> float:
-    """Half the width [m] of the narrowest pockets, at the clamp plane or half way down."""
+class _Pockets(NamedTuple):
+    """Half the widths [m] of the narrowest pockets, and of the widest slits, None where there are none."""
+
+    half: float
+    slit: float | None
+
+
+def _pockets(found: Opening) -> _Pockets:
+    """At the clamp plane and half way down."""
     view = found.view
-    halves = [0.5 * view.pixel * min(view.inside.shape)]
+    halves, slits = [0.5 * view.pixel * min(view.inside.shape)], []
     for share in () if found.male else (0.0, 0.5):
-        deep = found.cavity & ~(view.height <= found.level + (share + _LEVEL) * found.depth)
+        level = found.level + (share + _LEVEL) * found.depth
+        deep = found.cavity & ~(view.height <= level)
         part, count = masks.parts(deep)
-        area, half = np.bincount(part.ravel()), np.zeros(count + 1)
+        area, half, bottom = np.bincount(part.ravel()), np.zeros(count + 1), np.full(count + 1, level)
         np.maximum.at(half, part, masks.distance(deep))
-        smallest = np.argsort(half[1:])
-        counts = (np.cumsum(area[1:][smallest]) > _SPECK * deep.sum()) & (half[1:][smallest] >= _RESOLVED)
-        halves += (view.pixel * half[1:][smallest][counts]).tolist()
-    return min(halves)
+        np.maximum.at(bottom, part, np.minimum(view.height, found.level + found.depth))
+        smallest = 1 + np.argsort(half[1:])
+        seen = (np.cumsum(area[smallest]) > _SPECK * deep.sum()) & (half[smallest] >= _RESOLVED)
+        wide = view.pixel * half
+        slit = (bottom - level > _SLIT * wide) & (area < _SLIT_AREA * found.cavity.sum())
+        halves += wide[smallest][seen & ~slit[smallest]].tolist()
+        slits += wide[smallest][seen & slit[smallest]].tolist()
+    return _Pockets(min(halves), max(slits, default=None))
 
 
 def _rounded(value: float) -> float:

@@ -138,10 +138,13 @@ def _material() -> list[str]:
 
 
 def _pressure(made: Draft) -> list[str]:
+    enough = "# Enough to fill corners down to an element"
+    if made.slit is not None:
+        enough = f"# Not enough to blow the sheet into slits about {2e3 * made.slit:.2g} mm wide"
     return [
         "",
-        "# Enough to fill corners down to an element: change it in proportion to c and thickness. It rises so slowly",
-        "# that inertia hardly shows, and pushes towards +z, into the mold.",
+        f"{enough}: change it in proportion to c and thickness.",
+        "# It rises so slowly that inertia hardly shows, and pushes towards +z, into the mold.",
         "[pressure]",
         f"time = [0.0, {_number(made.ramp)}]",
         f"value = [0.0, {_number(made.pressure)}]",

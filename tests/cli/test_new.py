@@ -73,22 +73,23 @@ def test_the_opening_is_in_z_0_and_the_mold_behind_it(tmp_path, capfd, unit, deg
     assert study.scene.data == tomllib.loads((folder / "scene.toml").read_text())
 
 
-def _boxes(depths: list[float]) -> Mesh:
-    """Pockets of 0.1 x 0.1, side by side in a flange, with upright walls."""
+def _boxes(depths: list[float], widths: list[float] | None = None) -> Mesh:
+    """Pockets 0.1 long, and as wide if nothing else is given, side by side in a flange, with upright walls."""
     sides, corners = [], np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
     def level(low: list[float], high: list[float], height: float) -> None:
         flat = np.array(low) + corners * np.subtract(high, low)
         sides.append(np.column_stack([flat, np.full(4, height)]))
 
-    ends = [0.02 + 0.12 * k for k in range(len(depths))]
+    widths = widths or [0.1] * len(depths)
+    begins = [0.02 * (k + 1) + sum(widths[:k]) for k in range(len(depths) + 1)]
     for y, high in ((0.0, 0.02), (0.12, 0.14)):
-        level([0.0, y], [ends[-1] + 0.12, high], 0.0)
-    for x in [0.0, *(end + 0.1 for end in ends)]:
-        level([x, 0.02], [x + 0.02, 0.12], 0.0)
-    for x, depth in zip(ends, depths, strict=True):
-        level([x, 0.02], [x + 0.1, 0.12], depth)
-        rim = [[x, 0.02], [x + 0.1, 0.02], [x + 0.1, 0.12], [x, 0.12]]
+        level([0.0, y], [begins[-1], high], 0.0)
+    for x in begins:
+        level([x - 0.02, 0.02], [x, 0.12], 0.0)
+    for x, width, depth in zip(begins, widths, depths, strict=False):
+        level([x, 0.02], [x + width, 0.12], depth)
+        rim = [[x, 0.02], [x + width, 0.02], [x + width, 0.12], [x, 0.12]]
         for a, b in zip(rim, rim[1:] + rim[:1], strict=True):
             sides.append(np.array([[*a, 0.0], [*b, 0.0], [*b, depth], [*a, depth]]))
     triangles = [[4 * k + i for i in half] for k in range(len(sides)) for half in ((0, 1, 2), (0, 2, 3))]
@@ -106,6 +107,19 @@ def test_a_pocket_half_as_deep_as_another_is_one_pocket(tmp_path, degrees):
 def test_small_pockets_count_together(tmp_path):
     made = drafting.draft([write(tmp_path / "row.stl", _boxes([0.06] * 5), 0.001)])
     assert made.pocket == pytest.approx(0.05, rel=0.03)
+
+
+def test_a_slit_is_left_open(tmp_path, capfd):
+    """The sheet would go in at one place first, and meet itself."""
+    mold = write(tmp_path / "slit.stl", _boxes([0.04, 0.04], [0.1, 0.006]), 0.001)
+    made, plain = drafting.draft([mold]), drafting.draft([write(tmp_path / "box.stl", _boxes([0.04]), 0.001)])
+    assert made.slit == pytest.approx(0.003, rel=0.2) and plain.slit is None
+    assert made.pocket == pytest.approx(0.05, rel=0.03) and made.pressure < 0.5 * plain.pressure
+    assert command.main(["new", str(tmp_path / "scene"), "--mold", str(mold)]) == 0
+    assert "has slits about 5.5 mm wide" in capfd.readouterr().err
+    assert (
+        "Not enough to blow the sheet into slits about 5.5 mm wide" in (tmp_path / "scene" / "scene.toml").read_text()
+    )
 
 
 def test_a_hole_is_closed_and_what_is_given_counts(tmp_path, capfd):
