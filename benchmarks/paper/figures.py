@@ -65,9 +65,13 @@ SCENES: dict[str, Callable[[], Scene]] = {
 
 
 def watched(scene: Scene) -> list[Part]:
-    """The part after every window, all of them short, each with the elements that are there."""
+    """The part after every window, each with the elements that are there.
+
+    Windows are short where they do not decide what is refined.
+    """
     parts: list[Part] = []
-    scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=np.int32(_LOOK)))
+    if scene.refinement is None:
+        scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=np.int32(_LOOK)))
     jaxform.run(scene, on_window=lambda moment: parts.append(only_used(scene, moment.result())))
     return parts
 
