@@ -84,7 +84,7 @@ def _warn(made: Draft) -> None:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
         warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")
     if made.slit is not None:
-        problem = f"has slits about {2e3 * made.slit:.2g} mm wide, and more than twice as deep: they are left open"
+        problem = f"has {firstscene.slits(made.slit)}, and more than twice as deep: they are left open"
         warn_of(problem, "widen them, or raise pressure.value and look whether the sheet meets itself", key="--mold")
     if found.rim < opening.RIM:
         problem = f"only {100 * found.rim:.0f} % of the edge around the opening is at one height"

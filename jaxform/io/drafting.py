@@ -36,7 +36,6 @@ _SPECK = 0.02  # of the cavity's area: the smallest parts that are less together
 _LEVEL = 0.01  # of the cavity's depth: what is at one height, but for rounding
 _RESOLVED = 2.0  # pixels: half the width below which a part of the cavity is not seen as it is
 _SLIT, _SLIT_AREA = 4.0, 0.25  # a slit's depth in half widths at least, and at most of the cavity's area
-_BEFORE = 1.0  # of the pressure that blows the sheet into a slit, as thick as it is at first
 _SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
 _SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
 _DAMPING = 2.0  # the same times the damping
@@ -87,15 +86,14 @@ class Draft:
         """The pressure [Pa] that fills the pockets: 2 T / r for corners of radius r and a tension T.
 
         T = 2 c h (1 + alpha stretch^2) of a Mooney-Rivlin sheet at large equal stretches, which are taken twice as
-        large as those of the cavity's area on average. Less where that would blow the sheet into slits: it goes in
-        at one place first, spreads below what is still above it, and meets itself.
+        large as those of the cavity's area on average. At most what a slit bears, as thick as the sheet is at first:
+        blown into one it goes in at one place, spreads below what is still above it, and meets itself.
         """
         tension = 2 * STIFFNESS * self.thickness * (1 + ALPHA * 2 * self.draw)
         folds = isinstance(self.planform.shape, np.ndarray)
         filling = 2 * tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size)
-        if self.slit is None:
-            return _rounded(filling)
-        return _rounded(min(filling, _BEFORE * 2 * STIFFNESS * self.thickness / self.slit))
+        bearable = np.inf if self.slit is None else 2 * STIFFNESS * self.thickness / self.slit
+        return _rounded(min(filling, bearable))
 
     @property
     def draw(self) -> float:

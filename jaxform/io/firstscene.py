@@ -140,7 +140,7 @@ def _material() -> list[str]:
 def _pressure(made: Draft) -> list[str]:
     enough = "# Enough to fill corners down to an element"
     if made.slit is not None:
-        enough = f"# Not enough to blow the sheet into slits about {2e3 * made.slit:.2g} mm wide"
+        enough = f"# Not enough to blow the sheet into {slits(made.slit)}"
     return [
         "",
         f"{enough}: change it in proportion to c and thickness.",
@@ -174,6 +174,11 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
         f"rotate = [{', '.join(_number(angle, 12) for angle in made.rotate)}]",
         f"translate = [{', '.join(_number(shift, 10) for shift in made.translate)}]",
     ]
+
+
+def slits(half: float) -> str:
+    """Slits of half a width [m], in words."""
+    return f"slits about {2e3 * half:.2g} mm wide"
 
 
 def kind(made: Draft) -> str:
