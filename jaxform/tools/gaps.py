@@ -116,21 +116,25 @@ class _Sight:
         before &= ~near.at_rim & ~self.clamped[near.triangle] & (near.distance > 0)
         found = np.flatnonzero(before)
         # A place of an element may be beyond an edge of the mold; its nodes are not.
-        eyes = self.sheet[near.triangle[found]] + _LIFT * near.distance[found, None, None] * back[found]
-        found = found[self._sees(eyes, places[found]).sum(1) >= 2]
+        lift = _LIFT * near.distance[found, None, None] * back[found]
+        found = found[self._sees(self.sheet[near.triangle[found]], lift, places[found]).sum(1) >= 2]
         if not len(found):
             return NO_GAP
         farthest = found[np.argmax(near.distance[found])]
         return Gap(float(near.distance[farthest]), places[farthest], int(near.triangle[farthest]))
 
-    def _sees(self, eyes: Array, places: Array) -> NDArray[np.bool_]:
-        """Whether from eyes (n, 3, 3) [m] places (n, 3) [m] are seen, (n, 3)."""
+    def _sees(self, nodes: Array, lift: Array, places: Array) -> NDArray[np.bool_]:
+        """Whether from eyes before nodes (n, 3, 3) [m] places (n, 3) [m] are seen, (n, 3)."""
+        eyes = nodes + lift
         way = places[:, None] - eyes
         seen = np.ones(eyes.shape[:2], bool)
-        # What is right before the eye hides most.
-        for share in (_FIRST, 1 - _CLOSE):
+        # An eye that another wall parts from its node is in the mold. What is right before the eye hides most.
+        for begin, end in (
+            (nodes + _CLOSE * lift, eyes),
+            (eyes, eyes + _FIRST * way),
+            (eyes, eyes + (1 - _CLOSE) * way),
+        ):
             row, eye = np.nonzero(seen)
-            begin = eyes[row, eye]
-            hidden = proper_crossings(begin, begin + share * way[row, eye], self.mold, self.grid, margin=-_EDGE)[0]
+            hidden = proper_crossings(begin[row, eye], end[row, eye], self.mold, self.grid, margin=-_EDGE)[0]
             seen[row[hidden], eye[hidden]] = False
         return seen

@@ -91,3 +91,29 @@ def test_an_edge_that_elements_span_is_a_gap_or_a_cut(sharp: bool) -> None:
     else:
         assert gap.width == pytest.approx(0.4 * np.sqrt(0.5), rel=1e-9) and cut == 0.0
         np.testing.assert_allclose(gap.place, [0.0, 0.5, 0.0], atol=1e-12)
+
+
+def test_an_eye_that_another_wall_parts_from_its_node_sees_nothing() -> None:
+    """A sheet that folds from a rib onto the wall of a round hole: it must not look out of the block from within it."""
+    ring = trimesh.creation.annulus(r_min=1.0, r_max=3.0, height=1.0, sections=12)
+    inner = ring.vertices[np.abs(np.linalg.norm(ring.vertices[:, :2], axis=1) - 1.0) < 1e-9, :2]
+    at_wall = inner[0]
+    next_one = min(inner, key=lambda place: abs(np.cross([*at_wall, 0], [*place, 0])[2] - np.sin(np.pi / 6)))
+    half = np.array([0.0, 0.0, 0.5])
+
+    def edge(place: np.ndarray, half: np.ndarray) -> np.ndarray:
+        return np.append(place, 0.0) + np.array([-half, half])
+
+    rib = np.concatenate([edge(0.5 * at_wall, half), edge(at_wall, half)])
+    faces = np.concatenate([ring.faces, len(ring.vertices) + np.array([[0, 2, 3], [0, 3, 1]])])
+    mold = make_mold(np.concatenate([ring.vertices, rib]), faces.astype(np.int32))
+    on_wall = at_wall + 0.3 * (next_one - at_wall)
+    nodes = np.concatenate([edge(place, 0.4 * half) for place in (0.9 * at_wall, 0.99 * at_wall, on_wall)])
+    triangles = np.array([[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]])
+    middle = np.array([*on_wall, 0.0])
+    normals, centers = np.asarray(ring.face_normals), ring.triangles_center
+    facet = np.argmin(np.linalg.norm(centers - middle, axis=1) + 10 * (normals @ -middle < 0.5))
+    # The rib's normal points away from the side on which the sheet lies; pressure acts towards the rib and the wall.
+    walls = np.array([-(1 + len(ring.faces))] * 4 + [1 + facet] * 2)
+    found = widest_gap(nodes, triangles, walls, walls == 0, 1.0, mold)
+    assert found.width < 0.05, found
