@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import facets, formats, polygons, topology
+from jaxform.mesh.rows import distinct
 
 FORMATS = formats.ENDINGS
 WELD_TOLERANCE = 1e-9
@@ -119,12 +120,12 @@ def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
     # Exact copies first: an STL file has six of each node, and the search below lists pairs.
-    unique, first, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
+    unique, first, inverse, _ = distinct(mesh.positions)
     pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray") if len(unique) else np.zeros((0, 2), int)
     cluster = topology.connected(pairs[:, 0], pairs[:, 1], len(unique)) if len(unique) else inverse
     leader = np.full(len(unique), len(mesh.positions), dtype=np.int64)
     np.minimum.at(leader, cluster, first)
-    return used(replace(mesh, triangles=leader[cluster[inverse.reshape(-1)]][mesh.triangles]))
+    return used(replace(mesh, triangles=leader[cluster[inverse]][mesh.triangles]))
 
 
 def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
@@ -156,7 +157,7 @@ def degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -
     ordered = np.sort(triangles, axis=1)
     repeated = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
     copied = np.ones(len(triangles), dtype=bool)
-    copied[np.unique(ordered, axis=0, return_index=True)[1]] = False
+    copied[distinct(ordered).first] = False
     return repeated | copied | (doubled_area <= DEGENERATE_HEIGHT * longest_squared)
 
 

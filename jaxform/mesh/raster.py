@@ -32,12 +32,14 @@ def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
         height: Of the picture, in pixels.
     """
     size = np.array([width, height])
-    with np.errstate(invalid="ignore"):
-        low = np.clip(np.ceil(corners.min(1) - 0.5), 0, size)
-        high = np.clip(np.floor(corners.max(1) - 0.5), -1, size - 1)
-        turned = _turned(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        extent = np.where(np.isfinite(corners).all((1, 2))[:, None], high - low + 1, 0.0)
-    count = np.where(turned != 0, np.prod(np.maximum(extent, 0), axis=1), 0).astype(np.int64)
+    # Corner by corner: NumPy takes ten times as long along an axis of three.
+    one, two, three = corners[:, 0], corners[:, 1], corners[:, 2]
+    with np.errstate(invalid="ignore", over="ignore"):
+        low = np.clip(np.ceil(np.minimum(np.minimum(one, two), three) - 0.5), 0, size)
+        high = np.clip(np.floor(np.maximum(np.maximum(one, two), three) - 0.5), -1, size - 1)
+        turned = _turned(two - one, three - one)
+        extent = np.maximum(np.where(np.isfinite(one + two + three), high - low + 1, 0.0), 0.0)
+    count = np.where(turned != 0, extent[:, 0] * extent[:, 1], 0).astype(np.int64)
     some = np.flatnonzero(count)
     total = np.cumsum(count[some])
     for part in np.split(some, np.searchsorted(total, np.arange(_AT_ONCE, total[-1] if len(total) else 0, _AT_ONCE))):

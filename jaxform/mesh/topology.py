@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh.rows import distinct
+
 
 def edges(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The edges of a mesh.
@@ -83,8 +85,8 @@ def feature_edges(
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
-    edge, index, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(index.ravel(), kind="stable")
+    edge, _, index, count = distinct(sides)
+    order = np.argsort(index, kind="stable")
     first = np.cumsum(count) - count
     one, other = owner[order[first]], owner[order[first + np.minimum(count, 2) - 1]]
     bent = np.abs(np.sum(normal[one] * normal[other], axis=1)) < np.cos(np.deg2rad(angle))

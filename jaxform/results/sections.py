@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxform.mesh.rows import distinct
 from jaxform.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
     cut = (height[sides[..., 0]] > 0) != (height[sides[..., 1]] > 0)
     crossed = cut.sum(1) == 2
-    edge, index = np.unique(sides[crossed][cut[crossed]], axis=0, return_inverse=True)
+    edge, _, index, _ = distinct(sides[crossed][cut[crossed]])
     share = height[edge[:, 0]] / (height[edge[:, 0]] - height[edge[:, 1]])
     place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
     wall = np.asarray(result.thickness, float)

@@ -6,6 +6,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
@@ -37,6 +38,34 @@ def _closes(mold: Mesh) -> bool:
     return bool(length[np.abs(height - found.base) <= opening.FLAT * size].sum() >= opening.RIM * length.sum())
 
 
+class _Lines:
+    """Where the surface of a mold ends, and where it bends sharply."""
+
+    def __init__(self, mold: Mesh) -> None:
+        self._open = mold.positions[topology.boundary_edges(mold.triangles)]
+        self._sharp = topology.feature_edges(mold.positions, mold.triangles, rims=False)
+        self._tolerance = opening.FLAT * meshes.size(mold.positions)
+
+    def show(self, plane: Plane) -> bool:
+        """Whether the mold may be cut in a plane: it is open there, or has an edge inside of its outline there.
+
+        Few planes show this, and to try one takes a look from all sides at a mold twice as large.
+        """
+        if len(self._in(plane, self._open)):
+            return True
+        edges = self._in(plane, self._sharp)
+        if not len(edges):
+            return False
+        low, high = edges.min((0, 1)) + self._tolerance, edges.max((0, 1)) - self._tolerance
+        middles = edges.mean(1)
+        return bool(((middles > low) & (middles < high)).all(1).any())
+
+    def _in(self, plane: Plane, edges: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Of edges (n, 2, 3) [m] those in the plane (k, 2, 2), without the coordinate across it."""
+        there = (np.abs(edges[..., plane.axis] - plane.level) <= self._tolerance).all(1)
+        return np.delete(edges[there], plane.axis, axis=2)
+
+
 class Rest(NamedTuple):
     """What completes a mold, and the planes in which it is cut."""
 
@@ -53,7 +82,9 @@ def rest(mold: Mesh) -> Rest | None:
     if opening.is_rimmed(mold.positions, mold.triangles):
         return None
     used = mold.positions[np.unique(mold.triangles)]
+    lines = _Lines(mold)
     sides = [Plane(axis, float(end[axis])) for end in (used.min(0), used.max(0)) for axis in range(3)]
+    sides = [side for side in sides if lines.show(side)]
     pairs = [pair for pair in itertools.combinations(sides, 2) if pair[0].axis != pair[1].axis]
     for planes in [*((side,) for side in sides), *pairs]:
         images: list[Mesh] = []

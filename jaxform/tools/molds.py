@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.rows import distinct
 
 MOST_TRIANGLES = 2_000_000
 
@@ -163,7 +164,7 @@ def divided(mold: MoldShape, parts: int) -> MoldShape:
     order = np.argsort(np.where(places, mold.triangles[:, None, None] + 1, 0), axis=-1)
     shares = np.take_along_axis(np.broadcast_to(places, order.shape), order, axis=-1)
     keys = np.concatenate([numbers, shares], axis=-1).reshape(-1, 6)
-    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    _, first, index, _ = distinct(keys)
     return MoldShape(corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int32), mold.dropped)
 
 

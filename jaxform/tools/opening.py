@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import masks, meshes, topology
+from jaxform.mesh.rows import distinct
 from jaxform.tools import heights
 from jaxform.tools.heights import Heights
 
@@ -192,11 +193,11 @@ def _flat(vertices: Array, triangles: Integers) -> list[Array]:
     area = np.linalg.norm(normal, axis=1)
     unit = normal / area[:, None]
     unit *= np.where(unit[np.arange(len(unit)), np.argmax(np.abs(unit), axis=1)] < 0, -1.0, 1.0)[:, None]
-    key, index = np.unique(np.round(unit, 2), axis=0, return_inverse=True)
-    total = np.bincount(index.ravel(), area, len(key))
+    key, _, index, _ = distinct(np.round(unit, 2))
+    total = np.bincount(index, area, len(key))
     found = []
     for one in np.argsort(-total)[:_FEW]:
-        mean = (normal * np.sign(normal @ key[one])[:, None])[index.ravel() == one].sum(0)
+        mean = (normal * np.sign(normal @ key[one])[:, None])[index == one].sum(0)
         found.append(mean / np.linalg.norm(mean))
     return found
 

@@ -1,0 +1,36 @@
+"""Rows of an array without repeats: what `numpy.unique` gives along an axis, many times as fast. On the host."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Distinct(NamedTuple):
+    """The distinct rows of an array, sorted by their first column, then by the next.
+
+    Attributes:
+        rows: Each once (k, c).
+        first: Where each comes first (k,).
+        inverse: Which of them each row of the array is (n,).
+        count: How often each comes (k,).
+    """
+
+    rows: NDArray[Any]
+    first: NDArray[np.int64]
+    inverse: NDArray[np.int64]
+    count: NDArray[np.int64]
+
+
+def distinct(rows: NDArray[Any]) -> Distinct:
+    """The distinct ones of rows (n, c) of numbers."""
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    fresh = np.ones(len(rows), bool)
+    fresh[1:] = (ordered[1:] != ordered[:-1]).any(1)
+    inverse = np.empty(len(rows), np.int64)
+    inverse[order] = np.cumsum(fresh) - 1
+    begin = np.flatnonzero(fresh)
+    return Distinct(ordered[begin], order[begin], inverse, np.diff(begin, append=len(rows)))
