@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ElementTree
@@ -261,17 +262,38 @@ U
 
 def _calculix(folder: Path, wall: Wall, held: str, load: str) -> tuple[Array, Array]:
     """The total force (3,) at the small end and the mean displacement (3,) of the other one, as CalculiX finds them."""
+    solver = _solver()
+    export.write_wall(wall, folder / "wall.inp", "calculix")
+    return _solved(solver, folder, _DECK.format(held=held, load=load))
+
+
+def _solver() -> str:
     found = shutil.which("ccx") or shutil.which("ccx_dynamic")
     if found is None:
         pytest.skip("CalculiX (ccx) is not installed")
-    export.write_wall(wall, folder / "wall.inp", "calculix")
-    (folder / "run.inp").write_text(_DECK.format(held=held, load=load))
-    done = subprocess.run([found, "-i", "run"], cwd=folder, capture_output=True, text=True, timeout=60)
+    return found
+
+
+def _solved(solver: str, folder: Path, deck: str) -> tuple[Array, Array]:
+    """The total force (3,) and the mean of the displacements (3,), NaN where none are printed."""
+    (folder / "run.inp").write_text(deck)
+    done = subprocess.run([solver, "-i", "run"], cwd=folder, capture_output=True, text=True, timeout=60)
     assert "Job finished" in done.stdout, done.stdout[-1000:]
     rows = [line.split() for line in (folder / "run.dat").read_text().splitlines()]
     totals = [row for row in rows if len(row) == 3 and "E" in row[0]]
     moved = [row[1:] for row in rows if len(row) == 4 and row[0].isdigit()]
-    return np.array(totals[0], float), np.array(moved, float).mean(0)
+    return np.array(totals[0], float), np.array(moved, float).mean(0) if moved else np.full(3, np.nan)
+
+
+def test_calculix_presses_the_bottle_as_the_page_says(tmp_path: Path) -> None:
+    solver = _solver()
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "export.md").read_text()
+    deck = page[page.index("*INCLUDE, INPUT=wall.inp") : page.index("*END STEP")] + "*END STEP\n"
+    said = float(re.search(r"force at the bottom: ([\d.]+) N", page)[1])  # pyright: ignore
+    folder = tmp_path / "bottle"
+    assert command.main(["simulate", "soap-bottle", "--out", str(folder), "--quiet"]) == 0
+    assert command.main(["export", str(folder), "--to", "calculix", "--mirror", "z=0", "--quiet"]) == 0
+    assert _solved(solver, folder, deck)[0][1] == pytest.approx(said, rel=0.005)
 
 
 def test_calculix_pulls_a_strip_of_varying_thickness_as_hard_as_the_formula(tmp_path: Path) -> None:
