@@ -152,8 +152,8 @@ def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, gr
     place = ", ".join(f"{value:.4g}" for value in where)
     raise InputError(
         f"the parison starts through the mold, near ({place}) m, in mold triangle {triangle[0]}",
-        "move the mold (mold.translate), shrink the parison, or make the triangles smaller of a mold that is cut from a round "
-        "shape (mold.element_size, mold.segments)",
+        "move the mold (mold.translate), shrink the parison, or give a coarse mold of a round shape smaller triangles "
+        "(mold.element_size, mold.segments)",
         "mold",
     )
 
