@@ -13,7 +13,7 @@ import jax
 
 from jaxform.adjoint.reversed_scheme import differentiable_window
 from jaxform.core.errors import InputError
-from jaxform.dynamics.window import window
+from jaxform.dynamics.window import DECIDED, window
 from jaxform.kernels.blocks import only_if
 from jaxform.kernels.branches import branch
 from jaxform.model.scene import Scene
@@ -91,13 +91,17 @@ class Reversed(Adjoint):
 
 @dataclass(frozen=True)
 class Checkpointed(Adjoint):
-    """JAX's own derivative of each window, whose steps are worked out once more for it: for any scene."""
+    """JAX's own derivative of each window, whose steps are worked out once more for it: for any scene.
+
+    Its decisions, and the landings on the mold, are kept, for to find them takes longer than to take the steps.
+    """
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
     ) -> State:
         """The state after a window, of which the begin is kept."""
-        return jax.checkpoint(window)(state, scene, discrete, schedule)
+        keep = jax.checkpoint_policies.save_only_these_names(DECIDED)
+        return jax.checkpoint(window, policy=keep)(state, scene, discrete, schedule)
 
 
 @dataclass(frozen=True)

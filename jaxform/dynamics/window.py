@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import unseen
@@ -34,6 +35,9 @@ from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.scheme import Timing, kicks, pressures
 from jaxform.sheet.state import PackedState, Schedule, State
 
+DECIDED = "decided"
+"""The name, to `jax.checkpoint`, of what is decided or found in a window, which its derivative need not find again."""
+
 _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
 
 
@@ -52,7 +56,7 @@ def window(
     """
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed, active = cooled(active.taken(state), scene, active, differentiable=differentiable)
-    decisions = _decided(packed, scene, active, schedule)
+    decisions = _to_keep(_decided(packed, scene, active, schedule))
     return active.put_back(_stepped(packed, scene, active, decisions, differentiable=differentiable)[0])
 
 
@@ -200,10 +204,15 @@ def _taken_again(state: PackedState, scene: Scene, now: Window, steps: _Steps) -
     moving = _begun(state, scene, now)
     if scene.tool is not None:
         found, searched, _ = _taken(*jax.lax.stop_gradient((state, scene, now, steps)), None, False)
-        known = Landings(found.landed, found.nodes.wall, found.count)
-        moving = dataclasses.replace(moving, halted=found.count == 0)
+        known, searched = _to_keep((Landings(found.landed, found.nodes.wall, found.count), searched))
+        moving = dataclasses.replace(moving, halted=known.count == 0)
     moving = _in_short_ones(lambda moving, own: (step(moving, own, scene, now, known), None), moving, steps)
     return moving, searched
+
+
+def _to_keep(found: Any) -> Any:
+    """What is found by search, for a derivative that takes the window again to keep, instead of searching again."""
+    return jax.tree.map(lambda values: checkpoint_name(values, DECIDED), found)
 
 
 def _with_positions(moving: Moving, positions: Any) -> Moving:
