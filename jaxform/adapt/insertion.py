@@ -22,6 +22,7 @@ from jaxform.adapt.nearest import closest_place, nearest_triangle
 from jaxform.contact import cells
 from jaxform.contact.sight import Sight, seen
 from jaxform.kernels.blocks import BLOCK, cut, only_if, put
+from jaxform.kernels.keeping import decided
 from jaxform.mechanics.membrane import cross, dot
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Adaptivity, Scene, Tool
@@ -229,8 +230,8 @@ def _settled(
     (mold, grid), (limits, forest) = tool, adaptivity
     points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
-    found = nearest_triangle(places, free, grid)
-    outlook = _outlook(places, free, nodes, births, older, tool, forest)
+    found = decided(nearest_triangle(places, free, grid))
+    outlook = decided(_outlook(places, free, nodes, births, older, tool, forest))
     touches = free & (found.distance <= cells.touch_distance(grid))
     beyond = free & ~touches & (outlook.seen.count % 2 == 1)
     ends = [nodes.stuck[at] for at in births.ends]

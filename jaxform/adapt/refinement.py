@@ -19,6 +19,7 @@ from jaxform.adapt.remeshing import Queue, bisected, closed, queued, with_sides
 from jaxform.contact.cells import cell_of
 from jaxform.kernels import sizes
 from jaxform.kernels.blocks import BLOCK, listed, only_if, over_blocks, padded
+from jaxform.kernels.keeping import decided
 from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
@@ -62,7 +63,7 @@ def refined(
         state, body = _grown(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
         return without_sides(state), body
 
-    return only_if(due, look, (state, discrete), differentiable=True)
+    return only_if(decided(due), look, (state, discrete), differentiable=True)
 
 
 def without_sides(state: State) -> State:
@@ -283,7 +284,7 @@ def _grown(
         state, body = now
         return _with_parts(state, scene, adaptivity, body, split_at, queue, active)
 
-    return only_if(fits & (queue.count > 0), grow, (state, discrete), differentiable=active is None)
+    return only_if(decided(fits & (queue.count > 0)), grow, (state, discrete), differentiable=active is None)
 
 
 def _with_inheritance(new: State, state: State, mesh: Mesh, forest: Forest) -> State:
@@ -329,5 +330,5 @@ def _with_parts(
         ),
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
-    sound = jnp.isfinite(loss)
+    sound = decided(jnp.isfinite(loss))
     return only_if(~sound, lambda _: (before, discrete), (made, body), differentiable=differentiable)

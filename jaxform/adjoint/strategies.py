@@ -13,9 +13,10 @@ import jax
 
 from jaxform.adjoint.reversed_scheme import differentiable_window
 from jaxform.core.errors import InputError
-from jaxform.dynamics.window import DECIDED, window
+from jaxform.dynamics.window import window
 from jaxform.kernels.blocks import only_if
 from jaxform.kernels.branches import branch
+from jaxform.kernels.keeping import taken_again
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import Schedule, State, carries
@@ -45,7 +46,7 @@ class Adjoint:
 
     def border(self, look: Look) -> Look:
         """What a window's border does, with what is kept of it."""
-        return jax.checkpoint(look)
+        return taken_again(look)
 
     def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
         """The state after work where that is asked for, else as it is."""
@@ -93,15 +94,14 @@ class Reversed(Adjoint):
 class Checkpointed(Adjoint):
     """JAX's own derivative of each window, whose steps are worked out once more for it: for any scene.
 
-    Its decisions, and the landings on the mold, are kept, for to find them takes longer than to take the steps.
+    Its decisions and the landings on the mold are kept.
     """
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
     ) -> State:
         """The state after a window, of which the begin is kept."""
-        keep = jax.checkpoint_policies.save_only_these_names(DECIDED)
-        return jax.checkpoint(window, policy=keep)(state, scene, discrete, schedule)
+        return taken_again(window)(state, scene, discrete, schedule)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.ad_checkpoint import checkpoint_name
 
 from jaxform.contact import sticking
 from jaxform.contact.broad_phase import unseen
@@ -25,6 +24,7 @@ from jaxform.dynamics.step import settled, step
 from jaxform.dynamics.timestep import RUNGS_PER_OCTAVE, Chosen, Limit, choose_step, elements_bound, most_steps, no_basis
 from jaxform.dynamics.touching import any_missed, seen_by_tool
 from jaxform.kernels.blocks import as_one, entry
+from jaxform.kernels.keeping import decided
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners, no_corners
 from jaxform.model.scene import Scene
@@ -34,9 +34,6 @@ from jaxform.sheet.cooling import cooled
 from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.scheme import Timing, kicks, pressures
 from jaxform.sheet.state import PackedState, Schedule, State
-
-DECIDED = "decided"
-"""The name, to `jax.checkpoint`, of what is decided or found in a window, which its derivative need not find again."""
 
 _STIFFER = 0.95  # a sheet that is less stiffer than this keeps the steps of a schedule
 
@@ -56,7 +53,7 @@ def window(
     """
     active = active_set_of(state, scene, discrete, differentiable=differentiable)
     packed, active = cooled(active.taken(state), scene, active, differentiable=differentiable)
-    decisions = _to_keep(_decided(packed, scene, active, schedule))
+    decisions = decided(_decided(packed, scene, active, schedule))
     return active.put_back(_stepped(packed, scene, active, decisions, differentiable=differentiable)[0])
 
 
@@ -204,15 +201,10 @@ def _taken_again(state: PackedState, scene: Scene, now: Window, steps: _Steps) -
     moving = _begun(state, scene, now)
     if scene.tool is not None:
         found, searched, _ = _taken(*jax.lax.stop_gradient((state, scene, now, steps)), None, False)
-        known, searched = _to_keep((Landings(found.landed, found.nodes.wall, found.count), searched))
+        known, searched = decided((Landings(found.landed, found.nodes.wall, found.count), searched))
         moving = dataclasses.replace(moving, halted=known.count == 0)
     moving = _in_short_ones(lambda moving, own: (step(moving, own, scene, now, known), None), moving, steps)
     return moving, searched
-
-
-def _to_keep(found: Any) -> Any:
-    """What is found by search, for a derivative that takes the window again to keep, instead of searching again."""
-    return jax.tree.map(lambda values: checkpoint_name(values, DECIDED), found)
 
 
 def _with_positions(moving: Moving, positions: Any) -> Moving:

@@ -33,4 +33,5 @@ def test_the_scene_is_kept_once_for_all_windows(adjoint: Any) -> None:
     count = scene.tables.window_count
     kept = kept_by_loops(jax.make_jaxpr(jax.grad(objective))(scene.parison.thickness), count)
     whole, nodes = sum(leaf.size for leaf in jax.tree.leaves(scene)), len(scene.parison.positions)
-    assert 10 * nodes < kept / count < 50 * nodes < 0.1 * whole
+    # Positions and velocities at the least.
+    assert 6 * nodes < kept / count < 50 * nodes < 0.1 * whole
