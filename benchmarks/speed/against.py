@@ -1,8 +1,8 @@
 """This checkout beside another one: what a bare step, a whole run and a gradient cost in each.
 
-`.venv/bin/python -m benchmarks.speed.against OTHER [ROUNDS]`: OTHER is the folder of another checkout, of an older
-commit for instance. Each has a process of its own that has everything compiled; they take turns, run by run, on one
-core. The ratio is the median over the rounds of what both took one after the other.
+`.venv/bin/python -m benchmarks.speed.against OTHER [ROUNDS [NAME ...]]`: OTHER is the folder of another checkout, of an
+older commit for instance; names choose among the runs. Each has a process of its own that has everything compiled; they
+take turns, run by run, on one core. The ratio is the median over the rounds of what both took one after the other.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _ROUNDS = 15
 _SERVE = "--serve"
 
 
-def _runs() -> dict[str, Callable[[], Any]]:
-    """What is timed, by the public face alone, as it was and is."""
+def _makers() -> dict[str, Callable[[], Callable[[], Any]]]:
+    """What makes what is timed, by the public face alone, as it was and is."""
     import jax
     import jax.numpy as jnp
 
@@ -38,47 +38,57 @@ def _runs() -> dict[str, Callable[[], Any]]:
         pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 1e3]),
         solver=jaxform.make_solver(end_time=0.05, damping=100.0),
     )
-    coarse = jaxform.load("dish-coarse")
 
-    def objective(thickness: Any) -> Any:
-        formed = jaxform.simulate(jaxform.replace(coarse, {"parison.thickness": thickness}))
-        return jnp.sum(jnp.square(formed.thickness))
+    def whole(name: str) -> Callable[[], Any]:
+        scene = jaxform.load(name)
+        return lambda: jaxform.run(scene).positions
 
-    thickness = coarse.parison.thickness
-    several = thickness * jnp.linspace(0.9, 1.1, 4)[:, None]
-    gradient, mapped = (
-        jax.jit(function).lower(argument).compile(jaxform.compiler_options())
-        for function, argument in (
-            (jax.value_and_grad(objective), thickness),
-            (jax.vmap(jax.value_and_grad(objective)), several),
-        )
-    )
-    scenes = {name: jaxform.load(name) for name in ("dish", "soap-bottle", "box-insert", "dish-refined")}
-    whole = {name: lambda scene=scene: jaxform.run(scene).positions for name, scene in scenes.items()}
-    slopes = {"gradient": lambda: gradient(thickness), "four gradients, mapped": lambda: mapped(several)}
-    return {"bare steps": lambda: jaxform.run(free).positions, **whole, **slopes}
+    def gradient(name: str, side_by_side: int = 0) -> Callable[[], Any]:
+        scene = jaxform.load(name)
+
+        def objective(thickness: Any) -> Any:
+            formed = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}))
+            return jnp.sum(jnp.square(formed.thickness))
+
+        thickness, function = scene.parison.thickness, jax.value_and_grad(objective)
+        if side_by_side:
+            thickness, function = thickness * jnp.linspace(0.9, 1.1, side_by_side)[:, None], jax.vmap(function)
+        compiled = jax.jit(function).lower(thickness).compile(jaxform.compiler_options())
+        return lambda: compiled(thickness)
+
+    return {
+        "bare steps": lambda: lambda: jaxform.run(free).positions,
+        **{name: lambda name=name: whole(name) for name in ("dish", "soap-bottle", "box-insert", "dish-refined")},
+        "gradient": lambda: gradient("dish-coarse"),
+        "four gradients, mapped": lambda: gradient("dish-coarse", 4),
+        "refined gradient": lambda: gradient("dish-refined"),
+        "melt gradient": lambda: gradient("cup-melt"),
+    }
 
 
-def _serve() -> None:
-    """Times what is asked for by name, line by line."""
+def _serve(names: list[str]) -> None:
+    """Times what is asked for by name, line by line; first says what each of the names took to compile [s]."""
     import jax
 
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    runs = _runs()
-    for run in runs.values():
-        jax.block_until_ready(run())
-    print(json.dumps(list(runs)), flush=True)
+    makers, runs, compiled = _makers(), {}, {}
+    for name in names or makers:
+        begin = time.perf_counter()
+        runs[name] = makers[name]()
+        jax.block_until_ready(runs[name]())
+        compiled[name] = time.perf_counter() - begin
+    print(json.dumps(compiled), flush=True)
     for line in sys.stdin:
         begin = time.perf_counter()
         jax.block_until_ready(runs[line.strip()]())
         print(time.perf_counter() - begin, flush=True)
 
 
-def _served(folder: Path) -> subprocess.Popen[str]:
+def _served(folder: Path, names: list[str]) -> subprocess.Popen[str]:
     """A process that times the package in a folder; of this checkout it sees this file alone."""
     return subprocess.Popen(
-        [sys.executable, "-P", str(Path(__file__)), _SERVE],
+        [sys.executable, "-P", str(Path(__file__)), _SERVE, *names],
         env=os.environ | {"PYTHONPATH": str(folder)},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -105,18 +115,18 @@ def main(arguments: list[str]) -> int:
         print(__doc__)
         return 2
     other, rounds = Path(arguments[0]).resolve(), int(arguments[1]) if len(arguments) > 1 else _ROUNDS
-    processes = [_served(_HERE), _served(other)]
-    names, theirs = (_answer(process) for process in processes)
-    assert names == theirs
-    for name in names:
+    processes = [_served(folder, arguments[2:]) for folder in (_HERE, other)]
+    first, theirs = (_answer(process) for process in processes)
+    for name in first:
         pairs = [[_timed(process, name) for process in processes] for _ in range(rounds)]
         best = [min(times) for times in zip(*pairs, strict=True)]
         ratio = statistics.median(mine / its for mine, its in pairs)
-        say({name: best[0], "other": best[1], "ratio": ratio, "of the best": best[0] / best[1]})
+        ratios = {"ratio": ratio, "of the best": best[0] / best[1]}
+        say({name: best[0], "other": best[1], **ratios, "first": first[name], "other first": theirs[name]})
     for process in processes:
         process.terminate()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(_serve() if sys.argv[1:] == [_SERVE] else main(sys.argv[1:]))
+    sys.exit(_serve(sys.argv[2:]) if sys.argv[1:2] == [_SERVE] else main(sys.argv[1:]))
