@@ -31,13 +31,16 @@ def _makers() -> dict[str, Callable[[], Callable[[], Any]]]:
     from jaxform import shapes
 
     jax.config.update("jax_enable_x64", True)
-    sheet = shapes.disc(radius=0.1, elements=9600, symmetry="quarter")
-    free = jaxform.build_scene(
-        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
-        material=jaxform.MooneyRivlin(jnp.asarray(2e5), jnp.asarray(0.1), jnp.asarray(1e3)),
-        pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 1e3]),
-        solver=jaxform.make_solver(end_time=0.05, damping=100.0),
-    )
+
+    def bare_steps() -> Callable[[], Any]:
+        sheet = shapes.disc(radius=0.1, elements=9600, symmetry="quarter")
+        free = jaxform.build_scene(
+            parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
+            material=jaxform.MooneyRivlin(jnp.asarray(2e5), jnp.asarray(0.1), jnp.asarray(1e3)),
+            pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 1e3]),
+            solver=jaxform.make_solver(end_time=0.05, damping=100.0),
+        )
+        return lambda: jaxform.run(free).positions
 
     def whole(name: str) -> Callable[[], Any]:
         scene = jaxform.load(name)
@@ -57,7 +60,7 @@ def _makers() -> dict[str, Callable[[], Callable[[], Any]]]:
         return lambda: compiled(thickness)
 
     return {
-        "bare steps": lambda: lambda: jaxform.run(free).positions,
+        "bare steps": bare_steps,
         **{name: lambda name=name: whole(name) for name in ("dish", "soap-bottle", "box-insert", "dish-refined")},
         "gradient": lambda: gradient("dish-coarse"),
         "four gradients, mapped": lambda: gradient("dish-coarse", 4),
@@ -67,18 +70,18 @@ def _makers() -> dict[str, Callable[[], Callable[[], Any]]]:
 
 
 def _serve(names: list[str]) -> None:
-    """Times what is asked for by name, line by line; first says what each of the names took to compile [s]."""
+    """Times what is asked for by name, line by line; first says what each took to load, compile and run once [s]."""
     import jax
 
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    makers, runs, compiled = _makers(), {}, {}
+    makers, runs, took = _makers(), {}, {}
     for name in names or makers:
         begin = time.perf_counter()
         runs[name] = makers[name]()
         jax.block_until_ready(runs[name]())
-        compiled[name] = time.perf_counter() - begin
-    print(json.dumps(compiled), flush=True)
+        took[name] = time.perf_counter() - begin
+    print(json.dumps(took), flush=True)
     for line in sys.stdin:
         begin = time.perf_counter()
         jax.block_until_ready(runs[line.strip()]())
@@ -117,6 +120,7 @@ def main(arguments: list[str]) -> int:
     other, rounds = Path(arguments[0]).resolve(), int(arguments[1]) if len(arguments) > 1 else _ROUNDS
     processes = [_served(folder, arguments[2:]) for folder in (_HERE, other)]
     first, theirs = (_answer(process) for process in processes)
+    assert first.keys() == theirs.keys()
     for name in first:
         pairs = [[_timed(process, name) for process in processes] for _ in range(rounds)]
         best = [min(times) for times in zip(*pairs, strict=True)]
