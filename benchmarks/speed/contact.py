@@ -231,10 +231,12 @@ def show_costs() -> None:
 WAFFLES = {2240: (40, 28), 19_992: (119, 84), 100_016: (266, 188), 200_032: (376, 266)}
 """Cells along both sides of the waffle mold, by its number of triangles."""
 
+_SIDES = 0.16, 0.12  # of the sheet over it [m]
 
-def waffle(cells: tuple[int, int], *, refined: bool) -> Scene:
-    """A sheet drawn onto a mold of hills and hollows, meshed finely or coarsely."""
-    a, b = 0.16, 0.12
+
+def waffle_mold(cells: tuple[int, int]) -> molds.MoldShape:
+    """A mold of hills and hollows."""
+    a, b = _SIDES
     x, y = np.meshgrid(*(np.linspace(-0.01, side + 0.01, n + 1) for side, n in zip((a, b), cells, strict=True)),
                        indexing="ij")  # fmt: skip
     rim = np.clip(5 * np.maximum(np.abs(2 * x / a - 1), np.abs(2 * y / b - 1)) - 4, 0.0, 1.0)
@@ -242,30 +244,46 @@ def waffle(cells: tuple[int, int], *, refined: bool) -> Scene:
     number = np.arange(x.size).reshape(x.shape)
     corner = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
     triangles = np.concatenate([np.stack([corner[k] for k in three], 1) for three in ((0, 1, 2), (0, 2, 3))])
-    vertices = np.stack([x, y, height], -1).reshape(-1, 3).astype(np.float32)
-    sheet = shapes.rectangle(size=[a, b], element_size=0.005 if refined else 0.0025)
+    return molds.MoldShape(np.stack([x, y, height], -1).reshape(-1, 3).astype(np.float32), triangles)
+
+
+def waffle(mold: molds.MoldShape, *, refined: bool) -> Scene:
+    """A sheet drawn onto a mold of hills and hollows, meshed finely or coarsely."""
+    sheet = shapes.rectangle(size=_SIDES, element_size=0.005 if refined else 0.0025)
     refinement = jaxform.make_refinement(angle=12.0, interval=100, max_level=4, elements=16384) if refined else None
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1.0e-3, sheet.clamped, sheet.fixed),
         material=jaxform.MooneyRivlin(real(0.2e6), real(0.1), real(1000.0)),
         pressure=jaxform.make_pressure([0.0, 0.3], [0.0, 3.0e4], "cubic-ramp"),
         solver=jaxform.make_solver(end_time=0.32, damping=100.0),
-        mold=jaxform.make_mold(vertices, triangles),
+        mold=mold_of(mold),
         refinement=refinement,
     )
 
 
 def show_waffles(rounds: int = 5) -> None:
-    """Time per step and of the whole run on finer and finer molds, and how many windows are cut short."""
-    for refined in (False, True):
-        loops = {count: whole_loop(waffle(cells, refined=refined)) for count, cells in WAFFLES.items()}
+    """Time per step and of the whole run on finer and finer molds, and how many windows are cut short.
+
+    A refined sheet has more elements on a finer mold, which shows more of the waves. Where that mold is the coarsest
+    one with its triangles divided, the sheet is the same: what is left is what the triangles cost.
+    """
+    finer = {count: waffle_mold(cells) for count, cells in WAFFLES.items()}
+    coarsest = finer[min(finer)]
+    same = [molds.divided(coarsest, parts) for parts in (1, 3, 7, 9)]
+    one_surface = {len(shape.triangles): shape for shape in same}
+    for words, shapes_of, refined in (
+        ("uniform", finer, False),
+        ("refined", finer, True),
+        ("refined, one surface", one_surface, True),
+    ):
+        loops = {count: whole_loop(waffle(shape, refined=refined)) for count, shape in shapes_of.items()}
         seconds = best_in_turns({str(count): loop for count, loop in loops.items()}, rounds)
         first = min(loops)
         per_step = {count: seconds[str(count)] / int(loop().steps) for count, loop in loops.items()}
         for count, loop in loops.items():
             state = loop()
             print(
-                f"waffle, {'refined' if refined else 'uniform'}, {count} triangles: {1e6 * per_step[count]:.1f} us per "
+                f"waffle, {words}, {count} triangles: {1e6 * per_step[count]:.1f} us per "
                 f"step ({per_step[count] / per_step[first]:.2f} x), run {seconds[str(count)]:.3f} s "
                 f"({seconds[str(count)] / seconds[str(first)]:.2f} x), {int(state.steps)} steps, "
                 f"{int(state.windows)} windows, {int(state.shortened)} shortened, status {int(state.status)}",
