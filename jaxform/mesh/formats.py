@@ -8,7 +8,7 @@ import os
 import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,11 @@ from jaxform.mesh.facets import Faces
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".msh")
 FURTHER = {".inp": "abaqus", ".bdf": "nastran", ".nas": "nastran", ".fem": "nastran", ".mesh": "medit"}
 """Endings of other programs' input files, and what meshio calls their formats."""
+_GEOMETRY = (
+    *(".step", ".stp", ".iges", ".igs", ".brep", ".x_t", ".x_b", ".sat", ".jt", ".dxf", ".dwg", ".3dm"),
+    *(".sldprt", ".sldasm", ".ipt", ".iam", ".catpart", ".catproduct", ".prt", ".par", ".fcstd", ".f3d"),
+)
+"""Endings of what CAD programs write that is no mesh."""
 REEXPORT = "export it again as STL, OBJ, PLY, OFF, VTK, VTU or MSH"
 _ROOM, _ROOM_PER_BYTE = 500_000_000, 60  # of memory for meshio, beside what the process has
 _limiting = threading.Lock()
@@ -38,7 +43,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
     ending = path.suffix.lower()
     readers = _READERS | _FURTHER if further else _READERS
     if ending not in readers and not os.path.isdir(path):
-        raise InputError("is of no known mesh format", f"use one of {', '.join(readers)}", value=value)
+        raise _unknown(ending, readers, value)
     content = disk.read_bytes(path, disk.MOST_MESH)
     if not content:
         raise InputError("is empty", REEXPORT, value=value)
@@ -54,6 +59,13 @@ def read_faces(path: Path, further: bool = False) -> Faces:
     for words in told:
         warnings.warn(words.message, stacklevel=2)
     return faces
+
+
+def _unknown(ending: str, readers: Collection[str], value: str) -> InputError:
+    if ending in _GEOMETRY:
+        problem = "is a CAD program's own geometry, which has no triangles yet"
+        return InputError(problem, "export the part as STL from the CAD program", value=value)
+    return InputError("is of no known mesh format", f"use one of {', '.join(readers)}", value=value)
 
 
 @contextlib.contextmanager

@@ -102,6 +102,12 @@ def test_a_binary_stl_that_is_cut_says_how_much_is_there(tmp_path: Path, header:
     assert ("34 of 36 triangles" in words) or (header == b"solid facet" and "not all of it" in words)
 
 
+@pytest.mark.parametrize("name", ["cup.step", "cup.STP", "cup.igs", "cup.sldprt"])
+def test_geometry_of_a_cad_program_is_refused_with_the_way_to_a_mesh(tmp_path: Path, name: str) -> None:
+    words = _refused(tmp_path, name, "ISO-10303-21;\nHEADER;\n")
+    assert "no triangles" in words and "export the part as STL" in words
+
+
 def test_an_ascii_stl_that_is_cut_is_refused(tmp_path: Path) -> None:
     text = _ascii_stl()
     for end in (text.rindex("endsolid"), text.rindex("endloop"), text.rindex("vertex") + 20, len(text) // 2):
