@@ -244,7 +244,8 @@ def waffle_mold(cells: tuple[int, int]) -> molds.MoldShape:
     number = np.arange(x.size).reshape(x.shape)
     corner = number[:-1, :-1].ravel(), number[1:, :-1].ravel(), number[1:, 1:].ravel(), number[:-1, 1:].ravel()
     triangles = np.concatenate([np.stack([corner[k] for k in three], 1) for three in ((0, 1, 2), (0, 2, 3))])
-    return molds.MoldShape(np.stack([x, y, height], -1).reshape(-1, 3).astype(np.float32), triangles)
+    vertices = np.stack([x, y, height], -1).reshape(-1, 3).astype(np.float32)  # as an STL has them
+    return molds.MoldShape(vertices.astype(float), triangles.astype(np.int32))
 
 
 def waffle(mold: molds.MoldShape, *, refined: bool) -> Scene:

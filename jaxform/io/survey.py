@@ -50,8 +50,8 @@ class Box(NamedTuple):
         return " x ".join(f"{low + 0.0:.4g} to {high + 0.0:.4g}" for low, high in zip(*self, strict=True)) + " m"
 
 
-class Circle(NamedTuple):
-    """A circle on a sheet: its middle (3,) and radius [m]."""
+class Spot(NamedTuple):
+    """A round spot of a sheet: its middle (3,) and radius [m]."""
 
     middle: Array
     radius: float
@@ -71,7 +71,7 @@ class Survey(NamedTuple):
         behind: Share on the other side.
         overlap: Share of the sheet that has mold before it, in the direction of the push; None where it is curved.
         exposed: Share of the sheet that has mold only behind it.
-        bare: The widest circle of the sheet that has no mold before it; None where the sheet is curved.
+        bare: The widest round spot of the sheet that has no mold before it; None where the sheet is curved.
     """
 
     sheet: Box
@@ -84,7 +84,7 @@ class Survey(NamedTuple):
     behind: float
     overlap: float | None
     exposed: float
-    bare: Circle | None
+    bare: Spot | None
 
     @property
     def faces(self) -> bool:
@@ -176,7 +176,7 @@ def _heights(points: Array, middle: Array, unit: Array) -> Array:
     return np.einsum("ij,ij->i", points - middle[nearest], unit[nearest])
 
 
-def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Circle]:
+def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Spot]:
     """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind.
 
     And the widest circle of it that has none before it.
@@ -203,7 +203,7 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, C
     row, column = divmod(widest, width)
     middle = (low + (np.array([column, row]) + 0.5) * pixel) @ across
     middle += (level[widest] if seen[widest] else 0.0) * axis
-    bare = Circle(middle, max(0.0, float(away[widest]) - 0.5) * pixel)
+    bare = Spot(middle, max(0.0, float(away[widest]) - 0.5) * pixel)
     return float((seen & before).sum() / whole), float((seen & behind & ~before).sum() / whole), bare
 
 
@@ -300,7 +300,7 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
         _warn_of_bare(seen, seen.overlap, seen.bare, file)
 
 
-def _warn_of_bare(seen: Survey, overlap: float, bare: Circle, file: str) -> None:
+def _warn_of_bare(seen: Survey, overlap: float, bare: Spot, file: str) -> None:
     """Of what the pressure would blow past the mold, or through it."""
     if 1 - overlap < _BARE and bare.radius < _HOLE * seen.sheet.size:
         return

@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.crossings import short_pieces
+from jaxform.tools.crossings import laid_out, short_pieces
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_CHUNK = 1_000_000  # pairs looked at together, to bound the memory
 _WIDE = 2.0  # cells, in boxes: most triangles then need not be cut
 
 
@@ -66,13 +65,8 @@ def overlapping(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]
     shape = np.max([np.floor((pieces.high - corner) / width).max(0) for pieces in sets], axis=0) + 2
     mine, theirs = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
     begin, end = (np.searchsorted(theirs.cell, mine.cell, side) for side in ("left", "right"))
-    count = end - begin
-    total = np.cumsum(count)
-    parts = np.searchsorted(total, np.arange(_CHUNK, total[-1], _CHUNK)) + 1
-    for part in np.split(np.arange(len(count)), parts):
-        row = np.repeat(part, count[part])
-        place = np.arange(len(row)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
-        first, second = mine.piece[row], theirs.piece[begin[row] + place]
+    for row, place in laid_out(begin, end):
+        first, second = mine.piece[row], theirs.piece[place]
         for axis in range(3):
             over = sets[0].low[first, axis] <= sets[1].high[second, axis]
             over &= sets[0].high[first, axis] >= sets[1].low[second, axis]

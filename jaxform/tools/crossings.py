@@ -71,19 +71,25 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     cell = cell[near]
     kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
-    count = (end - begin).astype(np.int64)
     mold_low, mold_high = mold_corners.min(1), mold_corners.max(1)
-    total = np.cumsum(count)
-    parts = np.searchsorted(total, np.arange(_CHUNK, total[-1] if len(total) else 0, _CHUNK)) + 1
-    for part in np.split(np.arange(len(near)), parts):
-        row = np.repeat(part, count[part])
-        place = np.arange(len(row)) - np.repeat(np.cumsum(count[part]) - count[part], count[part])
-        piece, triangle = near[row], cells.number[cells.listed[begin[row] + place]]
+    for row, place in laid_out(begin, end):
+        piece, triangle = near[row], cells.number[cells.listed[place]]
         for axis in range(3):
             over = low[piece, axis] <= mold_high[triangle, axis]
             over &= high[piece, axis] >= mold_low[triangle, axis]
             piece, triangle = piece[over], triangle[over]
         yield Pairs(owner[piece], triangle)
+
+
+def laid_out(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """The entries from `begin` to `end` (n,) of each row of a list: their rows and places, part by part."""
+    count = (end - begin).astype(np.int64)
+    total = np.cumsum(count)
+    parts = np.searchsorted(total, np.arange(_CHUNK, total[-1] if len(total) else 0, _CHUNK)) + 1
+    for part in np.split(np.arange(len(count)), parts):
+        row = np.repeat(part, count[part])
+        first = np.cumsum(count[part]) - count[part]
+        yield row, begin[row] + np.arange(len(row)) - np.repeat(first, count[part])
 
 
 def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:

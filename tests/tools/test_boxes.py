@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxform.tools import boxes
+from jaxform.tools import boxes, crossings
 from jaxform.tools.crossings import intersect
 
 
@@ -24,7 +24,7 @@ def _triangles(seed: int, count: int, finest: float) -> np.ndarray:
 def test_all_that_meet_are_found_and_none_whose_boxes_are_apart(
     monkeypatch: pytest.MonkeyPatch, finest: float, chunk: int
 ) -> None:
-    monkeypatch.setattr(boxes, "_CHUNK", chunk)
+    monkeypatch.setattr(crossings, "_CHUNK", chunk)
     one, other = _triangles(1, 80, finest), _triangles(2, 150, finest)
     first, second = (grid.ravel() for grid in np.indices((80, 150)))
     meet, over = (np.zeros((80, 150), bool) for _ in range(2))
