@@ -62,10 +62,11 @@ def read_faces(path: Path, further: bool = False) -> Faces:
 
 
 def _unknown(ending: str, readers: Collection[str], value: str) -> InputError:
+    problem, remedy = "is of no known mesh format", f"use one of {', '.join(readers)}"
     if ending in _GEOMETRY:
-        problem = "is a CAD program's own geometry, which has no triangles yet"
-        return InputError(problem, "export the part as STL from the CAD program", value=value)
-    return InputError("is of no known mesh format", f"use one of {', '.join(readers)}", value=value)
+        problem += ": a CAD program's own geometry, which has no triangles yet"
+        remedy = f"export the part as STL from the CAD program, or {remedy}"
+    return InputError(problem, remedy, value=value)
 
 
 @contextlib.contextmanager
