@@ -179,7 +179,7 @@ def _heights(points: Array, middle: Array, unit: Array) -> Array:
 def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Spot]:
     """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind.
 
-    And the widest circle of it that has none before it.
+    And the widest round spot of it that has none before it.
     """
     axis = facing / np.linalg.norm(facing)
     across = np.linalg.svd(axis[None])[2][1:]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import topology
+from jaxform.mesh.rows import counted_up
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int32]
@@ -233,7 +234,7 @@ def _root_slots(triangles: NDArray[np.int64], node_count: int) -> NDArray[np.int
     order = np.argsort(corner, kind="stable")
     count = np.bincount(corner, minlength=node_count)
     rank = np.empty(len(corner), np.int64)
-    rank[order] = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+    rank[order] = counted_up(count)
     return 2 * rank.reshape(-1, 3)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
+from jaxform.mesh.rows import counted_up
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -75,7 +76,7 @@ def crossing(corners: Array) -> Array | None:
     beside = last - np.arange(count) - 1
     for part in np.array_split(np.arange(count), 1 + int(beside.sum()) // _CHUNK):
         one = np.repeat(part, beside[part])
-        other = np.arange(len(one)) - np.repeat(np.cumsum(beside[part]) - beside[part], beside[part]) + one + 1
+        other = counted_up(beside[part]) + one + 1
         one, other = order[one], order[other]
         near = (low[one, 1] <= high[other, 1]) & (low[other, 1] <= high[one, 1])
         one, other = one[near], other[near]

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh.rows import counted_up
+
 Array = NDArray[np.float64]
 Size = Callable[[Array], Array]
 """Length of the sides (n,) [m] at points (n, 2) [m]."""
@@ -97,7 +99,7 @@ def inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
     crossings = np.zeros(len(points), np.int64)
     for part in np.array_split(np.arange(len(begin)), 1 + int(count.sum()) // _MOST_PAIRS):
         side = np.repeat(part, count[part])
-        point = np.arange(len(side)) - np.repeat(np.cumsum(count[part]) - count[part], count[part]) + first[side]
+        point = counted_up(count[part]) + first[side]
         left = x[point] < begin[side, 0] + (y[point] - begin[side, 1]) * slope[side]
         crossings += np.bincount(point[left], minlength=len(points))
     found = np.zeros(len(points), bool)

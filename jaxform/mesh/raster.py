@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh.rows import counted_up
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -50,7 +52,7 @@ def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
 def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array, width: int) -> Hits:
     """Row by row of pixels: a row's are covered from one side of the triangle to another."""
     rows = (high - low + 1)[:, 1].astype(np.int64)
-    y = _spread(low[:, 1], rows) + _counted(rows)
+    y = _spread(low[:, 1], rows) + counted_up(rows)
     first, last = _spread(low[:, 0], rows), _spread(high[:, 0], rows)
     slopes, begins = [], []
     # The weights, cross products with the opposite sides, are linear in the place.
@@ -66,7 +68,7 @@ def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array
         last = np.where(slope < 0, np.minimum(last, np.floor(place)), last)
         last = np.where((slope == 0) & (begin < -_EDGE), -1.0, last)
     columns = np.maximum(last - first + 1, 0).astype(np.int64)
-    along = _counted(columns)
+    along = counted_up(columns)
     weights = [
         _spread(begin + slope * (first + 0.5), columns) + _spread(slope, columns) * along
         for begin, slope in zip(begins[1:], slopes[1:], strict=True)
@@ -79,11 +81,6 @@ def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array
 def _spread(values: NDArray[Any], counts: Index) -> Any:
     """Each value (n,) as often as its count says."""
     return np.repeat(values, counts)
-
-
-def _counted(counts: Index) -> Index:
-    """0, 1, ... up to each count (n,), one after the other."""
-    return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _turned(one: Array, other: Array) -> Array:

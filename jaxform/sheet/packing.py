@@ -20,6 +20,7 @@ from jaxform.kernels.pairing import paired, turned
 from jaxform.mechanics.elements import Elements, usual_rows
 from jaxform.mechanics.membrane import gather
 from jaxform.mesh.reference import reference_metric
+from jaxform.mesh.rows import counted_up
 from jaxform.model.tables import Assembly, Counts, Pairs, Sheet
 
 _MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
@@ -81,7 +82,7 @@ def _assembly(nodes: np.ndarray, node_count: int, pairs: Pairs | None) -> Assemb
     order = np.argsort(corner_node, kind="stable")
     order = order[np.count_nonzero(corner_node < 0) :]
     count = np.bincount(corner_node[order], minlength=node_count)
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    rank = counted_up(count)
     code = 4 * (order // width) + order % width
     depth = _depth(count, usual_rows(pairs is not None))
     table = np.full((depth, node_count), -1, np.int32)

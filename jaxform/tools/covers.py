@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import contours, masks, meshes, topology, volumes
 from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.rows import counted_up
 from jaxform.tools import heights
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import FINE, FLAT, Opening
@@ -140,7 +141,7 @@ def _edge_points(polygon: Array, step: float) -> Array:
     ends = np.roll(polygon, -1, axis=0)
     counts = np.maximum(1, np.ceil(np.linalg.norm(ends - polygon, axis=1) / step).astype(int))
     side = np.repeat(np.arange(len(polygon)), counts)
-    share = (np.arange(len(side)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[side]
+    share = counted_up(counts) / counts[side]
     return polygon[side] + share[:, None] * (ends - polygon)[side]
 
 

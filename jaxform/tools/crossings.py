@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.mesh.rows import counted_up
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import CLASSES, SearchGrid, cut
 
@@ -88,8 +89,7 @@ def laid_out(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.int64]
     parts = np.searchsorted(total, np.arange(_CHUNK, total[-1] if len(total) else 0, _CHUNK)) + 1
     for part in np.split(np.arange(len(count)), parts):
         row = np.repeat(part, count[part])
-        first = np.cumsum(count[part]) - count[part]
-        yield row, begin[row] + np.arange(len(row)) - np.repeat(first, count[part])
+        yield row, begin[row] + counted_up(count[part])
 
 
 def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
