@@ -16,7 +16,7 @@ from jaxform.core import compiling, executables, store
 from jaxform.core.store import Store
 from jaxform.io import files
 from jaxform.runs.host import run
-from tests.scenes import cup, free_disc, mooney
+from tests.scenes import assert_same, cup, free_disc, mooney
 
 # The runs end before the sheet reaches the cup.
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold")
@@ -27,6 +27,13 @@ def _same(one: object, other: object) -> bool:
     return all(np.array_equal(a, b) for a, b in pairs)
 
 
+def _assert_same_run(result: object, expected: object) -> None:
+    """But for the seconds, which are the last two."""
+    pairs = zip(jax.tree.leaves(result)[:-2], jax.tree.leaves(expected)[:-2], strict=True)
+    for found, wanted in pairs:
+        assert_same(found, wanted)
+
+
 def test_kept_programs_and_grids_give_the_same_run(tmp_path: Path) -> None:
     kept = Store(tmp_path)
     document = files.read_scene("dish")
@@ -34,11 +41,11 @@ def test_kept_programs_and_grids_give_the_same_run(tmp_path: Path) -> None:
     assert _same(first, jaxform.load("dish")) and _same(first, again)
     assert len(list(tmp_path.iterdir())) == 1  # the grid
     scene = cup(60, 2.0)
-    plain = jax.tree.leaves(run(scene))
+    plain = run(scene)
     names = set()
     for _ in range(2):
         result = run(scene, store=Store(tmp_path))
-        assert _same(jax.tree.leaves(result)[:-2], plain[:-2])  # but for the seconds
+        _assert_same_run(result, plain)
         assert type(result) is jaxform.Result
         now = set(tmp_path.iterdir())
         assert not names or now == names
@@ -125,7 +132,7 @@ def test_what_another_version_wrote_is_not_read() -> None:
 
 def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     kept, scene = Store(), cup(60, 2.0)
-    plain = jax.tree.leaves(run(scene, store=kept))
+    plain = run(scene, store=kept)
     count = len(kept._programs)
     assert count > 1 and not compiling.crowded()
     monkeypatch.setattr(compiling, "_CROWDED", 0.0)
@@ -133,8 +140,7 @@ def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytes
         pytest.skip("only Linux tells how many mappings a process has")
     run(free_disc(60, 0.5, mooney(0.1), end_time=2.0), store=kept)
     assert len(kept._programs) == 1  # all but the last one made
-    again = jax.tree.leaves(run(scene, store=kept))
-    assert _same(again[:-2], plain[:-2])  # but for the seconds
+    _assert_same_run(run(scene, store=kept), plain)
 
 
 def test_a_folder_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ def test_a_scene_written_with_changes_runs_the_same_from_its_new_folder(tmp_path
     np.testing.assert_array_equal(again.parison.thickness, thickness)
     changed = jaxform.replace(scene, changes)
     one, other = jaxform.run(changed), jaxform.run(again)
-    np.testing.assert_array_equal(one.positions, other.positions)
-    np.testing.assert_array_equal(one.thickness, other.thickness)
+    scenes.assert_same(one.positions, other.positions)
+    scenes.assert_same(one.thickness, other.thickness)
 
 
 def test_relative_paths_are_rewritten(tmp_path: Path) -> None:

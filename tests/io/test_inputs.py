@@ -205,6 +205,7 @@ def test_a_sheet_that_hardly_moves_is_warned_of_and_balanced() -> None:
 _SHARDED = """
 import jax, sys
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_platforms", "cpu")
 jax.config.update("jax_num_cpu_devices", 2)
 import jax.numpy as jnp, numpy as np, jaxform
 from jax.sharding import Mesh, PartitionSpec
@@ -233,7 +234,7 @@ print(float(values[0]).hex())
 
 
 def test_shard_map_shares_designs_out_with_their_gradients() -> None:
-    """On two devices, with JAX's defaults; a design out of range spoils none of the others' gradients."""
+    """On two devices made of the processor, with JAX's defaults; a design out of range spoils no other gradient."""
     known = os.environ | {"PYTHONPATH": os.pathsep.join([str(_PROJECT.parent), os.environ.get("PYTHONPATH", "")])}
     done = subprocess.run([sys.executable, "-c", _SHARDED], capture_output=True, text=True, env=known, timeout=900)
     assert done.returncode == 0, done.stderr[-3000:]

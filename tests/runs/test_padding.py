@@ -19,7 +19,7 @@ import jaxform
 from benchmarks.speed import waiting
 from jaxform.kernels import sizes
 from jaxform.runs import loop, padding
-from tests.scenes import cup
+from tests.scenes import assert_same, cup
 
 pytestmark = pytest.mark.filterwarnings("ignore:nothing touched the mold", "ignore:.*hardly moved")
 
@@ -169,9 +169,9 @@ def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     )
     found = whole(changed)
     for name in ("thickness", "contact_time", "velocities", "element_thickness", "steps", "windows", "mass"):
-        assert np.array_equal(getattr(found, name), getattr(expected, name)), name
+        assert_same(getattr(found, name), getattr(expected, name))
     inside = ~beyond & np.asarray(expected.active)
-    assert np.array_equal(np.asarray(found.positions)[inside], np.asarray(expected.positions)[inside])
+    assert_same(np.asarray(found.positions)[inside], np.asarray(expected.positions)[inside])
     assert np.array_equal(found.active, inside)
 
 
