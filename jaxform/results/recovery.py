@@ -4,7 +4,8 @@ A node's elements say what the thickness is at their middles. Where these lie ev
 second order in the element size, since what flat triangles miss alternates from one to the next. Where a mesh changes
 its fineness they do not, and the mean is of first order only; so the linear function that fits them best is taken,
 which is the mean where they lie evenly. On a symmetry plane their images belong to them. At a rim all lie on one side,
-nothing cancels, and the functions of the nodes inside are carried on to there.
+nothing cancels, and the functions of the nodes inside are carried on to there; but no further from the mean than as the
+elements at the rim differ, like a slope limiter: what lies flat on a flange is not as steep as the wall behind it.
 
 (Zienkiewicz, Zhu: The superconvergent patch recovery, Int. J. Numer. Meth. Eng. 33 (1992) 1331-1364.)
 """
@@ -18,7 +19,9 @@ from jaxform.mechanics.membrane import Vector, dot, edges, sum_to_nodes
 from jaxform.model.tables import Sheet
 
 _MOST = 2.0  # how far from the mean a value may be carried, as a factor: past a sharp bend the gradient means little
+_SPREADS = 6.0  # how far a value may be carried to a rim, in standard deviations there: a linear function needs 3
 _RIDGE = 1e-3  # of the middles' square distance: a gradient across them, where they lie in a plane or on a line, is 0
+_EVEN = 1e-6  # h/h0 that differ by less are alike; a root has no slope at 0
 
 
 def nodal_ratio(ratio: jax.Array, sheet: Sheet, positions: jax.Array, mobile: jax.Array) -> jax.Array:
@@ -31,25 +34,28 @@ def nodal_ratio(ratio: jax.Array, sheet: Sheet, positions: jax.Array, mobile: ja
         mobile: Along which axes (3, n_node) each node can move: along none where it is clamped, and not along the
             normal of a symmetry plane.
     """
-    mean, fit, slope = _fits(ratio, sheet, positions, mobile)
+    mean, variance, fit, slope = _fits(ratio, sheet, positions, mobile)
     free = jnp.any(mobile, axis=0)
 
-    def around(values: jax.Array) -> jax.Array:
-        """Sum over the free corners of the elements of each node, by initial area."""
-        inside = jnp.where(free, values, 0.0)
-        return sum_to_nodes(sheet.area * sum(inside[corner] for corner in sheet.triangles), sheet.triangles, free.size)
+    def around(values: jax.Array, of: jax.Array) -> jax.Array:
+        """Sum over the corners of that kind of the elements of each node, by initial area."""
+        those = jnp.where(of, values, 0.0)
+        return sum_to_nodes(sheet.area * sum(those[corner] for corner in sheet.triangles), sheet.triangles, of.size)
 
     x, y, z = positions
-    count, foot = around(jnp.ones_like(fit)), fit - dot(slope, (x, y, z))
-    carried = around(foot) + sum(around(part) * along for part, along in zip(slope, (x, y, z), strict=True))
-    value = jnp.where(free | (count == 0.0), fit, carried / jnp.where(count > 0.0, count, 1.0))
+    ones, foot = jnp.ones_like(fit), fit - dot(slope, (x, y, z))
+    inside, at_rim = around(ones, free), around(ones, ~free)
+    carried = around(foot, free) + sum(around(part, free) * along for part, along in zip(slope, (x, y, z), strict=True))
+    carried /= jnp.where(inside > 0.0, inside, 1.0)
+    reach = _SPREADS * jnp.sqrt(around(variance, ~free) / jnp.where(at_rim > 0.0, at_rim, 1.0) + _EVEN**2)
+    value = jnp.where(free | (inside == 0.0), fit, jnp.clip(carried, mean - reach, mean + reach))
     return jnp.clip(value, mean / _MOST, _MOST * mean)
 
 
 def _fits(
     values: jax.Array, sheet: Sheet, positions: jax.Array, mobile: jax.Array
-) -> tuple[jax.Array, jax.Array, Vector]:
-    """At the nodes the mean of their elements, and the linear function that fits best: its value and its gradient."""
+) -> tuple[jax.Array, jax.Array, jax.Array, Vector]:
+    """At the nodes their elements' mean and variance, and value and gradient of the linear function that fits best."""
     _, edge1, edge2 = edges(positions, sheet.triangles)
     middles = [
         [(p * a + q * b) / 3.0 for a, b in zip(edge1, edge2, strict=True)] for p, q in ((1, 1), (-2, 1), (1, -2))
@@ -61,8 +67,12 @@ def _fits(
         return sheet.area[None] * jnp.stack([*rows, values * x, values * y, values * z])
 
     shares = jnp.concatenate([moments(*middle) for middle in middles], axis=1)
-    sums = jnp.zeros((len(shares), mobile.shape[1]), values.dtype).at[:, sheet.triangles.ravel()].add(shares)
-    mean, *first, xx, yy, zz, yz, zx, xy, rise_x, rise_y, rise_z = sums[1:] / jnp.where(sums[:1] > 0.0, sums[:1], 1.0)
+    corners = sheet.triangles.ravel()
+    sums = jnp.zeros((len(shares), mobile.shape[1]), values.dtype).at[:, corners].add(shares)
+    area = jnp.where(sums[:1] > 0.0, sums[:1], 1.0)
+    mean, *first, xx, yy, zz, yz, zx, xy, rise_x, rise_y, rise_z = sums[1:] / area
+    squares = jnp.tile(sheet.area, 3) * (jnp.tile(values, 3) - mean[corners]) ** 2
+    variance = jnp.zeros_like(mean).at[corners].add(squares) / area[0]
     # The images behind a symmetry plane: what is odd in the distance from it cancels.
     x, y, z = (jnp.where(along, part, 0.0) for along, part in zip(mobile, first, strict=True))
     size = xx + yy + zz
@@ -75,7 +85,7 @@ def _fits(
     mixed = scaled(yz - y * z, 1, 2), scaled(zx - z * x, 2, 0), scaled(xy - x * y, 0, 1)
     right = scaled(rise_x - mean * x, 0, 0), scaled(rise_y - mean * y, 1, 1), scaled(rise_z - mean * z, 2, 2)
     slope = _solved(diagonal, mixed, right)
-    return mean, mean - dot(slope, (x, y, z)), slope
+    return mean, variance, mean - dot(slope, (x, y, z)), slope
 
 
 def _solved(diagonal: Vector, mixed: Vector, right: Vector) -> Vector:
