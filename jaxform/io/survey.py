@@ -13,7 +13,7 @@ from jaxform.core.pytree import as_real
 from jaxform.materials.law import PlaneLaw
 from jaxform.mesh import masks, raster
 from jaxform.model.scene import Scene
-from jaxform.model.seams import place, warn_of_joints
+from jaxform.model.seams import extent, place, warn_of_joints
 from jaxform.results import sections
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Box(NamedTuple):
 
     def __str__(self) -> str:
         """The box in words."""
-        return " x ".join(f"{low + 0.0:.4g} to {high + 0.0:.4g}" for low, high in zip(*self, strict=True)) + " m"
+        return extent(*self)
 
 
 class Spot(NamedTuple):

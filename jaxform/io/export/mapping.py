@@ -14,6 +14,7 @@ from jaxform.io.export.wall import Wall
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserving
+from jaxform.model.seams import extent
 from jaxform.tools.distances import Distances, Nearest, Triangulation, interpolated, weights
 from jaxform.tools.search import cut
 
@@ -183,11 +184,8 @@ def _check_size(size: float, mesh: Mesh, name: str) -> None:
 
 
 def _nowhere(wall: Wall, mesh: Mesh, reach: float) -> str:
-    def box(positions: Array) -> str:
-        sides = zip(positions.min(0), positions.max(0), strict=True)
-        return " x ".join(f"{low + 0.0:.4g} to {high + 0.0:.4g}" for low, high in sides) + " m"
-
-    boxes = f"mesh {box(mesh.positions)}, part {box(wall.positions)}"
+    ends = [extent(positions.min(0), positions.max(0)) for positions in (mesh.positions, wall.positions)]
+    boxes = f"mesh {ends[0]}, part {ends[1]}"
     return f"nearly nothing of the mesh lies within {1e3 * reach:.3g} mm of the part ({boxes})"
 
 
