@@ -83,7 +83,7 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
 
 
 def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
-    from jaxform.model.seams import place
+    from jaxform.core.words import place
 
     wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
     say(

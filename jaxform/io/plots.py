@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
+from jaxform.core.words import coordinate
 from jaxform.io import canvas, views
 from jaxform.io.canvas import Diagram, Line, PartPicture
 from jaxform.io.scales import color_range, formed_elements, seen_apart
@@ -201,7 +202,7 @@ def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: M
 
 def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Line:
     """The thinnest place, named once among the lines."""
-    where = ", ".join(f"{1e3 * x + 0.0:.3g}" for x in thin["formed"])
+    where = ", ".join(coordinate(x, 1e3, 3) for x in thin["formed"])
     named = any(line.style["label"].startswith("minimum") for line in lines)
     label = "_" if named else f"minimum {1e3 * thin['thickness']:.3g} mm, at ({where}) mm"
     look = {"color": MINIMUM, "markeredgecolor": "white", "markeredgewidth": 1.2, "markersize": 9, "zorder": 5}

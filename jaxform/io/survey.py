@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
 from jaxform.core.pytree import as_real
+from jaxform.core.words import extent, place
 from jaxform.materials.law import PlaneLaw
 from jaxform.mesh import masks, raster
 from jaxform.model.scene import Scene
-from jaxform.model.seams import extent, place, warn_of_joints
+from jaxform.model.seams import warn_of_joints
 from jaxform.results import sections
 
 Array = NDArray[np.float64]

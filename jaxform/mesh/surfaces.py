@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
+from jaxform.core.words import coordinate
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 
@@ -34,7 +35,7 @@ def check_surface(mesh: Mesh) -> None:
 
 
 def _place(mesh: Mesh, edge: NDArray[np.int64]) -> str:
-    return "at (" + ", ".join(f"{x:.6g}" for x in mesh.positions[edge].mean(axis=0)) + ") m"
+    return "at (" + ", ".join(coordinate(x, digits=6) for x in mesh.positions[edge].mean(axis=0)) + ") m"
 
 
 def plane_of(text: str) -> tuple[int, float]:

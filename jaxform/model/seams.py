@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
+from jaxform.core.words import place
 from jaxform.mesh import topology
 from jaxform.model.scene import Parison
 
@@ -112,22 +113,6 @@ def warn_of_joints(parison: Parison, file: str, key: str, value: str) -> None:
             "turn the triangles of these parts",
             **where,
         )
-
-
-def place(point: Array) -> str:
-    """A place [m] in words."""
-    return f"({', '.join(map(_coordinate, point))}) m"
-
-
-def extent(low: Array, high: Array) -> str:
-    """The least and the largest coordinates [m] in words."""
-    sides = zip(map(_coordinate, low), map(_coordinate, high), strict=True)
-    return " x ".join(f"{least} to {largest}" for least, largest in sides) + " m"
-
-
-def _coordinate(value: float) -> str:
-    """Without what rounding makes of 0, or its sign."""
-    return f"{round(float(value), 10) + 0.0:.4g}"
 
 
 def _several(count: int, thing: str) -> str:

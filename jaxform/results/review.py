@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.words import place
 from jaxform.model.scene import Scene
-from jaxform.model.seams import place
 from jaxform.results import sections
 from jaxform.sheet.state import Status
 from jaxform.tools import folding

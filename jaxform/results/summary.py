@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.pytree import as_real
+from jaxform.core.words import place
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import taut
 from jaxform.model.scene import Scene
-from jaxform.model.seams import place
 from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
 from jaxform.results.result import Result, Seconds

@@ -173,8 +173,3 @@ def test_a_parison_file_with_hanging_nodes_is_warned_of_by_place_and_number(tmp_
     assert "3 rim nodes on another rim" in sentences[0] and "(0, 0.03333, 0) m" in sentences[0]
     assert "with 3 of the nodes clamped" in sentences[0] and "scene.toml" in sentences[0]
     assert "'halves.vtu'" in sentences[0] and "2 parts" in sentences[1]
-
-
-def test_coordinates_do_not_show_what_rounding_makes_of_0() -> None:
-    assert seams.place(np.array([-9.797e-18, -0.0, 0.02])) == "(0, 0, 0.02) m"
-    assert seams.extent(np.array([-0.0376, -9.797e-18]), np.array([0.1624, 1e-9])) == "-0.0376 to 0.1624 x 0 to 1e-09 m"

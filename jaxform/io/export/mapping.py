@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError, warn_of
+from jaxform.core.words import extent
 from jaxform.io.export.wall import Wall
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserving
-from jaxform.model.seams import extent
 from jaxform.tools.distances import Distances, Nearest, Triangulation, interpolated, weights
 from jaxform.tools.search import cut
 

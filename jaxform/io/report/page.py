@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+from jaxform.core.words import coordinate
 from jaxform.io.report.contents import symmetry_of
 from jaxform.io.report.measuring import Point
 from jaxform.io.report.reading import Results
@@ -203,8 +204,7 @@ def _place(point: Sequence[Any], unit: str = " mm") -> str:
     """A place given in [m], in mm."""
     if len(point) != 3 or None in point:
         return _NOTHING
-    # What is below a millionth of a mm is rounding.
-    return f"{', '.join(number(round(1e3 * x, 6)) for x in point)}{unit}"
+    return f"{', '.join(coordinate(x, 1e3) for x in point)}{unit}"
 
 
 def _whole_mass(results: Results) -> float | None:
