@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import matplotlib.pyplot as plt
 
 DOCS = Path(__file__).parent.parent / "docs"
 Found = dict[str, Any]
+_MEASURED = "measured"  # on which day each part was
 
 
 def kept(path: Path) -> Found:
@@ -36,7 +38,17 @@ def keep(path: Path, name: str, found: Any, *, case: str = "", digits: int | Non
         parts.setdefault(name, {})[case] = rounded
     else:
         parts[name] = rounded
+    parts.setdefault(_MEASURED, {})[f"{name}: {case}" if case else name] = datetime.date.today().isoformat()
     path.write_text(json.dumps(parts, indent=1) + "\n", encoding="utf-8")
+
+
+def days(found: Found) -> str:
+    """A sentence that says when the parts were measured, the latest first; nothing where that is not known."""
+    names: dict[str, list[str]] = {}
+    for name, day in found.get(_MEASURED, {}).items():
+        names.setdefault(day, []).append(name)
+    latest = [(datetime.date.fromisoformat(day), names[day]) for day in sorted(names, reverse=True)]
+    return "".join(f"Measured on {day.day} {day:%B %Y}: {', '.join(sorted(parts))}.\n" for day, parts in latest)
 
 
 def _rounded(value: Any, digits: int) -> Any:

@@ -8,15 +8,15 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.pages import Found, save
+from benchmarks.pages import Found, days, save
 from jaxform.results.summary import SLOW_ENOUGH
 
 
 def write(found: Found, folder: Path) -> None:
     """Writes accuracy.md, and the pictures of what was found."""
-    text = [_HEAD]
+    text = [_HEAD, days(found)]
     text += [section(found[name]["found"], folder) for name, section in _SECTIONS.items() if name in found]
-    spent = ", ".join(f"{name} {part['seconds']:.0f} s" for name, part in found.items())
+    spent = ", ".join(f"{name} {found[name]['seconds']:.0f} s" for name in _SECTIONS if name in found)
     text.append(f"\nTaken on one core, compiling included: {spent}.\n")
     (folder / "accuracy.md").write_text("\n".join(text), encoding="utf-8")
 

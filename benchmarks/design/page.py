@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.pages import Found, save
+from benchmarks.pages import Found, days, save
 
 _OWN = ("L-BFGS", "least squares", "fixed point")
 
@@ -18,7 +18,7 @@ _RAMPS = (("cubic-ramp", "cube of time"), ("linear", "linear"))
 
 def write(found: Found, folder: Path) -> None:
     """Writes design.md, and search.png and schedule.png where there is what they show."""
-    text = [_HEAD]
+    text = [_HEAD, days(found)]
     for name, section in _SECTIONS.items():
         if found.get(name):
             text.append(section(found[name], folder))

@@ -2,7 +2,9 @@
 
 `.venv/bin/python -m benchmarks.speed.against OTHER [ROUNDS [NAME ...]]`: OTHER is the folder of another checkout, of an
 older commit for instance; names choose among the runs. Each has a process of its own that has everything compiled; they
-take turns, run by run, on one core. The ratio is the median over the rounds of what both took one after the other.
+take turns, run by run, on one core. Where a process's arrays lie in memory makes it some per cent slower or faster as
+long as it lives, so there are several pairs of processes, one after the other. The ratio of a pair is the median over
+the rounds of what both took one after the other; the ratio that counts is the median of the pairs'.
 """
 
 from __future__ import annotations
@@ -12,13 +14,14 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 _HERE = Path(__file__).parents[2]
-_ROUNDS = 15
+_ROUNDS, _PAIRS = 7, 5
 _SERVE = "--serve"
 
 
@@ -88,11 +91,15 @@ def _serve(names: list[str]) -> None:
         print(time.perf_counter() - begin, flush=True)
 
 
-def _served(folder: Path, names: list[str]) -> subprocess.Popen[str]:
-    """A process that times the package in a folder; of this checkout it sees this file alone."""
+def _served(folder: Path, names: list[str], programs: str) -> subprocess.Popen[str]:
+    """A process that times the package in a folder; of this checkout it sees this file alone.
+
+    What it compiles is kept in the folder `programs`, for the next such process.
+    """
+    kept = {"JAX_COMPILATION_CACHE_DIR": programs, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
     return subprocess.Popen(
         [sys.executable, "-P", str(Path(__file__)), _SERVE, *names],
-        env=os.environ | {"PYTHONPATH": str(folder)},
+        env=os.environ | {"PYTHONPATH": str(folder)} | kept,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -110,25 +117,46 @@ def _timed(process: subprocess.Popen[str], name: str) -> float:
     return _answer(process)
 
 
+class Pair(NamedTuple):
+    """What two processes, of this checkout and of the other, took [s]: run by run, and for the first time."""
+
+    rounds: dict[str, list[list[float]]]
+    first: list[dict[str, float]]
+
+    def ratio(self, name: str) -> float:
+        """Of this checkout's time to the other's."""
+        return statistics.median(mine / its for mine, its in self.rounds[name])
+
+
+def _measured(other: Path, rounds: int, names: list[str], programs: str) -> Pair:
+    """What two new processes take, in turns."""
+    processes = [_served(folder, names, programs) for folder in (_HERE, other)]
+    first = [_answer(process) for process in processes]
+    assert first[0].keys() == first[1].keys()
+    taken = {name: [[_timed(process, name) for process in processes] for _ in range(rounds)] for name in first[0]}
+    for process in processes:
+        process.terminate()
+        process.wait()
+    return Pair(taken, first)
+
+
 def main(arguments: list[str]) -> int:
-    """Prints for each run the times [s] of this checkout and of the other, and their ratio."""
+    """Prints for each run the least times [s] of this checkout and of the other, and their ratio."""
     from benchmarks.timing import say
 
     if not arguments:
         print(__doc__)
         return 2
     other, rounds = Path(arguments[0]).resolve(), int(arguments[1]) if len(arguments) > 1 else _ROUNDS
-    processes = [_served(folder, arguments[2:]) for folder in (_HERE, other)]
-    first, theirs = (_answer(process) for process in processes)
-    assert first.keys() == theirs.keys()
-    for name in first:
-        pairs = [[_timed(process, name) for process in processes] for _ in range(rounds)]
-        best = [min(times) for times in zip(*pairs, strict=True)]
-        ratio = statistics.median(mine / its for mine, its in pairs)
-        ratios = {"ratio": ratio, "of the best": best[0] / best[1]}
-        say({name: best[0], "other": best[1], **ratios, "first": first[name], "other first": theirs[name]})
-    for process in processes:
-        process.terminate()
+    with tempfile.TemporaryDirectory() as programs:
+        pairs = [_measured(other, rounds, arguments[2:], programs) for _ in range(_PAIRS)]
+    # Only the first pair of processes had to compile.
+    first = pairs[0].first
+    for name in first[0]:
+        best = [min(times) for times in zip(*(both for pair in pairs for both in pair.rounds[name]), strict=True)]
+        ratios = sorted(pair.ratio(name) for pair in pairs)
+        spread = {"ratio": statistics.median(ratios), "least": ratios[0], "most": ratios[-1]}
+        say({name: best[0], "other": best[1], **spread, "first": first[0][name], "other first": first[1][name]})
     return 0
 
 

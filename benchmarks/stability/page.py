@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.pages import Found, save
+from benchmarks.pages import Found, days, save
 from jaxform.sheet.state import Status
 
 _LEAVES = {"parison.thickness": "thickness", "pressure.value": "pressure"}
@@ -18,7 +18,7 @@ _SHOWN = 12  # seeds of a class
 
 def write(found: Found, folder: Path) -> None:
     """Writes stability.md, and the pictures of those parts that there are."""
-    text = [_HEAD]
+    text = [_HEAD, days(found)]
     for name, section in _SECTIONS.items():
         if found.get(name):
             text.append(section(found[name], folder))
