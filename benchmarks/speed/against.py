@@ -4,7 +4,8 @@
 older commit for instance; names choose among the runs. Each has a process of its own that has everything compiled; they
 take turns, run by run, on one core. Where a process's arrays lie in memory makes it some per cent slower or faster as
 long as it lives, so there are several pairs of processes, one after the other. The ratio of a pair is the median over
-the rounds of what both took one after the other; the ratio that counts is the median of the pairs'.
+the rounds of what both took one after the other; the ratio that counts is the median of the pairs'. Of a whole run the
+loop is also looked at alone: before and after it a run checks what it was given and what came out.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,11 +45,11 @@ def _makers() -> dict[str, Callable[[], Callable[[], Any]]]:
             pressure=jaxform.make_pressure([0.0, 0.2], [0.0, 1e3]),
             solver=jaxform.make_solver(end_time=0.05, damping=100.0),
         )
-        return lambda: jaxform.run(free).positions
+        return lambda: jaxform.run(free)
 
     def whole(name: str) -> Callable[[], Any]:
         scene = jaxform.load(name)
-        return lambda: jaxform.run(scene).positions
+        return lambda: jaxform.run(scene)
 
     def gradient(name: str, side_by_side: int = 0) -> Callable[[], Any]:
         scene = jaxform.load(name)
@@ -76,6 +78,7 @@ def _serve(names: list[str]) -> None:
     """Times what is asked for by name, line by line; first says what each took to load, compile and run once [s]."""
     import jax
 
+    warnings.simplefilter("ignore")
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     makers, runs, took = _makers(), {}, {}
@@ -87,8 +90,10 @@ def _serve(names: list[str]) -> None:
     print(json.dumps(took), flush=True)
     for line in sys.stdin:
         begin = time.perf_counter()
-        jax.block_until_ready(runs[line.strip()]())
-        print(time.perf_counter() - begin, flush=True)
+        found = jax.block_until_ready(runs[line.strip()]())
+        whole = time.perf_counter() - begin
+        loop = getattr(found, "seconds", None)
+        print(json.dumps({"": whole} | ({", loop": loop.run} if loop else {})), flush=True)
 
 
 def _served(folder: Path, names: list[str], programs: str) -> subprocess.Popen[str]:
@@ -111,7 +116,8 @@ def _answer(process: subprocess.Popen[str]) -> Any:
     return json.loads(process.stdout.readline())
 
 
-def _timed(process: subprocess.Popen[str], name: str) -> float:
+def _timed(process: subprocess.Popen[str], name: str) -> dict[str, float]:
+    """What a run takes [s], by what its name is followed by: all of it, and its loop alone."""
     assert process.stdin is not None
     print(name, file=process.stdin, flush=True)
     return _answer(process)
@@ -120,12 +126,12 @@ def _timed(process: subprocess.Popen[str], name: str) -> float:
 class Pair(NamedTuple):
     """What two processes, of this checkout and of the other, took [s]: run by run, and for the first time."""
 
-    rounds: dict[str, list[list[float]]]
+    rounds: dict[str, list[list[dict[str, float]]]]
     first: list[dict[str, float]]
 
-    def ratio(self, name: str) -> float:
+    def ratio(self, name: str, part: str) -> float:
         """Of this checkout's time to the other's."""
-        return statistics.median(mine / its for mine, its in self.rounds[name])
+        return statistics.median(mine[part] / its[part] for mine, its in self.rounds[name])
 
 
 def _measured(other: Path, rounds: int, names: list[str], programs: str) -> Pair:
@@ -153,10 +159,13 @@ def main(arguments: list[str]) -> int:
     # Only the first pair of processes had to compile.
     first = pairs[0].first
     for name in first[0]:
-        best = [min(times) for times in zip(*(both for pair in pairs for both in pair.rounds[name]), strict=True)]
-        ratios = sorted(pair.ratio(name) for pair in pairs)
-        spread = {"ratio": statistics.median(ratios), "least": ratios[0], "most": ratios[-1]}
-        say({name: best[0], "other": best[1], **spread, "first": first[0][name], "other first": first[1][name]})
+        rounds = [both for pair in pairs for both in pair.rounds[name]]
+        for part in rounds[0][0]:
+            best = [min(times[part] for times in own) for own in zip(*rounds, strict=True)]
+            ratios = sorted(pair.ratio(name, part) for pair in pairs)
+            spread = {"ratio": statistics.median(ratios), "least": ratios[0], "most": ratios[-1]}
+            say({name + part: best[0], "other": best[1], **spread})
+        say({"  the first time": first[0][name], "other": first[1][name]})
     return 0
 
 

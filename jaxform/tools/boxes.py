@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.crossings import laid_out, short_pieces
+from jaxform.tools.crossings import boxes_of, every, laid_out, short_pieces
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -33,7 +34,7 @@ class _Pieces(NamedTuple):
     @classmethod
     def of(cls, corners: Array, width: float, low: Array, high: Array) -> _Pieces:
         pieces, owner = short_pieces(corners, width, low, high)
-        return cls(pieces.min(1), pieces.max(1), owner)
+        return cls(*boxes_of(pieces), owner)
 
     def cells(self, corner: Array, width: float, shape: Integers) -> _Cells:
         """Where each is: in at most two cells along each axis."""
@@ -41,7 +42,7 @@ class _Pieces(NamedTuple):
         found = []
         for step in np.ndindex(2, 2, 2):
             index = first + step
-            piece = np.flatnonzero((index <= last).all(1))
+            piece = np.flatnonzero(every(index <= last))
             found.append((np.ravel_multi_index(tuple(index[piece].T), tuple(shape)), piece))
         cell, piece = (np.concatenate(parts) for parts in zip(*found, strict=True))
         order = np.argsort(cell, kind="stable")
@@ -55,9 +56,10 @@ def overlapping(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]
     the cells follows the mean of the logarithms of the first set's boxes: then neither the pieces of the large ones nor
     the small ones in a cell are many.
     """
-    extent = np.ptp(one, axis=1).max(1)
+    low, high = boxes_of(one)
+    extent = functools.reduce(np.maximum, (high - low).T)
     width = _WIDE * float(np.exp(np.log(np.maximum(extent, 1e-3 * extent.max())).mean()))
-    box = one.min((0, 1)), one.max((0, 1))
+    box = low.min(0), high.max(0)
     sets = _Pieces.of(one, width, *box), _Pieces.of(other, width, *box)
     if not len(sets[1].owner):
         return

@@ -6,6 +6,7 @@ triangles each, however many there are.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -62,7 +63,8 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     cells = _cells(grid)
     box = mold_corners.min((0, 1)) - margin, mold_corners.max((0, 1)) + margin
     pieces, owner = short_pieces(corners, cells.reach, *box)
-    low, high = pieces.min(1) - margin, pieces.max(1) + margin
+    low, high = boxes_of(pieces)
+    low, high = low - margin, high + margin
     middle = pieces.mean(1)
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
     # The mold is inside the grid: what is in reach from a place outside is also in reach from the nearest cell.
@@ -72,7 +74,7 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     cell = cell[near]
     kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
-    mold_low, mold_high = mold_corners.min(1), mold_corners.max(1)
+    mold_low, mold_high = boxes_of(mold_corners)
     for row, place in laid_out(begin, end):
         piece, triangle = near[row], cells.number[cells.listed[place]]
         for axis in range(3):
@@ -80,6 +82,20 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
             over &= high[piece, axis] >= mold_low[triangle, axis]
             piece, triangle = piece[over], triangle[over]
         yield Pairs(owner[piece], triangle)
+
+
+def boxes_of(corners: Array) -> tuple[Array, Array]:
+    """Lowest and highest coordinates (n, 3), (n, 3) [m] of pieces with k corners (n, k, 3) [m].
+
+    Corner by corner: NumPy takes several times as long along an axis of three.
+    """
+    each = np.moveaxis(corners, 1, 0)
+    return functools.reduce(np.minimum, each), functools.reduce(np.maximum, each)
+
+
+def every(columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which rows (n,) are true in each of a few columns (n, k)."""
+    return functools.reduce(np.logical_and, columns.T)
 
 
 def laid_out(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -100,14 +116,21 @@ def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tup
     """
     owner = np.arange(len(corners))
     while True:
-        inside = np.all((corners.min(1) <= high) & (corners.max(1) >= low), axis=1)
-        corners, owner = corners[inside], owner[inside]
-        side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(initial=0.0)
+        lowest, highest = boxes_of(corners)
+        inside = every((lowest <= high) & (highest >= low))
+        if not inside.all():
+            corners, owner = corners[inside], owner[inside]
+        side = max(_longest(corners[:, k] - corners[:, k - 1]) for k in range(corners.shape[1]))
         if side <= longest:
             return corners, owner
         halve = cut if corners.shape[1] == 3 else _halved
         corners, part = halve(corners, max(longest, 0.5 * side))
         owner = owner[part]
+
+
+def _longest(sides: Array) -> float:
+    """The length of the longest of some vectors (n, 3) [m], 0 of none."""
+    return float(np.sqrt(np.einsum("ij,ij->i", sides, sides).max(initial=0.0)))
 
 
 def _halved(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
@@ -156,7 +179,7 @@ def _on_one_side(one: Array, other: Array) -> NDArray[np.bool_]:
     """Whether all corners of triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair."""
     normal = np.cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0])
     height = np.einsum("nkj,nj->nk", one - other[:, :1], normal)
-    return (height > 0).all(1) | (height < 0).all(1)
+    return every(height > 0) | every(height < 0)
 
 
 def proper_crossings(

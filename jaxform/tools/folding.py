@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.tools.boxes import overlapping
-from jaxform.tools.crossings import intersect
+from jaxform.tools.crossings import every, intersect
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -26,7 +26,7 @@ def through_itself(positions: Array, triangles: Integers, asked: Integers) -> ND
     found = []
     for place, other in overlapping(corners[asked], corners):
         one = asked[place]
-        apart = ~(triangles[one][:, :, None] == triangles[other][:, None, :]).any((1, 2))
+        apart = every((triangles[one][:, :, None] != triangles[other][:, None, :]).reshape(-1, 9))
         one, other = one[apart], other[apart]
         found.append(one[intersect(corners[one], corners[other])])
     return np.unique(np.concatenate(found))
