@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, dataclass_transform
 
@@ -21,6 +24,19 @@ def static(**kwargs: Any) -> Any:
 def pytree[T](cls: type[T]) -> type[T]:
     """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`."""
     return jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
+
+
+def remembered[T, R](function: Callable[[T], R]) -> Callable[[T], R]:
+    """The function of a frozen tree, which finds its result once, as long as that very tree is there."""
+    results: weakref.WeakKeyDictionary[T, R] = weakref.WeakKeyDictionary()
+
+    @functools.wraps(function)
+    def found(tree: T) -> R:
+        if tree not in results:
+            results[tree] = function(tree)
+        return results[tree]
+
+    return found
 
 
 def marked(parts: Any, mark: dict[str, Any]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.core.pytree import as_real
+from jaxform.core.pytree import as_real, remembered
 from jaxform.core.words import extent, place
 from jaxform.materials.law import PlaneLaw
 from jaxform.mesh import masks, raster
@@ -103,6 +103,7 @@ class Survey(NamedTuple):
         return f"along {place(self.push / np.linalg.norm(self.push)).removesuffix(' m')}"
 
 
+@remembered
 def survey(scene: Scene) -> Survey:
     """Looks at a scene."""
     positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
@@ -129,9 +130,8 @@ def survey(scene: Scene) -> Survey:
     if scene.mold is not None:
         walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
         mold = _box(walls.reshape(-1, 3))
-        unit = sign * normal / area[:, None]
         points = _folded(_on(walls), planes, used)
-        height = _heights(points, middle, unit)
+        height = _heights(points, middle, sign * normal / area[:, None])
         ahead, behind = (float((side * height > _FLAT * box.size).mean()) for side in (1, -1))
         if np.linalg.norm(facing) >= _FACING:
             overlap, exposed, bare = _overlap(corners, walls, facing)

@@ -61,7 +61,8 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         margin: What the boxes are widened by [m].
     """
     cells = _cells(grid)
-    box = mold_corners.min((0, 1)) - margin, mold_corners.max((0, 1)) + margin
+    mold_low, mold_high = boxes_of(mold_corners)
+    box = mold_low.min(0) - margin, mold_high.max(0) + margin
     pieces, owner = short_pieces(corners, cells.reach, *box)
     low, high = boxes_of(pieces)
     low, high = low - margin, high + margin
@@ -74,7 +75,6 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     cell = cell[near]
     kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
-    mold_low, mold_high = boxes_of(mold_corners)
     for row, place in laid_out(begin, end):
         piece, triangle = near[row], cells.number[cells.listed[place]]
         for axis in range(3):
