@@ -159,9 +159,9 @@ def main(arguments: list[str]) -> int:
     # Only the first pair of processes had to compile.
     first = pairs[0].first
     for name in first[0]:
-        rounds = [both for pair in pairs for both in pair.rounds[name]]
-        for part in rounds[0][0]:
-            best = [min(times[part] for times in own) for own in zip(*rounds, strict=True)]
+        taken = [both for pair in pairs for both in pair.rounds[name]]
+        for part in taken[0][0]:
+            best = [min(times[part] for times in own) for own in zip(*taken, strict=True)]
             ratios = sorted(pair.ratio(name, part) for pair in pairs)
             spread = {"ratio": statistics.median(ratios), "least": ratios[0], "most": ratios[-1]}
             say({name + part: best[0], "other": best[1], **spread})
