@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
-from jaxform.core.errors import told_to
+from jaxform.core.errors import held_back, told_to
 
 if TYPE_CHECKING:
     from jaxform.core.store import Store
@@ -31,7 +31,9 @@ def simulate(arguments: argparse.Namespace) -> int:
         frames = Frames(arguments.out, document.model.output.frames)
         frames.begin(scene)
         loop.compiling(scene, store)
-        with session.meanwhile(lambda: _look_over(scene, document, arguments.warned)) as looked:
+        look = session.meanwhile(lambda: _look_over(scene, document, arguments.warned))
+        # What the run warns of comes after what the scene is warned of, whichever ends first.
+        with held_back(), look as looked:
             result = _run(scene, frames, not arguments.quiet, store)
         looked.result()
 

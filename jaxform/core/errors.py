@@ -91,6 +91,18 @@ def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
         yield texts
 
 
+@contextlib.contextmanager
+def held_back() -> Iterator[None]:
+    """What is warned of inside is shown at the end."""
+    held: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as held:
+            yield
+    finally:
+        for one in held:
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+
+
 def _short(value: Any, limit: int = 160) -> str:
     """The value as it would be typed, cut to the limit."""
     return cut(repr(value), limit)

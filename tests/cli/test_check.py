@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import threading
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -14,7 +16,9 @@ from PIL import Image
 
 import jaxform
 from jaxform.cli import command, session
+from jaxform.io import files
 from jaxform.mesh.meshes import read_mesh
+from jaxform.runs import host
 from tests import scenes
 
 WRONG = scenes.FILE.replace("[[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]", "[[0.0, -0.05], [0.055, -0.05], [0.1, 0.0]]")
@@ -101,6 +105,28 @@ def test_what_simulate_warns_of_is_in_its_summary(tmp_path: Path, capfd: pytest.
     for line, words in zip(lines, ("away from the mold", "nothing touched", "left the mold's box"), strict=True):
         assert words in line
     _check_files(out, summary)
+
+
+def test_the_scene_is_warned_of_before_the_run(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended, run, look_over = threading.Event(), host.run, files.look_over
+
+    def run_and_say(*args: Any, **kwargs: Any) -> jaxform.Result:
+        result = run(*args, **kwargs)
+        ended.set()
+        return result
+
+    def look_over_afterwards(*args: Any) -> None:
+        assert ended.wait(200)
+        look_over(*args)
+
+    monkeypatch.setattr(host, "run", run_and_say)
+    monkeypatch.setattr(files, "look_over", look_over_afterwards)
+    (tmp_path / "scene.toml").write_text(WRONG)
+    assert command.main(["simulate", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    first, second, third = capfd.readouterr().err.splitlines()
+    assert "away from the mold" in first and "nothing touched" in second and "left the mold's box" in third
 
 
 def _check_files(out: Path, summary: dict) -> None:
