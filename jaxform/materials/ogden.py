@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import within
 from jaxform.core.ranges import OF_LAWS, RANGES
 from jaxform.kernels.blocks import once
+from jaxform.kernels.elementary import exp2, log2
 from jaxform.materials.law import PlaneLaw, law
 
 # Of how alike both stretches are, cosh y - 1 with y = ln(l1 / l2): below it a series serves, whose derivatives are
 # good; so many of its terms are as good as all for powers of up to 20.
 _ALIKE, _TERMS = 1e-4, 5
+# The same of sinh(y)^2 where no derivative is needed: three terms serve.
+_CLOSE, _LEAST = 1e-6, 1e-30
+_LN_2 = 0.6931471805599453
+_MOST = 500.0  # of log2 of a power: stretches beyond are cut
 
 _RANGES = OF_LAWS["ogden"]
 
@@ -55,17 +63,8 @@ class Ogden(PlaneLaw):
 
     def slopes(self, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, jax.Array]:
         """dW/dT and dW/dD [Pa]."""
-        plane = _Plane(trace, determinant)
-        by_trace, by_determinant = jnp.zeros_like(trace), jnp.zeros_like(trace)
-        for mu, alpha in zip(self.mu, self.alpha, strict=True):
-            power, half = plane.to(0.5 * alpha), 0.5 * mu
-            # sinh(p y) = sinh((p - 1) y) cosh(y) + cosh((p - 1) y) sinh(y).
-            sines = power.sines_before * plane.cosine + power.cosine_before
-            # Else all of it would be worked out for each of the two again.
-            first = half * power.area * sines
-            second = half * (power.area * power.sines_before + jnp.square(power.thickness))
-            by_trace, by_determinant = once((by_trace + first, by_determinant - second))
-        return by_trace * plane.thickness, by_determinant * jnp.square(plane.thickness)
+        slopes = _slopes if trace.dtype == jnp.float64 else _smooth_slopes
+        return slopes(list(self.mu), list(self.alpha), trace, determinant)
 
     def verify(self) -> None:
         """Raises InputError unless there are as many powers as moduli, none is 0, and the sheet is stiff at first."""
@@ -80,6 +79,76 @@ class Ogden(PlaneLaw):
         if np.any(soft := np.sum(mu * alpha, axis=0) <= 0):
             remedy = "let the sum of mu alpha, twice the shear modulus, be above 0"
             raise InputError("has no stiffness in small strain", remedy, "material.mu", mu[:, np.argmax(soft)].tolist())
+
+
+@jax.custom_jvp
+def _slopes(
+    mu: list[jax.Array], alpha: list[jax.Array], trace: jax.Array, determinant: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """dW/dT and dW/dD in double precision, from powers of x1 = l1^2, x2 and x3 alone; as they are, not to be varied.
+
+    With f(x) = dw/dx = sum of mu / 2 x^p, p = alpha / 2 - 1, and Q = (f(x1) - f(x2)) / (x1 - x2)::
+
+        dW/dT = f(x2) + x1 Q,  dW/dD = -Q - f(x3) / D^2
+    """
+    inverse = 1.0 / determinant
+    apart = jnp.maximum(0.25 * jnp.square(trace) * inverse - 1.0, _LEAST)  # sinh(y)^2; by rounding it may be below 0
+    half = jnp.sqrt(apart * determinant)
+    inverse, apart, half, larger = once((inverse, apart, half, 0.5 * trace + half))
+    terms = [(0.5 * modulus, 0.5 * power - 1.0) for modulus, power in zip(mu, alpha, strict=True)]
+    most = _MOST / (2.0 + functools.reduce(jnp.maximum, (jnp.abs(power) for _, power in terms)))
+    product, first = once(tuple(jnp.clip(log2(values), -most, most) for values in (determinant, larger)))
+
+    def slope(logs: jax.Array) -> jax.Array:
+        return sum((half_modulus * exp2(power * logs) for half_modulus, power in terms), jnp.zeros_like(logs))
+
+    def slope_of_slope(logs: jax.Array) -> jax.Array:
+        """Q by the series of sinh(p y) / (p sinh y) in sinh(y)^2."""
+        total = jnp.zeros_like(logs)
+        for half_modulus, power in terms:
+            square = jnp.square(power)
+            series = 1.0 + apart * ((square - 1.0) / 6.0) * (1.0 + apart * ((square - 9.0) / 20.0))
+            total += half_modulus * power * exp2((power - 1.0) * logs) * series
+        return total
+
+    alike = slope_of_slope(0.5 * product)
+    f1, f2, f3, alike = once((slope(first), slope(product - first), slope(-product), alike))
+    quotient = jnp.where(apart < _CLOSE, alike, (f1 - f2) * (0.5 / half))
+    return f2 + larger * quotient, -quotient - f3 * jnp.square(inverse)
+
+
+@functools.partial(_slopes.defjvp, symbolic_zeros=True)
+def _slopes_change(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
+    """The change of the form that is smooth at equal stretches, with what varies."""
+    values, tree = jax.tree.flatten(at)
+    given = jax.tree.leaves(changes)
+    varied = [k for k, change in enumerate(given) if not isinstance(change, SymbolicZero)]
+
+    def smooth(*those: jax.Array) -> tuple[jax.Array, jax.Array]:
+        every = list(values)
+        for k, value in zip(varied, those, strict=True):
+            every[k] = value
+        return _smooth_slopes(*jax.tree.unflatten(tree, every))
+
+    change = jax.jvp(smooth, [values[k] for k in varied], [given[k] for k in varied])[1]
+    return _slopes(*at), change
+
+
+def _smooth_slopes(
+    mu: Iterable[jax.Array], alpha: Iterable[jax.Array], trace: jax.Array, determinant: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """dW/dT and dW/dD, smooth in all."""
+    plane = _Plane(trace, determinant)
+    by_trace, by_determinant = jnp.zeros_like(trace), jnp.zeros_like(trace)
+    for modulus, exponent in zip(mu, alpha, strict=True):
+        power, half = plane.to(0.5 * exponent), 0.5 * modulus
+        # sinh(p y) = sinh((p - 1) y) cosh(y) + cosh((p - 1) y) sinh(y).
+        sines = power.sines_before * plane.cosine + power.cosine_before
+        # Else all of it would be worked out for each of the two again.
+        first = half * power.area * sines
+        second = half * (power.area * power.sines_before + jnp.square(power.thickness))
+        by_trace, by_determinant = once((by_trace + first, by_determinant - second))
+    return by_trace * plane.thickness, by_determinant * jnp.square(plane.thickness)
 
 
 class _Power(NamedTuple):
@@ -104,7 +173,7 @@ class _Plane:
         square = excess * (excess + 2.0)
         sine = jnp.sqrt(jnp.where(alike, 1.0, square))
         stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
-        logs = _log(area), _log(stretch)
+        logs = _LN_2 * log2(area), _LN_2 * log2(stretch)
         # What all terms use is worked out once.
         made = once((thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
         self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
@@ -127,19 +196,3 @@ class _Plane:
             factor = (jnp.square(power) - (k + 1) ** 2) / ((k + 1.5) * (k + 1) * 2.0)
             total = 1.0 + factor * self.excess * total
         return power * total
-
-
-@jax.custom_jvp
-def _log(values: jax.Array) -> jax.Array:
-    """Logarithm of positive values, to rounding, by one step of Halley's method from that in single precision.
-
-    XLA's CPU compiler has the exponential in vectors in double precision, the logarithm in single precision alone.
-    """
-    begin = jnp.log(values.astype(jnp.float32)).astype(values.dtype)
-    grown = jnp.exp(begin)
-    return begin + 2.0 * (values - grown) / (values + grown)
-
-
-@_log.defjvp
-def _log_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
-    return _log(*values), changes[0] / values[0]

@@ -55,6 +55,28 @@ def test_the_stresses_of_treloars_rubber(stretches: tuple[float, float], expecte
     np.testing.assert_allclose(np.ravel(cauchy(ogden(MU, ALPHA), *stretches)), expected, rtol=1e-8, atol=1e-3)
 
 
+@pytest.mark.parametrize("power", [0.7, 3.0, 9.0, 20.0])
+def test_ogdens_slopes_where_stretches_are_nearly_alike(power: float) -> None:
+    """With y = ln(l1 / l2) the slopes are of sinh(p y) / sinh(y), here in extended precision."""
+    random = np.random.default_rng(3)
+    y = np.concatenate([[0.0], 10.0 ** random.uniform(-17.0, 0.3, 4000)]).astype(np.longdouble)
+    area = np.exp(random.uniform(-0.7, 0.7, y.size)).astype(np.longdouble)
+    law = ogden([1.0, 0.2], [power, -0.5 * power])
+    by_trace, by_area = np.zeros_like(y), np.zeros_like(y)
+    over = np.where(y > 0.0, y, 1.0)
+    for mu, p in ((1.0, 0.5 * power), (0.2, -0.25 * power)):
+        upper, lower = (np.where(y > 0.0, np.sinh(q * over) / np.sinh(over), q) for q in (p, p - 1.0))
+        by_trace += 0.5 * mu * area ** (p - 1.0) * upper
+        by_area -= 0.5 * mu * (area ** (p - 2.0) * lower + area ** (-2.0 * p - 2.0))
+    strain = tuple(jnp.asarray(own.astype(float)) for own in (2.0 * area * np.cosh(y), np.square(area)))
+    size = np.abs(by_trace) + np.abs(by_area)
+    found = jax.jit(law.slopes)(*strain)
+    for own, right in zip(found, (by_trace, by_area), strict=True):
+        assert np.max(np.abs(np.asarray(own) - right) / size) < 2e-11
+    # What comes with a derivative is the same as without.
+    np.testing.assert_allclose(jax.jvp(law.slopes, strain, strain)[0], found, rtol=1e-14)
+
+
 @pytest.mark.parametrize("ratio", [0.0, 1e-12, 1e-7, 1e-4, 0.01, 0.14, 0.1413, 0.1416, 0.3, 3.0])
 def test_ogdens_stresses_are_powers_of_the_stretches(ratio: float) -> None:
     """sum of mu (l1^alpha - l3^alpha), whether both stretches are alike, nearly or not."""
