@@ -175,10 +175,10 @@ class _Plane:
         stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
         logs = _LN_2 * log2(area), _LN_2 * log2(stretch)
         # What all terms use is worked out once.
-        made = once((thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
-        self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
+        made = once((alike, thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
+        self._alike, self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
         self._log_area, self._angle = logs
-        self._alike, self.cosine, self._stretch = alike, 1.0 + self.excess, stretch
+        self.cosine, self._stretch = 1.0 + self.excess, stretch
 
     def to(self, power: jax.Array) -> _Power:
         """Their power."""

@@ -12,6 +12,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxform.kernels.blocks import once
+
+_LEAST = 1e-30  # of a difference squared
+
 
 class Taut(NamedTuple):
     """The strain in the plane with the width that a strip in uniaxial tension has, where the sheet is slack.
@@ -21,7 +25,7 @@ class Taut(NamedTuple):
         determinant: (l1 l2)^2 (n,).
         slack: Where the sheet is narrower than that (n,).
         larger: The larger principal value l1^2 as it is (n,).
-        half: Half of l1^2 - l2^2 as it is (n,), where they are not equal.
+        half: Half of l1^2 - l2^2 as it is (n,), where it is slack.
         turn: Change of the energy with l1^2, over that with the trace at constant determinant, and over
             l1^2 - l2^2 (n,).
     """
@@ -38,26 +42,28 @@ class Taut(NamedTuple):
 
         The slopes of l1^2 by trace and determinant are l1^2 / (l1^2 - l2^2) and -1 / (l1^2 - l2^2).
         """
-        pull = a * self.turn
-        return jnp.where(self.slack, pull * self.larger, a), jnp.where(self.slack, -0.5 * scale * pull, b)
+        # Next to no strain rounding decides; both nearly cancel, so it must decide the same for both.
+        slack, pull = once((self.slack, a * self.turn))
+        return jnp.where(slack, pull * self.larger, a), jnp.where(slack, -0.5 * scale * pull, b)
 
     def shares(self) -> tuple[jax.Array, jax.Array]:
         """How much of the present metric and of the initial one make up that of this strain (n,)."""
         pulled = jnp.maximum(self.larger, 1.0)
-        present = jnp.where(self.slack, 0.5 * (pulled - self.determinant / pulled) / self.half, 1.0)
-        return present, jnp.where(self.slack, pulled - present * self.larger, 0.0)
+        slack, share = once((self.slack, 0.5 * (pulled - self.determinant / pulled) / self.half))
+        return jnp.where(slack, share, 1.0), jnp.where(slack, pulled - share * self.larger, 0.0)
 
 
 def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
     """Relaxed strain (n,), of l1^2 + l2^2, (l1 l2)^2 and ((l1^2 - l2^2) / 2)^2."""
     mean = 0.5 * trace
     # Equal stretches have no derivative of their difference; where they are slack nothing is pulled.
-    unequal = square > 0.0
-    half = jnp.sqrt(jnp.where(unequal, square, 1.0))
-    larger = mean + jnp.where(unequal, half, 0.0)
+    half = jnp.sqrt(jnp.maximum(square, _LEAST))
+    larger = mean + half
     pulled = jnp.maximum(larger, 1.0)
     narrow = jnp.sqrt(pulled)  # the determinant of uniaxial tension
     slack = determinant < narrow
+    # Where it is slack they differ by as much as that. Next to no strain rounding says otherwise.
+    half = jnp.maximum(half, 0.5 * (pulled - narrow))
     # One division for both.
     width, twice = pulled * narrow, 2.0 * half
     both = 1.0 / (width * twice)
@@ -68,5 +74,5 @@ def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
         slack=slack,
         larger=larger,
         half=half,
-        turn=(1.0 - inverse) * (both * width),
+        turn=(width - 1.0) * both,
     )

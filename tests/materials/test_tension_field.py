@@ -23,7 +23,9 @@ from tests.scenes import real
 
 MOONEY = jaxform.MooneyRivlin(real(1.0), real(0.1), real(1.0), tension_field=True)
 OGDEN = jaxform.Ogden(jnp.asarray([1.6, 0.2]), jnp.asarray([1.5, 4.0]), real(1.0), tension_field=True)
+NEO_HOOKEAN = jaxform.NeoHookean(real(1.0), real(1.0), tension_field=True)
 LAWS = pytest.mark.parametrize("law", [MOONEY, OGDEN], ids=["mooney-rivlin", "ogden"])
+FLAT = pytest.mark.parametrize("law", [NEO_HOOKEAN, MOONEY, OGDEN], ids=["neo-hookean", "mooney-rivlin", "ogden"])
 COUNT = 200
 UNIT = jnp.ones(COUNT), jnp.zeros(COUNT), jnp.ones(COUNT)
 SKEWED = 1.4 * UNIT[0], -0.3 * UNIT[0], 0.8 * UNIT[0]  # inverse of an initial metric
@@ -49,6 +51,27 @@ def density(g: membrane.Metric, law: jaxform.Law, initial: membrane.Metric = UNI
 
 def stress(g: membrane.Metric, law: jaxform.Law, initial: membrane.Metric) -> membrane.Metric:
     return membrane.stress(g, initial, membrane.stress_factors(g, initial, law))
+
+
+@FLAT
+@pytest.mark.parametrize("size", [0.0, 1e-16, 1e-13, 1e-10, 1e-7])
+def test_next_to_no_strain_is_next_to_no_stress(law: jaxform.Law, size: float) -> None:
+    """Rounding says what is slack; each of several loops that XLA makes of it must hear the same."""
+    sheet = shapes.disc(radius=1.0, elements=2048, symmetry="quarter")
+    flat, triangles = jnp.asarray(sheet.positions).T, jnp.asarray(sheet.triangles).T
+    initial, _ = membrane.reference_metric(flat, triangles)
+    moved = flat + size * np.random.default_rng(1).normal(size=flat.shape)
+
+    def stresses(positions: jax.Array) -> membrane.Metric:
+        own = initial[0], initial[1], initial[2]
+        return stress(membrane.metric(*membrane.edges(positions, triangles)[1:]), law, own)
+
+    # As it is compiled for users: with products and sums in one, rounded here so and there so.
+    compiled = jax.jit(stresses).lower(moved).compile({"xla_backend_optimization_level": 2})
+    inverse = np.abs(initial).max(0)
+    for own in compiled(moved):
+        # Edges are a fiftieth of the radius.
+        assert np.abs(np.asarray(own) / inverse).max() < 2e-13 + 1e4 * size
 
 
 @LAWS
