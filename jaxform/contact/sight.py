@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact import cells
-from jaxform.kernels.blocks import cut, listed
+from jaxform.kernels.blocks import cut, listed, once
 from jaxform.mechanics.membrane import dot
 from jaxform.tools.search import SearchGrid
 
@@ -118,6 +118,8 @@ def _first_beyond(
         gamma, delta = dot(away, dual1), dot(away, dual2)
         inside = (gamma >= -tolerance) & (delta >= -tolerance) & (gamma + delta <= 1.0 + tolerance)
         closer = (first + k < end) & ~level & inside & (met > low) & (met <= high) & (met < best)
+        # All three hear the same, also where rounding decides.
+        closer = once(closer)
         new = met, grid.number[row], jnp.where(slope < 0.0, 1, -1)
         return k + 1, tuple(jnp.where(closer, a, b) for a, b in zip(new, (best, chosen, side), strict=True))
 
