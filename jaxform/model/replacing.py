@@ -21,6 +21,7 @@ from jaxform.loads import Loading
 from jaxform.materials import Law, Modes, Shift
 from jaxform.model.field import Field
 from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
 
 
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
@@ -36,12 +37,24 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
             or, where it is known (not traced), is not finite or out of its range.
     """
     check_scene(scene)
+    before = scene
     if not isinstance(changes, Mapping):
         raise InputError("is no mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
     for path, value in changes.items():
         old = _designable(scene, str(path))
         scene = _put(scene, str(path), _fitted(str(path), value, old, scene))
-    return scene
+    return _with_as_many_windows(scene, before) if "solver.end_time" in changes else scene
+
+
+def _with_as_many_windows(scene: Scene, before: Scene) -> Scene:
+    """Of a run that ends sooner windows are shorter: at their ends it is looked at, say for its kinetic energy."""
+    longest, ends = scene.tables.longest_window, (before.solver.end_time, scene.solver.end_time)
+    if any(isinstance(number, Tracer) or np.ndim(number) for number in (longest, *ends)):
+        return scene
+    shorter, most = int(longest), int(longest) * float(ends[1]) / float(ends[0])
+    while shorter > max(most, SHORT_WINDOW):
+        shorter //= 2
+    return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=np.int32(shorter)))
 
 
 def check_scene(scene: Any) -> None:

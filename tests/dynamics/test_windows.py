@@ -151,6 +151,16 @@ def test_there_are_enough_windows_to_look_at_a_run(short_ones: int, frames: int,
     assert planning.longest_window(short_ones, frames) == longest
 
 
+def test_a_run_that_ends_sooner_has_as_many_windows() -> None:
+    scene = scenes.cup(end_time=400.0)
+    assert scene.tables.longest_window == LONG_WINDOW
+    for share, longest in ((2.0, LONG_WINDOW), (1.0, LONG_WINDOW), (0.6, 128), (0.1, SHORT_WINDOW)):
+        ended = jaxform.replace(scene, {"solver.end_time": share * 400.0})
+        assert ended.tables.longest_window == longest
+    traced = jax.jit(lambda end: jaxform.replace(scene, {"solver.end_time": end}))(40.0)
+    assert traced.tables.longest_window == LONG_WINDOW
+
+
 def test_with_refinement_all_windows_are_short() -> None:
     sheet = shapes.rectangle(size=(1.0, 1.0), elements=8)
     assert scenes.refinable(sheet, 256).tables.longest_window == SHORT_WINDOW
