@@ -13,12 +13,12 @@ from typing import Any
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.animation import PillowWriter
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.patheffects import withStroke
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from PIL import Image
 
 import jaxform
 from benchmarks.accuracy import cases
@@ -208,18 +208,25 @@ def animation(name: str, parts: Sequence[Part]) -> None:
     tall = name == "soap-bottle"
     figure = plt.figure(figsize=(3.6, 4.6) if tall else (6.4, 4.2))
     colors, (low, high) = colors_of(shown), bounds(parts)
-    writer = PillowWriter(fps=10)
-    with writer.saving(figure, str(DOCS / f"{name}.gif"), dpi=80):
-        for scene, part in [*shown, *[shown[-1]] * 8]:
-            figure.clear()
-            view: Any = figure.add_axes(_ROOM[name], projection="3d")
-            surface(view, *faces(scene, part), colors, edges=True)
-            frame(view, low, high, **view_of(name))
-            figure.text(0.45, 0.94, f"t = {1e3 * float(part.time):5.1f} ms", ha="center", fontsize=10)
-            room = figure.add_axes((0.8, 0.2, 0.03, 0.6) if tall else (0.88, 0.2, 0.018, 0.6))
-            figure.colorbar(colors, cax=room, label="h / h$_0$")
-            writer.grab_frame()
+    figure.set_dpi(80)
+    drawn: list[np.ndarray] = []
+    canvas: Any = figure.canvas
+    for scene, part in shown:
+        figure.clear()
+        view: Any = figure.add_axes(_ROOM[name], projection="3d")
+        surface(view, *faces(scene, part), colors, edges=True)
+        frame(view, low, high, **view_of(name))
+        figure.text(0.45, 0.94, f"t = {1e3 * float(part.time):5.1f} ms", ha="center", fontsize=10)
+        room = figure.add_axes((0.8, 0.2, 0.03, 0.6) if tall else (0.88, 0.2, 0.018, 0.6))
+        figure.colorbar(colors, cax=room, label="h / h$_0$")
+        canvas.draw()
+        drawn.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     plt.close(figure)
+    # One palette for all, or a colour would change, or be lost from the bar, as soon as few pixels have it.
+    palette = Image.fromarray(np.concatenate(drawn)).quantize(256, Image.Quantize.MAXCOVERAGE)
+    first, *others = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in drawn)
+    lasts = [100] * len(others) + [900]  # ms
+    first.save(DOCS / f"{name}.gif", save_all=True, append_images=others, duration=lasts, loop=0)
 
 
 # --- The dish (4.1) -------------------------------------------------------------------------------------------------

@@ -10,12 +10,15 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jaxform.kernels.blocks import once
+
 _ONE, _HALF_ROOT = 0x3FF0000000000000, 0x3FE6A09E667F3BCD  # the bits of 1 and of 2^(-1/2)
 _FRACTION = 52  # how many bits it has
 # Added to a whole number k it has the bits of k as its own last ones.
 _SHIFT, _SHIFT_BITS = 6755399441055744.0, 0x4338000000000000
 _LN_2 = 0.6931471805599453
-# Interpolated at Chebyshev's points: 2^x up to x = 1/2, and log2((1 + x) / (1 - x)) / x in x^2 up to that of 2^(1/2).
+# Interpolated at Chebyshev's points: 2^x and (2^x - 1) / x up to x = 1/2, and log2((1 + x) / (1 - x)) / x in x^2 up to
+# that of 2^(1/2).
 _EXP2 = (
     1.0,
     0.69314718055995,
@@ -28,6 +31,18 @@ _EXP2 = (
     1.3215442584382707e-06,
     1.020869152579221e-07,
     7.072586657066206e-09,
+)
+_EXP2M1 = (
+    0.6931471805599462,
+    0.24022650695910075,
+    0.05550410866465167,
+    0.009618129107618665,
+    0.0013333558200794592,
+    0.00015403530424776529,
+    1.5252672924850737e-05,
+    1.3215451633221434e-06,
+    1.0205905413765595e-07,
+    7.070977866508139e-09,
 )
 _ATANH = (
     2.885390081777927,
@@ -58,6 +73,23 @@ def _exp2_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[j
 
 
 @jax.custom_jvp
+def exp2m1(values: jax.Array) -> jax.Array:
+    """2^x - 1 of values from -1000 to 1000, to rounding where x is next to nothing too."""
+    if values.dtype != jnp.float64:
+        return jnp.expm1(_LN_2 * values)
+    shifted = values + _SHIFT
+    left = values - (shifted - _SHIFT)
+    scale = _number(jax.lax.shift_left(_bits(shifted), jnp.int64(_FRACTION)) + _ONE)
+    return scale * (left * _polynomial(_EXP2M1, left)) + (scale - 1.0)
+
+
+@exp2m1.defjvp
+def _exp2m1_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    growth = exp2m1(*values)
+    return growth, (1.0 + growth) * (_LN_2 * changes[0])
+
+
+@jax.custom_jvp
 def log2(values: jax.Array) -> jax.Array:
     """log2 x of positive, normal values."""
     if values.dtype != jnp.float64:
@@ -72,6 +104,23 @@ def log2(values: jax.Array) -> jax.Array:
 @log2.defjvp
 def _log2_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
     return log2(*values), changes[0] / (_LN_2 * values[0])
+
+
+@jax.custom_jvp
+def log2p1(values: jax.Array) -> jax.Array:
+    """log2(1 + x) of normal values from 0 on, to rounding where x is next to nothing too."""
+    if values.dtype != jnp.float64:
+        return jnp.log1p(values) / _LN_2
+    values = once(values)
+    total = 1.0 + values
+    # What the sum lost: of more than 2 it is nothing beside the logarithm.
+    lost = jnp.where(total < 2.0, values - (total - 1.0), 0.0)
+    return log2(total) + lost * (1.0 / _LN_2)
+
+
+@log2p1.defjvp
+def _log2p1_change(values: tuple[jax.Array], changes: tuple[jax.Array]) -> tuple[jax.Array, jax.Array]:
+    return log2p1(*values), changes[0] / (_LN_2 * (1.0 + values[0]))
 
 
 def _polynomial(terms: tuple[float, ...], at: jax.Array) -> jax.Array:

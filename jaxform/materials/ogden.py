@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,16 +15,16 @@ from jaxform.core.errors import InputError
 from jaxform.core.parameters import within
 from jaxform.core.ranges import OF_LAWS, RANGES
 from jaxform.kernels.blocks import once
-from jaxform.kernels.elementary import exp2, log2
+from jaxform.kernels.elementary import exp2, exp2m1, log2, log2p1
 from jaxform.materials.law import PlaneLaw, law
 
 # Of how alike both stretches are, cosh y - 1 with y = ln(l1 / l2): below it a series serves, whose derivatives are
 # good; so many of its terms are as good as all for powers of up to 20.
 _ALIKE, _TERMS = 1e-4, 5
-# The same of sinh(y)^2 where no derivative is needed: three terms serve.
-_CLOSE, _LEAST = 1e-6, 1e-30
+_LEAST = 1e-30  # of what is above 0 but for rounding
 _LN_2 = 0.6931471805599453
-_MOST = 500.0  # of log2 of a power: stretches beyond are cut
+_TOGETHER = 3  # how many terms share a division
+_MOST = 900.0  # of log2 of so many powers' product: stretches beyond are cut
 
 _RANGES = OF_LAWS["ogden"]
 
@@ -66,6 +66,12 @@ class Ogden(PlaneLaw):
         slopes = _slopes if trace.dtype == jnp.float64 else _smooth_slopes
         return slopes(list(self.mu), list(self.alpha), trace, determinant)
 
+    def curvatures(self, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """d2W/dT2, d2W/dTdD and d2W/dD2 [Pa]."""
+        curved = _curved if trace.dtype == jnp.float64 else _smooth_curved
+        by_trace, mixed, by_determinant = curved(list(self.mu), list(self.alpha), trace, determinant)[2:]
+        return by_trace, mixed, by_determinant
+
     def verify(self) -> None:
         """Raises InputError unless there are as many powers as moduli, none is 0, and the sheet is stiff at first."""
         mu, alpha = np.asarray(self.mu, float), np.asarray(self.alpha, float)
@@ -85,53 +91,162 @@ class Ogden(PlaneLaw):
 def _slopes(
     mu: list[jax.Array], alpha: list[jax.Array], trace: jax.Array, determinant: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """dW/dT and dW/dD in double precision, from powers of x1 = l1^2, x2 and x3 alone; as they are, not to be varied.
-
-    With f(x) = dw/dx = sum of mu / 2 x^p, p = alpha / 2 - 1, and Q = (f(x1) - f(x2)) / (x1 - x2)::
-
-        dW/dT = f(x2) + x1 Q,  dW/dD = -Q - f(x3) / D^2
-    """
-    inverse = 1.0 / determinant
-    apart = jnp.maximum(0.25 * jnp.square(trace) * inverse - 1.0, _LEAST)  # sinh(y)^2; by rounding it may be below 0
-    half = jnp.sqrt(apart * determinant)
-    inverse, apart, half, larger = once((inverse, apart, half, 0.5 * trace + half))
-    terms = [(0.5 * modulus, 0.5 * power - 1.0) for modulus, power in zip(mu, alpha, strict=True)]
-    most = _MOST / (2.0 + functools.reduce(jnp.maximum, (jnp.abs(power) for _, power in terms)))
-    product, first = once(tuple(jnp.clip(log2(values), -most, most) for values in (determinant, larger)))
-
-    def slope(logs: jax.Array) -> jax.Array:
-        return sum((half_modulus * exp2(power * logs) for half_modulus, power in terms), jnp.zeros_like(logs))
-
-    def slope_of_slope(logs: jax.Array) -> jax.Array:
-        """Q by the series of sinh(p y) / (p sinh y) in sinh(y)^2."""
-        total = jnp.zeros_like(logs)
-        for half_modulus, power in terms:
-            square = jnp.square(power)
-            series = 1.0 + apart * ((square - 1.0) / 6.0) * (1.0 + apart * ((square - 9.0) / 20.0))
-            total += half_modulus * power * exp2((power - 1.0) * logs) * series
-        return total
-
-    alike = slope_of_slope(0.5 * product)
-    f1, f2, f3, alike = once((slope(first), slope(product - first), slope(-product), alike))
-    quotient = jnp.where(apart < _CLOSE, alike, (f1 - f2) * (0.5 / half))
-    return f2 + larger * quotient, -quotient - f3 * jnp.square(inverse)
+    """dW/dT and dW/dD in double precision, by `_Powers`."""
+    return _Powers(mu, alpha, trace, determinant).slopes()
 
 
 @functools.partial(_slopes.defjvp, symbolic_zeros=True)
 def _slopes_change(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
-    """The change of the form that is smooth at equal stretches, with what varies."""
+    """Along the strain by the second derivatives, along the law's numbers by the form that is smooth in all."""
+    *numbers, trace, determinant = changes
+    if isinstance(trace, SymbolicZero) and isinstance(determinant, SymbolicZero):
+        return _slopes(*at), _change(_smooth_slopes, at, changes)
+    *slopes, by_trace, mixed, by_determinant = _curved(*at)
+    rise, growth = (0.0 if isinstance(change, SymbolicZero) else change for change in (trace, determinant))
+    along = by_trace * rise + mixed * growth, mixed * rise + by_determinant * growth
+    still = [SymbolicZero(jax.typeof(values).to_tangent_aval()) for values in at[2:]]
+    if not all(isinstance(change, SymbolicZero) for change in jax.tree.leaves(numbers)):
+        along = jax.tree.map(jnp.add, along, _change(_smooth_slopes, at, (*numbers, *still)))
+    return tuple(slopes), along
+
+
+@jax.custom_jvp
+def _curved(
+    mu: list[jax.Array], alpha: list[jax.Array], trace: jax.Array, determinant: jax.Array
+) -> tuple[jax.Array, ...]:
+    """The slopes, d2W/dT2, d2W/dTdD and d2W/dD2, by `_Powers`."""
+    powers = _Powers(mu, alpha, trace, determinant)
+    return *powers.slopes(), *powers.curvatures()
+
+
+@functools.partial(_curved.defjvp, symbolic_zeros=True)
+def _curved_change(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
+    return _curved(*at), _change(_smooth_curved, at, changes)
+
+
+def _change(function: Callable[..., Any], at: tuple[Any, ...], changes: tuple[Any, ...]) -> Any:
+    """That of a function, with what varies."""
     values, tree = jax.tree.flatten(at)
     given = jax.tree.leaves(changes)
     varied = [k for k, change in enumerate(given) if not isinstance(change, SymbolicZero)]
 
-    def smooth(*those: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def of_those(*those: jax.Array) -> Any:
         every = list(values)
         for k, value in zip(varied, those, strict=True):
             every[k] = value
-        return _smooth_slopes(*jax.tree.unflatten(tree, every))
+        return function(*jax.tree.unflatten(tree, every))
 
-    change = jax.jvp(smooth, [values[k] for k in varied], [given[k] for k in varied])[1]
-    return _slopes(*at), change
+    return jax.jvp(of_those, [values[k] for k in varied], [given[k] for k in varied])[1]
+
+
+class _Powers:
+    """Derivatives from powers of x1 = l1^2 >= x2 and x3 = 1 / D alone: fast as they are, not to be varied.
+
+    With f(x) = dw/dx = sum of c x^p, c = mu / 2, p = alpha / 2 - 1, and g(x) = x f'(x)::
+
+        Q       = (f(x1) - f(x2)) / (x1 - x2) = sum of c x2^p ((x1 / x2)^p - 1) / (x1 - x2)
+        dW/dT   = f(x2) + x1 Q
+        dW/dD   = -Q - f(x3) / D^2
+        d2W/dT2 = (x1 g(x1) + x2 g(x2) - 2 D Q) / (x1 - x2)^2
+
+    and so on. Where x1 and x2 are nearly alike Q is right to rounding; second derivatives are a series there.
+    """
+
+    def __init__(
+        self, mu: Iterable[jax.Array], alpha: Iterable[jax.Array], trace: jax.Array, determinant: jax.Array
+    ) -> None:
+        """Of T and D."""
+        self._terms = [(0.5 * modulus, 0.5 * power - 1.0) for modulus, power in zip(mu, alpha, strict=True)]
+        self._trace, self._determinant = trace, determinant
+        # By rounding the difference may be below 0. What several loops use each is worked out once, with one division.
+        half = once(jnp.sqrt(jnp.maximum(0.25 * jnp.square(trace) - determinant, _LEAST * determinant)))
+        both = once(0.5 / (determinant * half))
+        self._half, self._larger = half, 0.5 * trace + half
+        self._inverse, self._per_difference = 2.0 * half * both, determinant * both
+        highest = functools.reduce(jnp.maximum, (jnp.abs(power) for _, power in self._terms))
+        most = _MOST / (2.0 + _TOGETHER * highest)
+        ratio = log2p1(2.0 * half * self._larger * self._inverse)  # log2 of x1 / x2
+        product = jnp.clip(log2(determinant), -most, most)
+        self._product, ratio = once((product, jnp.minimum(ratio, most)))
+        self._smaller = once([exp2((0.5 * power) * (self._product - ratio)) for _, power in self._terms])
+        growths = [exp2m1(power * ratio) for _, power in self._terms]
+        self._grown = once([power * growth for power, growth in zip(self._smaller, growths, strict=True)])
+        self._quotient = once(self._sum(self._grown) * self._per_difference)
+
+    def _sum(self, powers: list[jax.Array]) -> jax.Array:
+        """Of c times the powers: f, where they are those of x."""
+        return sum((c * power for (c, _), power in zip(self._terms, powers, strict=True)), jnp.zeros_like(self._half))
+
+    def _tilted(self, powers: list[jax.Array]) -> jax.Array:
+        """Of c p times the powers: g."""
+        pairs = zip(self._terms, powers, strict=True)
+        return sum((c * p * power for (c, p), power in pairs), jnp.zeros_like(self._half))
+
+    def _at_third(self, weights: list[jax.Array]) -> jax.Array:
+        """Sum of weights times x3^p = 1 / (x1 x2)^p: a division costs as much as three powers."""
+        total, weighted = jnp.zeros_like(self._half), list(zip(weights, self._smaller, self._grown, strict=True))
+        for first in range(0, len(weighted), _TOGETHER):
+            above, below = jnp.zeros_like(total), jnp.ones_like(total)
+            for weight, smaller, grown in weighted[first : first + _TOGETHER]:
+                power = smaller * (smaller + grown)
+                above, below = above * power + weight * below, below * power
+            total += above / below
+        return total
+
+    def slopes(self) -> tuple[jax.Array, jax.Array]:
+        """dW/dT and dW/dD."""
+        by_trace = self._sum(self._smaller) + self._larger * self._quotient
+        third = self._at_third([c for c, _ in self._terms])
+        return by_trace, -self._quotient - third * jnp.square(self._inverse)
+
+    def curvatures(self) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """d2W/dT2, d2W/dTdD and d2W/dD2."""
+        trace, inverse, larger, quotient = self._trace, self._inverse, self._larger, self._quotient
+        at_smaller, change = once((self._tilted(self._smaller), self._tilted(self._grown)))
+        at_larger, smaller = at_smaller + change, larger - 2.0 * self._half
+        third = self._at_third([c * (p + 2.0) for c, p in self._terms]) * inverse**3
+        share = jnp.square(self._per_difference)
+        by_trace = (larger * at_larger + smaller * at_smaller - 2.0 * self._determinant * quotient) * share
+        mixed = (trace * quotient - at_larger - at_smaller) * share
+        by_determinant = ((smaller * at_larger + larger * at_smaller) * inverse - 2.0 * quotient) * share
+        alike, *series = self._where_alike()
+        found = zip((by_trace, mixed, by_determinant), series, strict=True)
+        by_trace, mixed, by_determinant = (jnp.where(alike, near, far) for far, near in found)
+        return by_trace, mixed, by_determinant + third
+
+    def _where_alike(self) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Whether both are nearly alike, and the same there but for what x3 adds.
+
+        With m = D^(1/2) and e = T / (2 m) - 1, f(x1) - f(x2) = sum of c m^p U_p(e) (x1 - x2) / m.
+        """
+        shrink = jnp.sqrt(self._inverse)
+        excess, shrink = once((0.5 * self._trace * shrink - 1.0, shrink))
+        by_trace = mixed = by_determinant = jnp.zeros_like(excess)
+        for c, p in self._terms:
+            power = 0.5 * c * exp2((0.5 * p) * self._product) * shrink
+            own, slope = _series(p, excess)
+            by_trace += power * _series(p + 1.0, excess)[1]
+            mixed -= power * shrink * slope
+            by_determinant += power * jnp.square(shrink) * ((1.0 + excess) * slope - (p - 1.0) * own)
+        return excess < _ALIKE, by_trace, mixed, by_determinant
+
+
+def _series(power: jax.Array, excess: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """sinh(power Y) / sinh(Y), Chebyshev's U of the order `power` - 1, in cosh(Y) - 1, and its slope."""
+    total, slope = jnp.ones_like(excess), jnp.zeros_like(excess)
+    for k in reversed(range(1, _TERMS + 1)):
+        factor = (jnp.square(power) - k**2) / (k * (2 * k + 1))
+        slope = factor * (total + excess * slope)
+        total = 1.0 + factor * excess * total
+    return power * total, power * slope
+
+
+def _smooth_curved(mu: Any, alpha: Any, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, ...]:
+    """The slopes and their derivatives, smooth in all."""
+    one = jnp.ones_like(trace)
+    slopes, along = jax.jvp(lambda trace: _smooth_slopes(mu, alpha, trace, determinant), (trace,), (one,))
+    across = jax.jvp(lambda determinant: _smooth_slopes(mu, alpha, trace, determinant)[1], (determinant,), (one,))[1]
+    return *slopes, *along, across
 
 
 def _smooth_slopes(
@@ -185,14 +300,6 @@ class _Plane:
         area, growth = once((jnp.exp(power * self._log_area), jnp.exp(power * self._angle)))
         inverse = 1.0 / (area * growth)
         before, after = growth * self._shrink, inverse * area * self._stretch  # exp((p - 1) y), and its inverse
-        sines = jnp.where(self._alike, self._series(power - 1.0), (before - after) * self._half_sine)
+        sines = jnp.where(self._alike, _series(power - 1.0, self.excess)[0], (before - after) * self._half_sine)
         sines = once(sines)
         return _Power(area, inverse * growth, jnp.sqrt(1.0 + jnp.square(sines) * self.sine_squared), sines)
-
-    def _series(self, power: jax.Array) -> jax.Array:
-        """Chebyshev's U of the order `power` - 1 about 1, where it is sinh(power y) / sinh(y)."""
-        total = jnp.ones_like(self.excess)
-        for k in reversed(range(_TERMS)):
-            factor = (jnp.square(power) - (k + 1) ** 2) / ((k + 1.5) * (k + 1) * 2.0)
-            total = 1.0 + factor * self.excess * total
-        return power * total

@@ -77,6 +77,55 @@ def test_ogdens_slopes_where_stretches_are_nearly_alike(power: float) -> None:
     np.testing.assert_allclose(jax.jvp(law.slopes, strain, strain)[0], found, rtol=1e-14)
 
 
+@pytest.mark.parametrize("power", [0.7, 3.0, 9.0, 20.0])
+def test_ogdens_curvatures_where_stretches_are_nearly_alike(power: float) -> None:
+    """In extended precision, with U_q = sinh(q y) / sinh(y) and its slope along cosh(y), by a long series next to 0."""
+    random = np.random.default_rng(4)
+    y = np.concatenate([[0.0], 10.0 ** random.uniform(-10.0, 0.3, 4000)]).astype(np.longdouble)
+    area = np.exp(random.uniform(-0.7, 0.7, y.size)).astype(np.longdouble)
+    excess = 2.0 * np.sinh(0.5 * y) ** 2
+
+    def sines(q: float) -> tuple[np.ndarray, np.ndarray]:
+        value, slope, near = np.ones_like(y), np.zeros_like(y), y < 0.05
+        for k in range(12, 0, -1):
+            factor = (np.longdouble(q) ** 2 - k**2) / (k * (2 * k + 1))
+            value, slope = 1.0 + factor * excess * value, factor * (value + excess * slope)
+        over = np.where(near, 1.0, y)
+        far = np.sinh(q * over) / np.sinh(over)
+        far_slope = (q * np.cosh(q * over) - far * np.cosh(over)) / np.sinh(over) ** 2
+        return np.where(near, q * value, far), np.where(near, q * slope, far_slope)
+
+    right = [np.zeros_like(y) for _ in range(3)]
+    for mu, p in ((1.0, 0.5 * power), (0.2, -0.25 * power)):
+        own, slope = sines(p - 1.0)
+        right[0] += 0.25 * mu * area ** (p - 2.0) * sines(p)[1]
+        right[1] -= 0.25 * mu * area ** (p - 3.0) * slope
+        right[2] += 0.25 * mu * area ** (p - 4.0) * ((1.0 + excess) * slope - (p - 2.0) * own)
+        right[2] += 0.5 * mu * (p + 1.0) * area ** (-2.0 * p - 4.0)
+    strain = tuple(jnp.asarray(own.astype(float)) for own in (2.0 * area * np.cosh(y), np.square(area)))
+    trace, determinant = (np.asarray(own) for own in strain)
+    scales = trace**2, trace * determinant, determinant**2
+    size = sum(np.abs(own) * scale for own, scale in zip(right, scales, strict=True))
+    law = ogden([1.0, 0.2], [power, -0.5 * power])
+    for found, own, scale in zip(jax.jit(law.curvatures)(*strain), right, scales, strict=True):
+        assert np.max(np.abs(np.asarray(found) - own) * scale / size) < 1e-10
+    # Along the strain, along the law's numbers and along both, and derivatives of these.
+    near = strain[0][:5], strain[1][:5]
+    numbers = law.mu, law.alpha
+
+    def slopes(mu: jax.Array, alpha: jax.Array, trace: jax.Array, determinant: jax.Array) -> Any:
+        return ogden(mu, alpha).slopes(trace, determinant)
+
+    along = jax.jvp(slopes, (*numbers, *near), (*numbers, *near))[1]
+    of_strain = jax.jvp(lambda trace, determinant: slopes(*numbers, trace, determinant), near, near)[1]
+    of_numbers = jax.jvp(lambda mu, alpha: slopes(mu, alpha, *near), numbers, numbers)[1]
+    for both, one, other in zip(along, of_strain, of_numbers, strict=True):
+        np.testing.assert_allclose(both, one + other, rtol=1e-12)
+    curved = jax.jacfwd(lambda trace: law.curvatures(trace, near[1])[0])(near[0])
+    again = jax.jacfwd(jax.jacfwd(lambda trace: law.slopes(trace, near[1])[0]))(near[0])
+    np.testing.assert_allclose(jnp.diag(curved), [again[k, k, k] for k in range(5)], rtol=1e-9)
+
+
 @pytest.mark.parametrize("ratio", [0.0, 1e-12, 1e-7, 1e-4, 0.01, 0.14, 0.1413, 0.1416, 0.3, 3.0])
 def test_ogdens_stresses_are_powers_of_the_stretches(ratio: float) -> None:
     """sum of mu (l1^alpha - l3^alpha), whether both stretches are alike, nearly or not."""
