@@ -17,8 +17,7 @@ from jaxform.model.scene import Scene
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import has_burst, warnings_of_part
 from jaxform.results.summary import warnings_of
-from jaxform.runs.loop import IN_MEMORY, programs
-from jaxform.runs.padding import on_rungs
+from jaxform.runs.loop import IN_MEMORY, programs, roomed
 from jaxform.runs.room import roomier, windows_left
 from jaxform.sheet.state import State, Status
 
@@ -59,7 +58,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     """
     check_scene(scene)
     check_numbers(scene)
-    own, room, store = scene, on_rungs(scene, recorded=True), store or IN_MEMORY
+    store = store or IN_MEMORY
+    own, room = scene, roomed(scene, store)
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
     begin, advance, closed, result = programs(scene, store)

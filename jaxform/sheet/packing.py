@@ -204,8 +204,8 @@ def _listed(moving: jax.Array | None, element_count: int, used: jax.Array) -> _L
         rank, count = jnp.arange(element_count, dtype=jnp.int32), used
         kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
     else:
-        kept, (element, count) = moving, listed(moving, room)
-        rank = running_count(moving) - 1
+        kept, (element, count) = moving, listed(moving, room, used)
+        rank = running_count(moving, used) - 1
     return _Listing(element, jnp.arange(room) < count, kept, rank, count, BLOCK)
 
 
@@ -218,7 +218,7 @@ def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs, used: jax.Array | N
         kept, pair = rank < count, jnp.minimum(jnp.arange(room), first.size - 1)
     else:
         kept = moving[first] | (second >= 0) & moving[jnp.maximum(second, 0)]
-        (pair, count), rank = listed(kept, room), running_count(kept) - 1
+        (pair, count), rank = listed(kept, room, used), running_count(kept, used) - 1
     used, other = jnp.arange(room) < count, second[pair]
     element = Halves(first[pair], jnp.where(other >= 0, other, first[pair])).whole()
     return _Listing(element, Halves(used, used & (other >= 0)).whole(), kept, rank, count, half)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 import jaxform
 from benchmarks.speed import waiting
+from jaxform.core.store import Store
 from jaxform.kernels import sizes
 from jaxform.runs import loop, padding
 from tests.scenes import assert_same, cup
@@ -64,6 +65,25 @@ def test_a_second_scene_of_a_kind_compiles_nothing(compilations: Callable[[], in
     for other in (dish(0.06, 80), dish(0.04, 120, knots=9), dish(0.05, 60, stiffness=3.0e5)):
         jaxform.run(other)
     assert compilations() == before
+
+
+def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[[], int]) -> None:
+    """With the same result, nodes to the last bit; not those of three rungs more."""
+    first, second = (sizes.elements(1), sizes.elements(sizes.elements(1)))
+    scene, larger, store = dish(0.05, 77), dish(0.05, first + 40), Store()
+    assert first < len(larger.parison.triangles) < second and not loop.is_compiled(scene, store)
+    jaxform.run(larger, store=store)
+    before = compilations()
+    assert loop.is_compiled(scene, store) and not loop.is_compiled(scene, store, 0)
+    served = jaxform.run(scene, store=store)
+    assert compilations() == before
+    alone = jaxform.run(scene, store=Store())
+    for name in ("positions", "thickness", "contact_time", "wall", "triangles", "steps"):
+        assert_same(getattr(served, name), getattr(alone, name))
+    assert float(served.energy.strain) == pytest.approx(float(alone.energy.strain), rel=1e-13)
+    fourth = padding.on_rungs(scene, sizes.elements(second), recorded=True).scene
+    loop.programs(fourth, far := Store())
+    assert len(loop.roomed(scene, far).scene.parison.triangles) == first
 
 
 def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callable[[], int]) -> None:
