@@ -93,8 +93,10 @@ class Store:
     def holds(self, function: Any, *arguments: Any) -> bool:
         """Whether a program is there already, in memory or in a file."""
         key = _key(function, arguments)
+        if key in self._programs:
+            return True
         path = self._file(key)
-        return key in self._programs or (path is not None and path.exists())
+        return path is not None and path.exists()
 
     def forget(self) -> None:
         """Lets go of the programs in memory; those in files stay."""
