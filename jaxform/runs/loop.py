@@ -26,6 +26,7 @@ from jaxform.sheet.state import PackedState, State, Status, Taken, finished
 
 IN_MEMORY = Store()
 _ABOVE = 2  # rungs whose programs serve a smaller mesh too, rather than that others are compiled
+_LARGE = 20_000  # elements, whose runs take as long as compiling: such a mesh has programs of its own
 _make_result = jax.jit(make_result)
 
 
@@ -153,7 +154,8 @@ def roomed(scene: Scene, store: Store) -> Padded:
     used of two rungs more takes up to 7 % of a run, and to compile takes seconds.
     """
     own = room = on_rungs(scene, recorded=True)
-    if room.order is None or scene.refinement is not None or store.holds(begin, room.scene):
+    kept = room.order is None or scene.refinement is not None or len(scene.parison.triangles) > _LARGE
+    if kept or store.holds(begin, room.scene):
         return own
     for _ in range(_ABOVE):
         room = on_rungs(scene, len(room.scene.parison.triangles), recorded=True)
