@@ -144,7 +144,7 @@ class _Powers:
 
     With f(x) = dw/dx = sum of c x^p, c = mu / 2, p = alpha / 2 - 1, and g(x) = x f'(x)::
 
-        Q       = (f(x1) - f(x2)) / (x1 - x2) = sum of c x2^p ((x1 / x2)^p - 1) / (x1 - x2)
+        Q       = (f(x1) - f(x2)) / (x1 - x2)
         dW/dT   = f(x2) + x1 Q
         dW/dD   = -Q - f(x3) / D^2
         d2W/dT2 = (x1 g(x1) + x2 g(x2) - 2 D Q) / (x1 - x2)^2
@@ -168,42 +168,46 @@ class _Powers:
         ratio = log2p1(2.0 * half * self._larger * self._inverse)  # log2 of x1 / x2
         product = jnp.clip(log2(determinant), -most, most)
         self._product, ratio = once((product, jnp.minimum(ratio, most)))
-        self._smaller = once([exp2((0.5 * power) * (self._product - ratio)) for _, power in self._terms])
-        growths = [exp2m1(power * ratio) for _, power in self._terms]
-        self._grown = once([power * growth for power, growth in zip(self._smaller, growths, strict=True)])
-        self._quotient = once(self._sum(self._grown) * self._per_difference)
+        # The smaller one of x1^p and x2^p, and what the other one is more: nothing is lost, however far apart they are.
+        sizes = [(power, jnp.abs(power)) for _, power in self._terms]
+        self._less = once([exp2(0.5 * (power * self._product - size * ratio)) for power, size in sizes])
+        self._more = once([less * exp2m1(size * ratio) for less, (_, size) in zip(self._less, sizes, strict=True)])
+        self._quotient = once(self._apart([c for c, _ in self._terms]) * self._per_difference)
 
-    def _sum(self, powers: list[jax.Array]) -> jax.Array:
-        """Of c times the powers: f, where they are those of x."""
-        return sum((c * power for (c, _), power in zip(self._terms, powers, strict=True)), jnp.zeros_like(self._half))
+    def _apart(self, weights: list[jax.Array]) -> jax.Array:
+        """Sum of weights times x1^p - x2^p."""
+        own = zip(weights, self._terms, self._more, strict=True)
+        return sum((weight * jnp.sign(p) * more for weight, (_, p), more in own), jnp.zeros_like(self._half))
 
-    def _tilted(self, powers: list[jax.Array]) -> jax.Array:
-        """Of c p times the powers: g."""
-        pairs = zip(self._terms, powers, strict=True)
-        return sum((c * p * power for (c, p), power in pairs), jnp.zeros_like(self._half))
+    def _at_second(self, weights: list[jax.Array]) -> jax.Array:
+        """Sum of weights times x2^p."""
+        own = zip(weights, self._terms, self._less, self._more, strict=True)
+        terms = (weight * less + jnp.where(p < 0.0, weight, 0.0) * more for weight, (_, p), less, more in own)
+        return sum(terms, jnp.zeros_like(self._half))
 
     def _at_third(self, weights: list[jax.Array]) -> jax.Array:
         """Sum of weights times x3^p = 1 / (x1 x2)^p: a division costs as much as three powers."""
-        total, weighted = jnp.zeros_like(self._half), list(zip(weights, self._smaller, self._grown, strict=True))
+        total, weighted = jnp.zeros_like(self._half), list(zip(weights, self._less, self._more, strict=True))
         for first in range(0, len(weighted), _TOGETHER):
             above, below = jnp.zeros_like(total), jnp.ones_like(total)
-            for weight, smaller, grown in weighted[first : first + _TOGETHER]:
-                power = smaller * (smaller + grown)
+            for weight, less, more in weighted[first : first + _TOGETHER]:
+                power = less * (less + more)
                 above, below = above * power + weight * below, below * power
             total += above / below
         return total
 
     def slopes(self) -> tuple[jax.Array, jax.Array]:
         """dW/dT and dW/dD."""
-        by_trace = self._sum(self._smaller) + self._larger * self._quotient
-        third = self._at_third([c for c, _ in self._terms])
-        return by_trace, -self._quotient - third * jnp.square(self._inverse)
+        weights = [c for c, _ in self._terms]
+        by_trace = self._at_second(weights) + self._larger * self._quotient
+        return by_trace, -self._quotient - self._at_third(weights) * jnp.square(self._inverse)
 
     def curvatures(self) -> tuple[jax.Array, jax.Array, jax.Array]:
         """d2W/dT2, d2W/dTdD and d2W/dD2."""
         trace, inverse, larger, quotient = self._trace, self._inverse, self._larger, self._quotient
-        at_smaller, change = once((self._tilted(self._smaller), self._tilted(self._grown)))
-        at_larger, smaller = at_smaller + change, larger - 2.0 * self._half
+        tilted = [c * p for c, p in self._terms]
+        at_smaller, change = once((self._at_second(tilted), self._apart(tilted)))
+        at_larger, smaller = at_smaller + change, self._determinant / larger
         third = self._at_third([c * (p + 2.0) for c, p in self._terms]) * inverse**3
         share = jnp.square(self._per_difference)
         by_trace = (larger * at_larger + smaller * at_smaller - 2.0 * self._determinant * quotient) * share
