@@ -15,7 +15,6 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.mechanics.membrane import Vector, dot, edges, sum_to_nodes
 from jaxform.model.tables import Sheet
 
 _MOST = 2.0  # how far from the mean a value may be carried, as a factor: past a sharp bend the gradient means little
@@ -36,63 +35,58 @@ def nodal_ratio(ratio: jax.Array, sheet: Sheet, positions: jax.Array, mobile: ja
     """
     mean, variance, fit, slope = _fits(ratio, sheet, positions, mobile)
     free = jnp.any(mobile, axis=0)
-
-    def around(values: jax.Array, of: jax.Array) -> jax.Array:
-        """Sum over the corners of that kind of the elements of each node, by initial area."""
-        those = jnp.where(of, values, 0.0)
-        return sum_to_nodes(sheet.area * sum(those[corner] for corner in sheet.triangles), sheet.triangles, of.size)
-
-    x, y, z = positions
-    ones, foot = jnp.ones_like(fit), fit - dot(slope, (x, y, z))
-    inside, at_rim = around(ones, free), around(ones, ~free)
-    carried = around(foot, free) + sum(around(part, free) * along for part, along in zip(slope, (x, y, z), strict=True))
+    # Sums over the corners of the elements of each node, by initial area: of those that are free, and of the others.
+    foot = fit - jnp.sum(slope * positions, axis=0)
+    of_free = jnp.where(free, jnp.stack([jnp.ones_like(fit), foot, *slope]), 0.0)
+    of_others = jnp.where(free, 0.0, jnp.stack([jnp.ones_like(fit), variance]))
+    at_corners = jnp.concatenate([of_free, of_others])[:, sheet.triangles]
+    shares = jnp.repeat(sheet.area * jnp.sum(at_corners, axis=1, keepdims=True), 3, axis=1)
+    inside, carried, *rises, at_rim, spread = _sums_at_nodes(shares, sheet.triangles, free.size)
+    carried += jnp.sum(jnp.stack(rises) * positions, axis=0)
     carried /= jnp.where(inside > 0.0, inside, 1.0)
-    reach = _SPREADS * jnp.sqrt(around(variance, ~free) / jnp.where(at_rim > 0.0, at_rim, 1.0) + _EVEN**2)
+    reach = _SPREADS * jnp.sqrt(spread / jnp.where(at_rim > 0.0, at_rim, 1.0) + _EVEN**2)
     value = jnp.where(free | (inside == 0.0), fit, jnp.clip(carried, mean - reach, mean + reach))
     return jnp.clip(value, mean / _MOST, _MOST * mean)
 
 
+def _sums_at_nodes(shares: jax.Array, triangles: jax.Array, count: int) -> jax.Array:
+    """Sums (k, n_node) of what elements give to their corners (k, 3, n_element)."""
+    flat = shares.reshape(len(shares), -1)
+    return jnp.zeros((len(shares), count), shares.dtype).at[:, triangles.ravel()].add(flat)
+
+
 def _fits(
     values: jax.Array, sheet: Sheet, positions: jax.Array, mobile: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array, Vector]:
-    """At the nodes their elements' mean and variance, and value and gradient of the linear function that fits best."""
-    _, edge1, edge2 = edges(positions, sheet.triangles)
-    middles = [
-        [(p * a + q * b) / 3.0 for a, b in zip(edge1, edge2, strict=True)] for p, q in ((1, 1), (-2, 1), (1, -2))
-    ]
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """At the nodes their elements' mean and variance, and value and gradient (3, n_node) of the best linear function.
 
-    def moments(x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Array:
-        """What the elements, whose middles (n_element,) lie there from a corner, add to its sums (14, n_element)."""
-        rows = [jnp.ones_like(values), values, x, y, z, x * x, y * y, z * z, y * z, z * x, x * y]
-        return sheet.area[None] * jnp.stack([*rows, values * x, values * y, values * z])
-
-    shares = jnp.concatenate([moments(*middle) for middle in middles], axis=1)
-    corners = sheet.triangles.ravel()
-    sums = jnp.zeros((len(shares), mobile.shape[1]), values.dtype).at[:, corners].add(shares)
-    area = jnp.where(sums[:1] > 0.0, sums[:1], 1.0)
-    mean, *first, xx, yy, zz, yz, zx, xy, rise_x, rise_y, rise_z = sums[1:] / area
-    squares = jnp.tile(sheet.area, 3) * (jnp.tile(values, 3) - mean[corners]) ** 2
-    variance = jnp.zeros_like(mean).at[corners].add(squares) / area[0]
+    Whole arrays at once: a result is made once a run, and is a tenth of what is compiled.
+    """
+    corners = positions[:, sheet.triangles]
+    away = jnp.mean(corners, axis=1, keepdims=True) - corners  # of an element's middle, from each of its corners
+    ones = jnp.ones_like(away[:1])
+    squares = (away[:, None] * away[None]).reshape(9, *away.shape[1:])
+    shares = sheet.area * jnp.concatenate([ones, values * ones, away, squares, values * away])
+    sums = _sums_at_nodes(shares, sheet.triangles, mobile.shape[1])
+    area = jnp.where(sums[0] > 0.0, sums[0], 1.0)
+    mean, first, second, rise = sums[1] / area, sums[2:5] / area, sums[5:14] / area, sums[14:] / area
+    second = second.reshape(3, 3, -1)
+    off = sheet.area * jnp.square(values - mean[sheet.triangles])
+    variance = _sums_at_nodes(off[None], sheet.triangles, mobile.shape[1])[0] / area
     # The images behind a symmetry plane: what is odd in the distance from it cancels.
-    x, y, z = (jnp.where(along, part, 0.0) for along, part in zip(mobile, first, strict=True))
-    size = xx + yy + zz
+    first = jnp.where(mobile, first, 0.0)
+    size = jnp.trace(second)
     size = jnp.where(size > 0.0, size, 1.0)
-
-    def scaled(part: jax.Array, a: int, b: int) -> jax.Array:
-        return jnp.where(mobile[a] & mobile[b], part, 0.0) / size
-
-    diagonal = (xx - x * x) / size + _RIDGE, (yy - y * y) / size + _RIDGE, (zz - z * z) / size + _RIDGE
-    mixed = scaled(yz - y * z, 1, 2), scaled(zx - z * x, 2, 0), scaled(xy - x * y, 0, 1)
-    right = scaled(rise_x - mean * x, 0, 0), scaled(rise_y - mean * y, 1, 1), scaled(rise_z - mean * z, 2, 2)
-    slope = _solved(diagonal, mixed, right)
-    return mean, variance, mean - dot(slope, (x, y, z)), slope
+    axes = jnp.eye(3)[:, :, None]
+    even = (mobile[:, None] & mobile[None]) | (axes == 1.0)
+    matrix = jnp.where(even, second - first[:, None] * first[None], 0.0) / size + _RIDGE * axes
+    slope = _solved(matrix, jnp.where(mobile, rise - mean * first, 0.0) / size)
+    return mean, variance, mean - jnp.sum(slope * first, axis=0), slope
 
 
-def _solved(diagonal: Vector, mixed: Vector, right: Vector) -> Vector:
-    """Solves symmetric 3x3 systems (n,), with the entries xx, yy, zz and yz, zx, xy."""
-    (a, b, c), (d, e, f) = diagonal, mixed
-    aa, bb, cc = b * c - d * d, a * c - e * e, a * b - f * f
-    ab, ac, bc = d * e - f * c, f * d - b * e, e * f - a * d
-    determinant = a * aa + f * ab + e * ac
-    x, y, z = (dot(row, right) / determinant for row in ((aa, ab, ac), (ab, bb, bc), (ac, bc, cc)))
-    return x, y, z
+def _solved(matrix: jax.Array, right: jax.Array) -> jax.Array:
+    """Solves symmetric 3x3 systems, (3, 3, n) and (3, n): the rows' vector products are the inverse's columns."""
+    one, other = jnp.roll(matrix, -1, axis=0), jnp.roll(matrix, -2, axis=0)
+    columns = jnp.roll(one, -1, axis=1) * jnp.roll(other, -2, axis=1)
+    columns -= jnp.roll(one, -2, axis=1) * jnp.roll(other, -1, axis=1)
+    return jnp.sum(columns * right[:, None], axis=0) / jnp.sum(matrix[0] * columns[0], axis=0)
