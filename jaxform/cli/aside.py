@@ -14,12 +14,27 @@ import pickle
 import signal
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 
 _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
 
 
-class Aside:
+class Begun(NamedTuple):
+    """A call that may be done elsewhere: what waits for it, and whether it is."""
+
+    wait: Callable[[], object]
+    elsewhere: bool
+
+
+class Here:
+    """Calls are done in this process, when they are waited for."""
+
+    def begin(self, function: Callable[..., object], *arguments: Any) -> Begun:
+        """What waits for the call of a function."""
+        return Begun(lambda: function(*arguments), elsewhere=False)
+
+
+class Aside(Here):
     """Another process that gets ready for calls, then does them one after the other.
 
     What it cannot do, for whatever reason, is done here in the end: errors are those of this process.
@@ -38,14 +53,21 @@ class Aside:
             self._process.start()
         there.close()
 
-    def __call__(self, function: Callable[..., object], *arguments: Any) -> None:
-        """Has a function of a module called there, and waits until it has returned."""
-        done = False
+    def begin(self, function: Callable[..., object], *arguments: Any) -> Begun:
+        """Has a function of a module called there; one call after the other, each waited for before the next."""
+        sent = False
         with contextlib.suppress(*_NO_ANSWER, pickle.PicklingError, AttributeError, TypeError):
             self._here.send((function, arguments))
-            done = self._here.recv()
-        if not done:
-            function(*arguments)
+            sent = True
+
+        def wait() -> None:
+            done = False
+            with contextlib.suppress(*_NO_ANSWER):
+                done = sent and self._here.recv()
+            if not done:
+                function(*arguments)
+
+        return Begun(wait, elsewhere=True)
 
     def end(self) -> None:
         """Ends the process, whatever it does."""
@@ -54,20 +76,15 @@ class Aside:
         self._here.close()
 
 
-def here(function: Callable[..., object], *arguments: Any) -> None:
-    """The same, in this process."""
-    function(*arguments)
-
-
 @contextlib.contextmanager
-def aside(module: str, ready: str, wanted: bool) -> Iterator[Callable[..., None]]:
-    """What calls a function of a module with arguments: in another process, where one is wanted and can be had."""
+def aside(module: str, ready: str, wanted: bool) -> Iterator[Here]:
+    """What begins calls of functions of a module: in another process, where one is wanted and can be had."""
     other = None
     if wanted and _cores() > 1:
         with contextlib.suppress(OSError):
             other = Aside(module, ready)
     try:
-        yield other or here
+        yield other or Here()
     finally:
         if other is not None:
             other.end()

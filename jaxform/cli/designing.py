@@ -91,7 +91,8 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
         output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
         session.write_report(folder)
 
-    session.write_part(arguments, design.scene, design.result, exact, design.amended, then=rest)
+    picture = session.picture(arguments, design.scene, design.result, exact)
+    session.write_part(arguments, design.scene, design.result, picture, design.amended, then=rest)
     plots.convergence_picture(folder / "convergence.png", design.history)
     before, after = (design.first_scene, design.first_result), (design.scene, design.result)
     plots.design_picture(folder / "design.png", before, after, study.objective.uniform)

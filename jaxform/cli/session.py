@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxform.cli.aside import aside, here
+from jaxform.cli.aside import Begun, Here, aside
 from jaxform.core import cachefolder, disk
 from jaxform.core.errors import InputError
 from jaxform.core.writing import PREFIX
@@ -29,8 +29,11 @@ guard = contextlib.ExitStack()
 """Of the compiled programs, while a command uses them."""
 
 
-def prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Store]:
-    """Sets the precision and what is kept between runs; returns what prints for people, and the store."""
+def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[[str], None], Store]:
+    """Sets the precision and what is kept between runs; returns what prints for people, and the store.
+
+    What a run of the `subject` took last time is being loaded from now on.
+    """
     import jax
 
     from jaxform.core.store import Store
@@ -44,6 +47,8 @@ def prepare(arguments: argparse.Namespace) -> tuple[Callable[[str], None], Store
     if folder is not None:
         use_compile_cache(folder / cachefolder.COMPILED)
     store = Store(None if folder is None else folder / cachefolder.MADE)
+    if subject:
+        store.foresee(subject)
     gc.freeze()
     gc.enable()
     return (lambda _: None) if arguments.quiet else say, store
@@ -119,36 +124,49 @@ def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
         yield pool.submit(work)
 
 
-def drawing(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[Callable[..., None]]:
+def drawing(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[Here]:
     """What has a picture drawn, meanwhile and elsewhere where the process is the command's own."""
     return aside("jaxform.io.canvas", "warm_up", arguments.own_process)
+
+
+def picture(
+    arguments: argparse.Namespace,
+    scene: Scene,
+    result: Result,
+    reference: dict[str, Any] | None,
+    draw: Here | None = None,
+) -> Begun:
+    """The picture of a part, which is being drawn where there is a process for it."""
+    from jaxform.io import canvas, plots
+
+    part = plots.part_picture(scene, result, reference)
+    return (draw or Here()).begin(canvas.draw_part, arguments.out / "thickness.png", part)
 
 
 def write_part(
     arguments: argparse.Namespace,
     scene: Scene,
     result: Result,
-    reference: dict[str, Any] | None,
+    picture: Begun,
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
-    draw: Callable[..., None] = here,
     then: Callable[[], object] = lambda: None,
 ) -> dict[str, Any]:
     """Writes files, what is to be written `then`, and the picture; warns of what was not told before.
 
     The summary is amended on request.
     """
-    from jaxform.io import canvas, output, plots
+    from jaxform.io import output
 
     folder, told = arguments.out, list(arguments.warned)
 
     def write() -> tuple[dict[str, Any], Exception | None]:
         summary = output.write_result(scene, result, folder, told, amend)
-        return summary, None if draw is here else _failure(then)
+        return summary, _failure(then) if picture.elsewhere else None
 
     with meanwhile(write) as written:
-        draw(canvas.draw_part, folder / "thickness.png", plots.part_picture(scene, result, reference))
+        picture.wait()
     summary, failure = written.result()
-    if draw is here:
+    if not picture.elsewhere:
         # To read files back, a process limits its memory; not while it draws.
         failure = _failure(then)
     for sentence in summary["warnings"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 def simulate(arguments: argparse.Namespace) -> int:
     """Runs `jaxform simulate` with its arguments and returns its exit status."""
     with session.drawing(arguments) as draw:
-        say, store = session.prepare(arguments)
+        subject = os.path.abspath(arguments.source)
+        say, store = session.prepare(arguments, subject)
         from jaxform.io import files, rewriting
         from jaxform.io.output import Frames
         from jaxform.runs import loop
@@ -35,6 +37,8 @@ def simulate(arguments: argparse.Namespace) -> int:
         # What the run warns of comes after what the scene is warned of, whichever ends first.
         with held_back(), look as looked:
             result = _run(scene, frames, not arguments.quiet, store)
+            picture = session.picture(arguments, scene, result, reference, draw)
+            store.remember(subject)
         looked.result()
 
         def rest() -> None:
@@ -42,7 +46,7 @@ def simulate(arguments: argparse.Namespace) -> int:
             frames.finish(scene, result)
             session.write_report(arguments.out)
 
-        summary = session.write_part(arguments, scene, result, reference, draw=draw, then=rest)
+        summary = session.write_part(arguments, scene, result, picture, then=rest)
     _tell(say, summary, arguments.out)
     return session.exit_status(result)
 

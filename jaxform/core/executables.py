@@ -9,13 +9,15 @@ import pickle
 import platform
 import zlib
 from collections.abc import Callable
-from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+from jaxlib import version as jaxlib
 
 from jaxform.core.compiling import compiler_options
+
+Program = Callable[..., Any]
 
 
 def freshly_named(function: Any) -> Any:
@@ -38,48 +40,76 @@ def packed(shapes: Any, program: Any) -> bytes | None:
     leaves, tree = jax.tree.flatten(shapes)
     described = [(tuple(leaf.shape), str(leaf.dtype)) for leaf in leaves]
     try:
-        content = pickle.dumps((described, tree, serialize_executable.serialize(program)))
+        code, given, made = serialize_executable.serialize(program)
+        content = pickle.dumps((code, given.num_leaves, made.num_leaves, pickle.dumps((described, tree, made))))
     except Exception:  # whatever: it is compiled again next time
         return None
     return zlib.compress(content, 1)
 
 
-def unpacked(content: Any) -> tuple[Any, Callable[[], Any]] | None:
-    """The shapes of a program's results, and what loads it; None where the bytes are none of this version's.
+class Unpacked(NamedTuple):
+    """A program that was read from bytes.
+
+    Attributes:
+        load: Loads it, as a function from leaves to leaves: that needs none of the classes of its arguments.
+        known: What else is known of it.
+    """
+
+    load: Callable[[], Program]
+    known: bytes
+
+    def shapes(self) -> tuple[Any, Callable[[Program], Program]]:
+        """The shapes of its results, and what makes of the loaded function one of trees.
+
+        Raises:
+            Exception: Whatever pickle raises for what another version has written.
+        """
+        described, tree, made = pickle.loads(self.known)
+        shapes = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, kind) for shape, kind in described])
+
+        def of_trees(flat: Program) -> Program:
+            return lambda *arguments: jax.tree.unflatten(made, flat(*jax.tree.leaves(arguments)))
+
+        return shapes, of_trees
+
+
+def unpacked(content: Any) -> Unpacked | None:
+    """A program from bytes; None where they are none of this version's.
 
     Args:
         content: What `packed` gave, from a place that is the user's alone: such bytes can do anything.
     """
-    from jax.experimental import serialize_executable
-
     try:
-        described, tree, program = pickle.loads(zlib.decompress(content))
-        shapes = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, kind) for shape, kind in described])
+        code, given, made, known = pickle.loads(zlib.decompress(content))
+        leaves = jax.tree.structure((tuple(range(given)), {})), jax.tree.structure(tuple(range(made)))
     except Exception:  # whatever pickle raises for what another version has written
         return None
-    return shapes, lambda: serialize_executable.deserialize_and_load(
-        *program, execution_devices=jax.local_devices()[:1]
-    )
+
+    def load() -> Program:
+        from jax.experimental import serialize_executable
+
+        return serialize_executable.deserialize_and_load(code, *leaves, execution_devices=jax.local_devices()[:1])
+
+    return Unpacked(load, known)
 
 
 @functools.cache
 def machine() -> bytes:
     """A digest of what a compiled program is made for, its source aside: versions, XLA's options, the processor."""
-    digest = hashlib.sha256()
     device = jax.local_devices()[0]
-    for word in (
-        jax.__version__,
-        metadata.version("jaxlib"),
-        device.client.platform_version,
-        device.device_kind,
-        len(jax.local_devices()),
-        compiler_options(),
-        os.environ.get("XLA_FLAGS", ""),
-        platform.machine(),
-        _instructions(),
-    ):
-        digest.update(f"{word}\n".encode())
-    return digest.digest()
+    seen = device.client.platform_version, device.device_kind, len(jax.local_devices()), compiler_options()
+    return _digest(host(), *seen)
+
+
+@functools.cache
+def host() -> bytes:
+    """A digest of what of that is known before any device is looked at."""
+    asked = os.environ.get("XLA_FLAGS", ""), os.environ.get("JAX_PLATFORMS", "")
+    return _digest(jax.__version__, jaxlib.__version__, *asked, platform.machine(), _instructions())
+
+
+def _digest(*words: object) -> bytes:
+    return hashlib.sha256("\n".join(map(str, words)).encode()).digest()
 
 
 def _instructions() -> str:

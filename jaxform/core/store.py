@@ -60,6 +60,8 @@ class Store:
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
         self._programs: dict[_Key, Soon] = {}
+        self._taken: dict[str, None] = {}
+        self._ahead: Future[dict[str, _Loading]] | None = None
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -98,6 +100,34 @@ class Store:
         path = self._file(key)
         return path is not None and path.exists()
 
+    def foresee(self, subject: str) -> None:
+        """Begins to load what a run of a subject took last time, while the scene is still being read.
+
+        Of a subject that is not known, what the last run of all took. What it does not take after all is let go.
+        """
+        if self.folder is not None:
+            self._ahead = side_by_side(lambda: self._loading_ahead(subject))
+
+    def remember(self, subject: str) -> None:
+        """Notes which kept programs a run of a subject took."""
+        names = "\n".join(self._taken)
+        for about in (subject, ""):
+            if self.folder is not None and names and names != self._lately(about):
+                self._write(self.folder / _lately(about), names.encode())
+
+    def _lately(self, subject: str) -> str:
+        """The names of the files of the programs that a subject took."""
+        kept = None if self.folder is None else _kept(self.folder / _lately(subject))
+        return "" if kept is None else bytes(kept).decode(errors="replace")
+
+    def _loading_ahead(self, subject: str) -> dict[str, _Loading]:
+        assert self.folder is not None
+        names = self._lately(subject) or self._lately("")
+        read = {name: _kept(self.folder / Path(name).name) for name in names.splitlines()}
+        found = {name: kept for name, kept in read.items() if kept is not None}
+        longest_first = sorted(found, key=lambda name: -len(found[name]))
+        return {name: loading for name in longest_first if (loading := _begun(found[name])) is not None}
+
     def forget(self) -> None:
         """Lets go of the programs in memory; those in files stay."""
         self._programs.clear()
@@ -111,6 +141,8 @@ class Store:
         key = _key(function, arguments)
         if key not in self._programs:
             path = self._file(key)
+            if path is not None:
+                self._taken[path.name] = None
             if crowded():
                 self._programs.clear()
             while len(self._programs) >= _MOST_PROGRAMS:
@@ -120,19 +152,26 @@ class Store:
 
     def _loading(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> Soon | None:
         """A program that is being read from its file; None where there is none."""
-        kept = None if path is None else _kept(path)
-        found = None if kept is None else executables.unpacked(kept)
-        if found is None:
+        if path is None:
             return None
-        shapes, load = found
+        ahead = {} if self._ahead is None else self._ahead.result()
+        begun = ahead.pop(path.name, None) or _begun(_kept(path))
+        if begun is None:
+            return None
+        try:
+            shapes, of_trees = begun.program.shapes()
+        except Exception:  # whatever pickle raises for what another version has written
+            return None
+        done: Future[Callable[..., Any]] = Future()
 
-        def load_or_compile() -> Callable[..., Any]:
+        def pass_on(loaded: Future[Callable[..., Any]]) -> None:
             try:
-                return load()
+                done.set_result(of_trees(loaded.result()))
             except Exception:  # whatever XLA says of a program that this machine or version does not take
-                return compiled_here(function, *arguments)
+                _compiled_into(done, function, arguments)
 
-        return Soon(shapes, side_by_side(load_or_compile))
+        begun.loaded.add_done_callback(pass_on)
+        return Soon(shapes, done)
 
     def _compiling(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> Soon:
         """A program that is being compiled, and then written into its file where it has one."""
@@ -195,6 +234,32 @@ def _key(function: Any, arguments: Any) -> _Key:
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple((np.shape(leaf), getattr(leaf, "dtype", type(leaf))) for leaf in leaves)
     return _Key(function, tree, kinds, jax.default_backend())
+
+
+def _lately(subject: str) -> str:
+    """Where the names are kept; for programs of this host alone, but of whatever source, which takes long to read."""
+    words = f"{jax.config.read('jax_enable_x64')} {subject}"
+    return f"lately-{hashlib.sha256(executables.host() + words.encode()).hexdigest()[:32]}"
+
+
+class _Loading(NamedTuple):
+    """A program that is being loaded."""
+
+    program: executables.Unpacked
+    loaded: Future[Callable[..., Any]]
+
+
+def _begun(kept: Any) -> _Loading | None:
+    """Begins to load a program; None where these bytes are none."""
+    found = None if kept is None else executables.unpacked(kept)
+    return None if found is None else _Loading(found, side_by_side(found.load))
+
+
+def _compiled_into(done: Future[Callable[..., Any]], function: Any, arguments: tuple[Any, ...]) -> None:
+    try:
+        done.set_result(compiled_here(function, *arguments))
+    except BaseException as error:  # for whoever waits
+        done.set_exception(error)
 
 
 def _seal(path: Path, content: Any) -> bytes:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,17 +18,16 @@ from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import check
 from jaxform.core.store import Store
-from jaxform.io import catalog, earlier, fields, schema
+from jaxform.io import catalog, fields, schema
+from jaxform.io.geometry import mold_of, profile_of, sheet_of, told_of
 from jaxform.io.survey import warn_of_scene
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
-from jaxform.mesh import bisection, meshes, shapes
+from jaxform.mesh import bisection, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
 from jaxform.prepare.building import build_scene
 from jaxform.prepare.growing import grown_parison
-from jaxform.tools import molds, motion, rims
-from jaxform.tools.mold import Mold, make_mold
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
 
@@ -111,7 +108,7 @@ def read_study(name_or_path: str | Path) -> StudyDocument:
     source = catalog.read(name_or_path, "study")
     model = validate(schema.StudyFile, source.data, source.file)
     folder = source.path.resolve().parent
-    with _told_of(source.file, "scene"):
+    with told_of(source.file, "scene"):
         scene = read_scene(model.scene, folder)
     return StudyDocument(source.file, folder, source.data, model, scene)
 
@@ -142,9 +139,9 @@ def look_over(scene: Scene, document: SceneDocument) -> None:
 def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
     """As `build`, but it is left to the caller to `look_over` the scene."""
     model = document.model
-    with _told_of(document.file):
+    with told_of(document.file):
         pressure, solver = model.pressure, model.solver
-        sheet = _sheet(document)
+        sheet = sheet_of(document, store)
         refinement, forest = _refinement(document, sheet)
         grown = _grown(sheet, forest)
         scene = build_scene(
@@ -160,7 +157,7 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
                 quasi_static=solver.quasi_static,
                 max_steps=solver.max_steps,
             ),
-            mold=_mold(document),
+            mold=mold_of(document, store),
             cooling=_cooling(document),
             name=document.name,
             frames=model.output.frames,
@@ -178,7 +175,7 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
     name = document.model.output.reference
     if name is None:
         return None
-    with _told_of(document.file, "output.reference"):
+    with told_of(document.file, "output.reference"):
         path = disk.located(name, document.folder)
         text = disk.read_text(path)
         try:
@@ -190,14 +187,6 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
             remedy = f"give the columns {', '.join(REFERENCE_COLUMNS)}"
             raise InputError("is not a table of numbers with a header", remedy, value=str(path))
         return columns
-
-
-@contextlib.contextmanager
-def _told_of(file: str, key: str = "") -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        raise error.within(file=file, key=key) from None
 
 
 def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Forest | None) -> Parison:
@@ -240,55 +229,14 @@ def usual_room(roots: int) -> int:
     return max(16 * roots, min(max(2300, 32 * roots), 8192))
 
 
-def _sheet(document: SceneDocument) -> shapes.Sheet:
-    table = document.model.parison
-    if isinstance(table, schema.FileParison):
-        with _told_of("", "parison.path"):
-            path = disk.located(table.path, document.folder)
-            mesh = meshes.read_mesh(path, scale=table.scale)
-            earlier.look_at_planes(path, table.scale, table.planes)
-            return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
-    if isinstance(table, schema.Rectangle):
-        return shapes.rectangle(
-            size=table.size,
-            element_size=table.element_size,
-            elements=table.elements,
-            symmetry=table.symmetry,
-        )
-    if isinstance(table, schema.Sphere):
-        return shapes.sphere(
-            radius=table.radius,
-            element_size=table.element_size,
-            elements=table.elements,
-            symmetry=table.symmetry,
-        )
-    if isinstance(table, schema.Outline):
-        size = {"element_size": table.element_size, "elements": table.elements}
-        if table.polygon is not None:
-            return shapes.outline(polygon=table.polygon, planes=table.planes, **size)
-        mold = _mold(document)
-        if mold is None:
-            raise InputError("there is no mold", "add [mold], or give polygon", "parison.mold_rim", True)
-        return rims.over_opening(np.asarray(mold.vertices, float), np.asarray(mold.triangles), **size)
-    if isinstance(table, schema.BottleHalfParison):
-        return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness", "temperature"}))
-    size = table.element_size
-    local = _profile(size, "parison.element_size") if isinstance(size, schema.Profile) else size
-    return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
-
-
-def _profile(table: schema.Profile, key: str) -> Profile:
-    return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
-
-
 def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
     """What may vary over the sheet: a number, or values at its nodes (n_node,)."""
     if isinstance(table, schema.Profile):
-        return _profile(table, key).over(sheet.positions)
+        return profile_of(table, key).over(sheet.positions)
     if isinstance(table, schema.NumberProfile):
         return Profile(table.along, tuple(table.at), tuple(table.value), key).over(sheet.positions)
     if isinstance(table, schema.FieldReference):
-        with _told_of("", f"{key}.file"):
+        with told_of("", f"{key}.file"):
             path = disk.located(table.file, document.folder)
         return fields.nodal_field(path, table.field, sheet.positions, key)
     if isinstance(table, str):
@@ -328,23 +276,3 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
 def _cooling(document: SceneDocument) -> materials.Cooling | None:
     table = document.model.cooling
     return None if table is None else materials.Cooling(**table.model_dump())
-
-
-def _mold(document: SceneDocument) -> Mold | None:
-    table = document.model.mold
-    if table is None:
-        return None
-    if isinstance(table, schema.RevolvedMold):
-        shape = molds.revolved(profile=table.profile, segments=table.segments)
-    elif isinstance(table, schema.BoxInsertMold):
-        shape = molds.box_insert(**table.model_dump(exclude={"shape", "motion"}))
-    elif isinstance(table, schema.BottleHalfMold):
-        shape = molds.bottle_half(**table.model_dump(exclude={"shape", "motion"}))
-    else:
-        with _told_of("", "mold.path"):
-            names = [table.path] if isinstance(table.path, str) else table.path
-            parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
-            mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
-            shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
-    moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
-    return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)

@@ -122,9 +122,9 @@ def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> dict[str, str
 
 def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, path: Path) -> Any:
     """Writes values (n_node,), or a list of such, as fields of the mesh; what the scene file then says of them."""
-    from jaxform.io.files import _sheet  # takes JAX to import, which `inline` alone does not need
+    from jaxform.io.geometry import sheet_of  # takes JAX to import, which `inline` alone does not need
 
-    sheet = _sheet(document)
+    sheet = sheet_of(document)
     names = [number] if values.ndim == 1 else [f"{number}_{k + 1}" for k in range(len(values))]
     fields = dict(zip(names, np.atleast_2d(np.asarray(values, float)), strict=True))
     with whole(path) as fresh:

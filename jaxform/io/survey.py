@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
 from jaxform.core.pytree import as_real, remembered
 from jaxform.core.words import extent, place
-from jaxform.materials.law import PlaneLaw
+from jaxform.mechanics.membrane import even_energy
 from jaxform.mesh import masks, raster
 from jaxform.model.scene import Scene
 from jaxform.model.seams import warn_of_joints
@@ -250,12 +249,8 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
 
 def _warn_of_law(scene: Scene, file: str) -> None:
     """Of a law whose energy falls where a sheet is stretched more, equally both ways: it does not pull back there."""
-    law, stretch = scene.law.elastic, np.linspace(1.0, _MOST_STRETCHED, 501)
-    means: Any = {name: jnp.mean(values, axis=-1) for name, values in law.zones.items()}
-    square = as_real(np.square(stretch))
-    plane = 2 * square, jnp.square(square)
-    whole = 2 * square + jnp.square(1 / square), jnp.square(square) + 2 / square
-    energy = np.asarray(law.with_zones(means).energy(*(plane if isinstance(law, PlaneLaw) else whole)), float)
+    stretch = np.linspace(1.0, _MOST_STRETCHED, 501)
+    energy = np.asarray(even_energy(scene.law.elastic, as_real(np.square(stretch))), float)
     falls = np.flatnonzero(np.diff(energy) < 0.0)
     if len(falls):
         what = f"the law lets go of a sheet that is stretched {stretch[falls[0]]:.3g} times both ways: its energy falls"

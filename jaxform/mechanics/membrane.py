@@ -279,6 +279,16 @@ def energy_density(strain: Invariants, material: Law) -> jax.Array:
     return material.energy(strain.i1, strain.i2)
 
 
+@jax.jit
+def even_energy(material: Law, square: jax.Array) -> jax.Array:
+    """Strain energy per volume [J/m^3] where a sheet is stretched alike both ways, by roots of `square` (n,).
+
+    Where the law has zones, of the mean of their numbers.
+    """
+    means = {name: jnp.mean(values, axis=-1) for name, values in material.zones.items()}
+    return energy_density(_invariants(2.0 * square, jnp.square(square)), material.with_zones(means))
+
+
 def principal_stretches(strain: Invariants) -> tuple[jax.Array, jax.Array]:
     """Larger and smaller in-plane stretch, each (n_element,), from the invariants."""
     mean = 0.5 * strain.trace

@@ -5,11 +5,13 @@ from __future__ import annotations
 import pickle
 import zlib
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental import serialize_executable
 
 import jaxform
 from jaxform.core import compiling, executables, store
@@ -118,11 +120,61 @@ def test_a_program_that_this_machine_cannot_load_is_compiled(tmp_path: Path, mon
     double, x = jax.jit(lambda x: 2 * x), jnp.arange(3.0)
     Store(tmp_path).program(double, x)
 
-    def load() -> None:
+    def load(*_: object, **__: object) -> None:
         raise RuntimeError("made for another processor")
 
-    monkeypatch.setattr(executables, "unpacked", lambda _: (None, load))
+    monkeypatch.setattr(serialize_executable, "deserialize_and_load", load)
     assert Store(tmp_path).program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
+    known = Store(tmp_path)
+    known.program(double, x)
+    known.remember("a scene")
+    ahead = Store(tmp_path)
+    ahead.foresee("a scene")
+    assert ahead.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
+
+
+@pytest.mark.parametrize("subject", ["a scene", "one that was never run"])
+def test_what_a_scene_took_is_loaded_before_it_is_asked_for(
+    subject: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @jax.jit
+    def many(x: jax.Array, tree: dict[str, jax.Array]) -> dict[str, Any]:
+        return {"sum": x + tree["b"], "pair": (tree["a"], 2 * x)}
+
+    arguments = jnp.arange(3.0), {"a": jnp.ones(2), "b": jnp.ones(())}
+    first = Store(tmp_path)
+    expected = first.program(many, *arguments)(*arguments)
+    first.remember("a scene")
+    ahead = Store(tmp_path)
+    ahead.foresee(subject)
+    assert ahead._ahead is not None and len(ahead._ahead.result()) == 1
+    monkeypatch.setattr(executables, "unpacked", lambda _: pytest.fail("it was loaded already"))
+    found = ahead.program(many, *arguments)(*arguments)
+    assert jax.tree.structure(found) == jax.tree.structure(expected) and _same(found, expected)
+    assert ahead.program(many, *arguments) is ahead.program(many, *arguments)
+
+
+def test_what_is_foreseen_wrongly_does_no_harm(tmp_path: Path) -> None:
+    """Names of files that are damaged, or no more, or not in the folder; and no names at all."""
+    double, x = jax.jit(lambda x: 2 * x), jnp.arange(3.0)
+    outside = tmp_path / "outside"
+    outside.write_bytes(b"none of ours")
+    for names in (["gone"], ["../outside"], [str(outside)], [], [""]):
+        kept = Store(tmp_path / "kept")
+        kept.program(double, x)
+        kept._taken |= dict.fromkeys(names)
+        kept.remember("a scene")
+        for file in (tmp_path / "kept").iterdir():
+            if not file.name.startswith("lately"):
+                file.write_bytes(b"")
+        ahead = Store(tmp_path / "kept")
+        ahead.foresee("a scene")
+        assert ahead._ahead is not None and ahead._ahead.result() == {}
+        assert ahead.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
+    nowhere = Store()
+    nowhere.foresee("a scene")
+    nowhere.program(double, x)
+    nowhere.remember("a scene")
 
 
 def test_what_another_version_wrote_is_not_read() -> None:
