@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from jaxform.results.result import Result
 
 DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
+_SELDOM = (100_000, 50, 50)
+"""When to look for garbage: as usual, a short run would look through all that it imports, for a tenth of its time."""
 guard = contextlib.ExitStack()
 """Of the compiled programs, while a command uses them."""
 
@@ -50,6 +52,8 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
     if subject:
         store.foresee(subject)
     gc.freeze()
+    if arguments.own_process:
+        gc.set_threshold(*_SELDOM)
     gc.enable()
     return (lambda _: None) if arguments.quiet else say, store
 

@@ -189,11 +189,11 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, S
     width, height = (max(1, round(float(extent) / pixel)) for extent in high - low)
     level, rise = np.full(width * height, -np.inf), sheet @ axis
     for found in raster.hits((flat - low) / pixel, width, height):
-        np.maximum.at(level, found.pixel, np.einsum("nc,nc->n", found.weight, rise[found.triangle]))
+        np.maximum.at(level, found.pixel, found.of(rise))
     seen, near, along = np.isfinite(level), _FLAT * pixel * _PIXELS, walls @ axis
     before, behind = np.zeros_like(seen), np.zeros_like(seen)
     for found in raster.hits((wall - low) / pixel, width, height):
-        away = np.einsum("nc,nc->n", found.weight, along[found.triangle]) - level[found.pixel]
+        away = found.of(along) - level[found.pixel]
         before[found.pixel[away >= -near]] = True
         behind[found.pixel[away < -near]] = True
     whole = max(1, int(seen.sum()))

@@ -75,7 +75,7 @@ class Table(BaseModel):
         later: Keys that a later version will know, and what to do without them.
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True, defer_build=True)
     later: ClassVar[Mapping[str, str]] = {}
 
     @model_validator(mode="before")

@@ -6,6 +6,7 @@ ones hide small ones wrongly. Here every pixel looks for the nearest surface; wh
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -144,9 +145,9 @@ def _image(surface: Surface, corners: Array, depth: Array, width: int, height: i
     """
     faces, wide = surface.faces, finer * width
     kept = None if surface.open_at is None else _behind(surface)
-    view = raster.nearest(corners, depth, wide, finer * height, kept)
-    hit = np.flatnonzero(view.triangle >= 0)
-    triangle = view.triangle[hit]
+    nearest = raster.nearest(corners, depth, wide, finer * height, kept)
+    hit = np.flatnonzero(nearest >= 0)
+    triangle = nearest[hit]
     # Of many triangles few are seen.
     seen = np.zeros(len(faces), bool)
     seen[triangle] = True
@@ -157,7 +158,7 @@ def _image(surface: Surface, corners: Array, depth: Array, width: int, height: i
     bright[seen] = 0.72 + 0.28 * np.abs(normal @ _LIGHT) / np.where(length > 0, length, 1.0)
     paint = surface.paint[triangle] * bright[triangle, None]
     if surface.edges:
-        paint[_on_edges(corners, triangle, view.weight[hit])] *= 0.6
+        paint[_on_edges(corners, triangle, raster.weights(corners, triangle, hit, wide))] *= 0.6
     pixel = hit // (wide * finer) * width + hit % wide // finer
     sums = [np.bincount(pixel, part, width * height) for part in (*paint.T, np.ones(len(hit)))]
     covered = sums.pop()
@@ -173,17 +174,17 @@ def _behind(surface: Surface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
         front = np.ones(len(found.triangle), bool)
         for axis, place in surface.open_at or ():
             # As the triangles are small, perspective hardly bends them.
-            at = np.einsum("nc,nc->n", found.weight, surface.faces[found.triangle, :, axis])
-            front &= TO_EYE[axis] * (at - place) > 0
+            front &= TO_EYE[axis] * (found.of(surface.faces[:, :, axis]) - place) > 0
         return ~front
 
     return kept
 
 
-def _on_edges(corners: Array, triangle: NDArray[np.int64], weight: Array) -> NDArray[np.bool_]:
-    """Which pixels (n,) are on the edges of triangles that are large enough to have some."""
+def _on_edges(corners: Array, triangle: NDArray[np.integer], weights: Array) -> NDArray[np.bool_]:
+    """Which pixels (n,), with weights (3, n), are on the edges of triangles that are large enough to have some."""
     side = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     twice = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
     tall = twice[:, None] / np.maximum(np.linalg.norm(side, axis=2), 1e-12)
-    return ((weight * tall[triangle]).min(1) < _LINE) & (tall.min(1) > _LINED * _FINER)[triangle]
+    away = functools.reduce(np.minimum, [w * side[triangle] for w, side in zip(weights, tall.T, strict=True)])
+    return (away < _LINE) & (tall.min(1) > _LINED * _FINER)[triangle]

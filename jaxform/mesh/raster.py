@@ -18,11 +18,41 @@ _EDGE = 1e-9  # by which a point may be outside of a triangle, so that none fall
 
 
 class Hits(NamedTuple):
-    """Pairs of triangle and pixel: numbers (n,) each, and the weights (n, 3) of the corners at the pixel's middle."""
+    """Pairs of triangle and pixel.
+
+    Attributes:
+        triangle: Numbers (n,).
+        pixel: Numbers (n,).
+        rows: What of triangles lies in one row of pixels, from which the pairs were made.
+    """
 
     triangle: Index
     pixel: Index
-    weight: Array
+    rows: Rows
+
+    def of(self, values: Array) -> Array:
+        """Values of triangles at their corners (n_triangle, 3) at the pixels' middles (n,), linear in between."""
+        rows, (one, two, three) = self.rows, values[self.rows.triangle].T
+        first, rise = (a * one + b * two + c * three for a, b, c in (rows.first, rows.rise))
+        return _spread(first, rows.columns) + _spread(rise, rows.columns) * rows.along
+
+
+class Rows(NamedTuple):
+    """What of triangles lies in rows of pixels.
+
+    Attributes:
+        triangle: Which each is of (k,).
+        first: The weights (k,) of its three corners in its first pixel.
+        rise: By how much they grow from pixel to pixel.
+        columns: How many pixels it has (k,).
+        along: The place of each pair in its row (n,), from 0.
+    """
+
+    triangle: Index
+    first: list[Array]
+    rise: list[Array]
+    columns: Index
+    along: Array
 
 
 def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
@@ -68,14 +98,11 @@ def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array
         last = np.where(slope < 0, np.minimum(last, np.floor(place)), last)
         last = np.where((slope == 0) & (begin < -_EDGE), -1.0, last)
     columns = np.maximum(last - first + 1, 0).astype(np.int64)
-    along = counted_up(columns)
-    weights = [
-        _spread(begin + slope * (first + 0.5), columns) + _spread(slope, columns) * along
-        for begin, slope in zip(begins[1:], slopes[1:], strict=True)
-    ]
+    along, triangle = counted_up(columns), _spread(part, rows)
     pixel = _spread((first + y * width).astype(np.int64), columns) + along
-    triangle = _spread(_spread(part, rows), columns)
-    return Hits(triangle, pixel, np.stack([1.0 - weights[0] - weights[1], *weights], axis=1))
+    two, three = (begin + slope * (first + 0.5) for begin, slope in zip(begins[1:], slopes[1:], strict=True))
+    weights, rise = [1.0 - two - three, two, three], [-slopes[1] - slopes[2], *slopes[1:]]
+    return Hits(_spread(triangle, columns), pixel, Rows(triangle, weights, rise, columns, along.astype(float)))
 
 
 def _spread(values: NDArray[Any], counts: Index) -> Any:
@@ -87,17 +114,10 @@ def _turned(one: Array, other: Array) -> Array:
     return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
 
 
-class View(NamedTuple):
-    """What is nearest in each pixel: the triangle (height * width,), -1 where none, and its corners' weights."""
-
-    triangle: Index
-    weight: Array
-
-
 def nearest(
     corners: Array, depth: Array, width: int, height: int, kept: Callable[[Hits], NDArray[np.bool_]] | None = None
-) -> View:
-    """What is seen of triangles.
+) -> NDArray[np.int32]:
+    """The triangle that is seen in each pixel (height * width,), -1 where none is.
 
     Args:
         corners: (n, 3, 2), in pixels.
@@ -106,15 +126,29 @@ def nearest(
         height: Of the picture, in pixels.
         kept: Which of the pairs count (n,), where the triangles are cut open; all by default.
     """
-    best = np.full(width * height, np.inf)
-    view = View(np.full(width * height, -1), np.zeros((width * height, 3)))
+    best, seen = np.full(width * height, np.inf), np.full(width * height, -1, np.int32)
     for found in hits(corners, width, height):
+        triangle, pixel, away = found.triangle, found.pixel, found.of(depth)
         if kept is not None:
             some = kept(found)
-            found = Hits(found.triangle[some], found.pixel[some], found.weight[some])
-        away = np.einsum("nc,nc->n", found.weight, depth[found.triangle])
-        np.minimum.at(best, found.pixel, away)
-        front = away <= best[found.pixel]
-        view.triangle[found.pixel[front]] = found.triangle[front]
-        view.weight[found.pixel[front]] = found.weight[front]
-    return view
+            triangle, pixel, away = triangle[some], pixel[some], away[some]
+        np.minimum.at(best, pixel, away)
+        front = away <= best[pixel]
+        seen[pixel[front]] = triangle[front]
+    return seen
+
+
+def weights(corners: Array, triangle: NDArray[np.integer], pixel: NDArray[np.integer], width: int) -> Array:
+    """Weights (3, n) of the corners of triangles (n,), which are in pixels (n_triangle, 3, 2), at pixels' middles."""
+    row, column = np.divmod(pixel, width)
+    one, two, three = corners[:, 0], corners[:, 1], corners[:, 2]
+    turned = _turned(two - one, three - one)[triangle]
+    x, y = column + 0.5, row + 0.5
+
+    def opposite(begin: Array, end: Array) -> Array:
+        across, up = (end - begin).T
+        level = (across * begin[:, 1] - up * begin[:, 0])[triangle]
+        return (across[triangle] * y - up[triangle] * x - level) / turned
+
+    second, third = opposite(three, one), opposite(one, two)
+    return np.stack([1.0 - second - third, second, third])

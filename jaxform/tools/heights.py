@@ -90,7 +90,7 @@ def seen(looked_at: Surface, turn: Array, pixels: int) -> Heights:
     nearest = np.full(width * height, np.inf)
     corners = turned[looked_at.triangles]
     for found in raster.hits((corners[..., :2] - first) / pixel, width, height):
-        np.minimum.at(nearest, found.pixel, np.einsum("nc,nc->n", found.weight, corners[found.triangle, :, 2]))
+        np.minimum.at(nearest, found.pixel, found.of(corners[..., 2]))
     # Walls that stand upright, and rims, are in no pixel's middle.
     points = topology.points_along(looked_at.edges @ turn.T, pixel)
     column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T

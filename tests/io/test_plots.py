@@ -148,7 +148,7 @@ def test_colours_tell_the_formed_part_apart_not_its_flange() -> None:
 def test_triangles_cover_the_pixels_whose_middles_they_hold() -> None:
     square = np.array([[[2.0, 3.0], [6.0, 3.0], [6.0, 5.0]], [[2.0, 3.0], [6.0, 5.0], [2.0, 5.0]]])
     depth = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
-    seen = raster.nearest(square, depth, 10, 8).triangle.reshape(8, 10) >= 0
+    seen = raster.nearest(square, depth, 10, 8).reshape(8, 10) >= 0
     wanted = np.zeros((8, 10), bool)
     wanted[3:5, 2:6] = True
     np.testing.assert_array_equal(seen, wanted)
@@ -157,12 +157,12 @@ def test_triangles_cover_the_pixels_whose_middles_they_hold() -> None:
     broken = np.full((1, 3, 2), np.nan)
     corners = np.concatenate([square, sloping, broken])
     away = np.concatenate([depth, [[-5.5, 6.5, -5.5]], [[0.0, 0.0, 0.0]]])
-    view = raster.nearest(corners, away, 10, 8).triangle.reshape(8, 10)
+    view = raster.nearest(corners, away, 10, 8).reshape(8, 10)
     # Along x it comes from -5.5 to 6.5 in 60 pixels, and is at 1 at 12.5: nearer than the square everywhere.
     assert np.all(view == 2)
     behind = raster.nearest(corners, np.concatenate([depth, [[0.0, 12.0, 0.0]], [[0.0] * 3]]), 10, 8)
     # From 0 to 12 in 60 pixels: at 1 where x = -15, so the square is in front.
-    assert np.all(behind.triangle.reshape(8, 10)[wanted] < 2) and np.all(behind.triangle.reshape(8, 10)[~wanted] == 2)
+    assert np.all(behind.reshape(8, 10)[wanted] < 2) and np.all(behind.reshape(8, 10)[~wanted] == 2)
 
 
 def _colors(path: Path) -> int:

@@ -496,7 +496,7 @@ def _seen(folder: Path, width: int, height: int) -> NDArray[np.int64]:
     depth = -offset @ away
     across, up = offset @ right / (depth * half * aspect), offset @ above / (depth * half)
     pixels = np.stack([(1 + across) / 2 * width, (1 - up) / 2 * height], axis=-1)
-    found = raster.nearest(pixels, -1 / depth, width, height).triangle.reshape(height, width)
+    found = raster.nearest(pixels, -1 / depth, width, height).reshape(height, width)
     return np.where(found < 0, -1, found % len(part.triangles))
 
 
