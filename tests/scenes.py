@@ -86,7 +86,7 @@ def at_rest(scene: Scene) -> Result:
     """The part before the first step; by programs for all scenes of its rungs."""
     room = on_rungs(scene)
     state, sheet = begun(room.scene)
-    return room.result(loop._make_result(state, room.scene, sheet))
+    return room.result(loop.result_of(state, room.scene, sheet))
 
 
 def assert_refused(folder: Path, text: str, words: str, named: str = "scene.toml") -> None:

@@ -204,7 +204,7 @@ def measure_drift(steps: int, points: int = 200) -> Found:
     rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
     while not bool(finished(state, scene)) and int(state.windows) < scene.tables.window_count:
         state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(most))
-        result = loop._make_result(state, scene, first, taken)
+        result = loop.result_of(state, scene, first, taken)
         energy = result.energy
         missed = float(energy.strain) + float(energy.kinetic) - float(energy.external_work)
         rows.append([int(state.steps), missed / float(state.peak_work)])

@@ -48,8 +48,7 @@ def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
         left -= most
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
-    state = loop.closed(state, scene, first)
-    return state, room.result(loop._make_result(state, scene, first, taken))
+    return loop.closed(state, scene, first), room.result(loop.result_of(state, scene, first, taken, last=True))
 
 
 def examine(drawn: Drawn, state: State, result: Result) -> Row:

@@ -14,12 +14,14 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxform.model.tables import Sheet
 
 _MOST = 2.0  # how far from the mean a value may be carried, as a factor: past a sharp bend the gradient means little
 _SPREADS = 6.0  # how far a value may be carried to a rim, in standard deviations there: a linear function needs 3
 _RIDGE = 1e-3  # of the middles' square distance: a gradient across them, where they lie in a plane or on a line, is 0
+_MOMENTS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])  # a symmetric matrix of its entries xx, yy, zz, xy, yz, zx
 _EVEN = 1e-6  # h/h0 that differ by less are alike; a root has no slope at 0
 
 
@@ -65,12 +67,11 @@ def _fits(
     corners = positions[:, sheet.triangles]
     away = jnp.mean(corners, axis=1, keepdims=True) - corners  # of an element's middle, from each of its corners
     ones = jnp.ones_like(away[:1])
-    squares = (away[:, None] * away[None]).reshape(9, *away.shape[1:])
-    shares = sheet.area * jnp.concatenate([ones, values * ones, away, squares, values * away])
+    squares, mixed = away * away, away * jnp.roll(away, -1, axis=0)
+    shares = sheet.area * jnp.concatenate([ones, values * ones, away, values * away, squares, mixed])
     sums = _sums_at_nodes(shares, sheet.triangles, mobile.shape[1])
     area = jnp.where(sums[0] > 0.0, sums[0], 1.0)
-    mean, first, second, rise = sums[1] / area, sums[2:5] / area, sums[5:14] / area, sums[14:] / area
-    second = second.reshape(3, 3, -1)
+    mean, first, rise, second = sums[1] / area, sums[2:5] / area, sums[5:8] / area, sums[8:][_MOMENTS] / area
     off = sheet.area * jnp.square(values - mean[sheet.triangles])
     variance = _sums_at_nodes(off[None], sheet.triangles, mobile.shape[1])[0] / area
     # The images behind a symmetry plane: what is odd in the distance from it cancels.

@@ -21,6 +21,8 @@ from jaxform.runs.loop import IN_MEMORY, programs, roomed
 from jaxform.runs.room import roomier, windows_left
 from jaxform.sheet.state import State, Status
 
+_GOING, _LAST = np.bool_(False), np.bool_(True)
+
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
@@ -62,7 +64,7 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     own, room = scene, roomed(scene, store)
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
-    begin, advance, closed, result = programs(scene, store)
+    begin, advance, result = programs(scene, store)
     state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     compiling = ready - began
@@ -74,14 +76,14 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
             scene, state, taken = more
-            begin, advance, closed, result = programs(scene, store)
+            begin, advance, result = programs(scene, store)
             first = begin(scene)[1]
             compiling += time.perf_counter() - paused
             telling += time.perf_counter() - paused
             continue
         if on_window is not None:
             now = state, scene, first, taken
-            moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now)))
+            moment = _moment(state, scene, lambda now=now, made=result: room.result(made.ready()(*now, _GOING)))
             told = time.perf_counter()
             stop = on_window(moment)
             telling += time.perf_counter() - told
@@ -92,10 +94,10 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
         if done:
             break
     paused = time.perf_counter()
-    close, made = closed.ready(), result.ready()
+    made = result.ready()
     compiling += time.perf_counter() - paused
     telling += time.perf_counter() - paused
-    final = room.result(made(close(state, scene, first), scene, first, taken))
+    final = room.result(made(state, scene, first, taken, _LAST))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     if has_burst(final, own):

@@ -27,7 +27,6 @@ from jaxform.sheet.state import PackedState, State, Status, Taken, finished
 IN_MEMORY = Store()
 _ABOVE = 2  # rungs whose programs serve a smaller mesh too, rather than that others are compiled
 _LARGE = 20_000  # elements, whose runs take as long as compiling: such a mesh has programs of its own
-_make_result = jax.jit(make_result)
 
 
 @jax.jit
@@ -35,7 +34,16 @@ def whole_run(scene: Scene) -> Result:
     """A run without its host's loop."""
     state, first, taken = begin(scene)
     state, taken, _ = advance(state, scene, first, taken, jnp.int32(scene.tables.window_count))
-    return make_result(closed(state, scene, first), scene, first, taken)
+    return result_of(state, scene, first, taken, jnp.asarray(True))
+
+
+@jax.jit
+def result_of(
+    state: State, scene: Scene, first: Discretization, taken: Taken | None = None, last: jax.Array | bool = False
+) -> Result:
+    """The result of a state; of the last one with what it has ended with."""
+    status = jnp.where(last, closed(state, scene, first).status, state.status)
+    return make_result(dataclasses.replace(state, status=status), scene, first, taken)
 
 
 @jax.jit
@@ -112,20 +120,18 @@ def unless_full[T](
 
 
 class _Programs(NamedTuple):
-    """Compiled for a scene's sizes: what begins a run and takes windows; soon, what ends it and makes its result."""
+    """Compiled for a scene's sizes: what begins a run and takes windows; soon, what makes its result."""
 
     begin: Callable[[Scene], tuple[State, Discretization, Taken]]
     advance: Callable[..., tuple[State, Taken, jax.Array]]
-    closed: Soon
     result: Soon
 
 
 class _Asked(NamedTuple):
-    """The same four, being compiled side by side."""
+    """The same three, being compiled side by side."""
 
     begin: Soon
     advance: Soon
-    closed: Soon
     result: Soon
 
 
@@ -136,15 +142,14 @@ def _asked(scene: Scene, store: Store) -> _Asked:
     return _Asked(
         beginning,
         store.soon(advance, state, scene, first, taken, np.int32(1)),
-        store.soon(closed, state, scene, first),
-        store.soon(_make_result, state, scene, first, taken),
+        store.soon(result_of, state, scene, first, taken, np.bool_(True)),
     )
 
 
 def programs(scene: Scene, store: Store) -> _Programs:
     """The programs of a run, once those that it begins with are compiled."""
     asked = _asked(scene, store)
-    return _Programs(asked.begin.ready(), asked.advance.ready(), asked.closed, asked.result)
+    return _Programs(asked.begin.ready(), asked.advance.ready(), asked.result)
 
 
 def roomed(scene: Scene, store: Store) -> Padded:
@@ -175,7 +180,7 @@ def _is_held(scene: Scene, store: Store) -> bool:
     if not store.holds(begin, scene):
         return False
     state, first, taken = store.soon(begin, scene).shapes
-    ending = store.holds(closed, state, scene, first) and store.holds(_make_result, state, scene, first, taken)
+    ending = store.holds(result_of, state, scene, first, taken, np.bool_(True))
     return ending and store.holds(advance, state, scene, first, taken, np.int32(1))
 
 

@@ -66,7 +66,7 @@ def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     state, first, taken = loop.begin(room.scene)
     state, taken, done = loop.advance(state, room.scene, first, taken, jnp.int32(drawn.planned))
     assert bool(done)
-    whole = room.result(loop._make_result(state, room.scene, first, taken))
+    whole = room.result(loop.result_of(state, room.scene, first, taken))
     np.testing.assert_array_equal(ours.positions, whole.positions)
     assert ours.schedule is not None
     counts, lengths = (np.asarray(x) for x in (ours.schedule.counts, ours.schedule.lengths))

@@ -205,7 +205,7 @@ def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -
     scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
     begun, first = scenes.begun(scene)
     finer = scenes.bisected(scene, begun, first, jnp.arange(60) < 4)[0]
-    before, after = ((scene, loop._make_result(state, scene, first)) for state in (begun, finer))
+    before, after = ((scene, loop.result_of(state, scene, first)) for state in (begun, finer))
     assert int(after[1].used.sum()) > int(before[1].used.sum())
     plots.design_picture(tmp_path / "design.png", before, after)
     plots.stages_picture(tmp_path / "stages.png", scene, [before[1], after[1]])

@@ -48,7 +48,7 @@ def test_every_program_says_along_which_axes(make: Callable[[], jaxform.Scene]) 
     def whole_run(scene: jaxform.Scene) -> jaxform.Result:
         state, first, taken = loop.begin(scene)
         state, taken, _ = loop.advance(state, scene, first, taken, np.int32(1))
-        return loop._make_result(loop.closed(state, scene, first), scene, first, taken)
+        return loop.result_of(state, scene, first, taken, last=True)
 
     def wall(thickness: jax.Array) -> jax.Array:
         design = jaxform.replace(scene, {"parison.thickness": thickness})
