@@ -39,10 +39,10 @@ def nodal_ratio(ratio: jax.Array, sheet: Sheet, positions: jax.Array, mobile: ja
     free = jnp.any(mobile, axis=0)
     # Sums over the corners of the elements of each node, by initial area: of those that are free, and of the others.
     foot = fit - jnp.sum(slope * positions, axis=0)
-    of_free = jnp.where(free, jnp.stack([jnp.ones_like(fit), foot, *slope]), 0.0)
-    of_others = jnp.where(free, 0.0, jnp.stack([jnp.ones_like(fit), variance]))
+    of_free = jnp.where(free[None], jnp.stack([jnp.ones_like(fit), foot, *slope]), 0.0)
+    of_others = jnp.where(free[None], 0.0, jnp.stack([jnp.ones_like(fit), variance]))
     at_corners = jnp.concatenate([of_free, of_others])[:, sheet.triangles]
-    shares = jnp.repeat(sheet.area * jnp.sum(at_corners, axis=1, keepdims=True), 3, axis=1)
+    shares = jnp.repeat(sheet.area[None, None] * jnp.sum(at_corners, axis=1, keepdims=True), 3, axis=1)
     inside, carried, *rises, at_rim, spread = _sums_at_nodes(shares, sheet.triangles, free.size)
     carried += jnp.sum(jnp.stack(rises) * positions, axis=0)
     carried /= jnp.where(inside > 0.0, inside, 1.0)
@@ -66,22 +66,23 @@ def _fits(
     """
     corners = positions[:, sheet.triangles]
     away = jnp.mean(corners, axis=1, keepdims=True) - corners  # of an element's middle, from each of its corners
-    ones = jnp.ones_like(away[:1])
+    one, value = jnp.ones_like(away[:1]), jnp.broadcast_to(values, (1, *away.shape[1:]))
     squares, mixed = away * away, away * jnp.roll(away, -1, axis=0)
-    shares = sheet.area * jnp.concatenate([ones, values * ones, away, values * away, squares, mixed])
+    shares = sheet.area[None, None] * jnp.concatenate([one, value, away, value * away, squares, mixed])
     sums = _sums_at_nodes(shares, sheet.triangles, mobile.shape[1])
     area = jnp.where(sums[0] > 0.0, sums[0], 1.0)
-    mean, first, rise, second = sums[1] / area, sums[2:5] / area, sums[5:8] / area, sums[8:][_MOMENTS] / area
-    off = sheet.area * jnp.square(values - mean[sheet.triangles])
+    means = sums / area[None]
+    mean, first, rise, second = means[1], means[2:5], means[5:8], means[8:][_MOMENTS]
+    off = sheet.area[None] * jnp.square(value[0] - mean[sheet.triangles])
     variance = _sums_at_nodes(off[None], sheet.triangles, mobile.shape[1])[0] / area
     # The images behind a symmetry plane: what is odd in the distance from it cancels.
     first = jnp.where(mobile, first, 0.0)
     size = jnp.trace(second)
     size = jnp.where(size > 0.0, size, 1.0)
-    axes = jnp.eye(3)[:, :, None]
+    axes = jnp.eye(3, dtype=values.dtype)[:, :, None]
     even = (mobile[:, None] & mobile[None]) | (axes == 1.0)
-    matrix = jnp.where(even, second - first[:, None] * first[None], 0.0) / size + _RIDGE * axes
-    slope = _solved(matrix, jnp.where(mobile, rise - mean * first, 0.0) / size)
+    matrix = jnp.where(even, second - first[:, None] * first[None], 0.0) / size[None, None] + _RIDGE * axes
+    slope = _solved(matrix, jnp.where(mobile, rise - mean[None] * first, 0.0) / size[None])
     return mean, variance, mean - jnp.sum(slope * first, axis=0), slope
 
 
@@ -90,4 +91,4 @@ def _solved(matrix: jax.Array, right: jax.Array) -> jax.Array:
     one, other = jnp.roll(matrix, -1, axis=0), jnp.roll(matrix, -2, axis=0)
     columns = jnp.roll(one, -1, axis=1) * jnp.roll(other, -2, axis=1)
     columns -= jnp.roll(one, -2, axis=1) * jnp.roll(other, -1, axis=1)
-    return jnp.sum(columns * right[:, None], axis=0) / jnp.sum(matrix[0] * columns[0], axis=0)
+    return jnp.sum(columns * right[:, None], axis=0) / jnp.sum(matrix[0] * columns[0], axis=0)[None]
