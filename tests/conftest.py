@@ -82,6 +82,7 @@ _QUICK = {
     "outlines",
     "pairing",
     "planform",
+    "raster",
     "reach",
     "recovery",
     "scenes",

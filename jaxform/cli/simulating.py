@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
+from jaxform.core import disk
 from jaxform.core.errors import held_back, told_to
 
 if TYPE_CHECKING:
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 def simulate(arguments: argparse.Namespace) -> int:
     """Runs `jaxform simulate` with its arguments and returns its exit status."""
     with session.drawing(arguments) as draw:
-        subject = os.path.abspath(arguments.source)
+        source = arguments.source
+        subject = os.path.abspath(source) if disk.is_file(Path(source)) else source
         say, store = session.prepare(arguments, subject)
         from jaxform.io import files, rewriting
         from jaxform.io.output import Frames

@@ -103,13 +103,14 @@ class Store:
     def foresee(self, subject: str) -> None:
         """Begins to load what a run of a subject took last time, while the scene is still being read.
 
-        Of a subject that is not known, what the last run of all took. What it does not take after all is let go.
+        Of a subject that is not known, what the last run of all took.
         """
         if self.folder is not None:
             self._ahead = side_by_side(lambda: self._loading_ahead(subject))
 
     def remember(self, subject: str) -> None:
-        """Notes which kept programs a run of a subject took."""
+        """Notes which kept programs a run of a subject took; what was loaded for it in vain is let go."""
+        self._ahead = None
         names = "\n".join(self._taken)
         for about in (subject, ""):
             if self.folder is not None and names and names != self._lately(about):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -141,7 +142,8 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
     model = document.model
     with told_of(document.file):
         pressure, solver = model.pressure, model.solver
-        sheet = sheet_of(document, store)
+        find_mold = functools.cache(lambda: mold_of(document, store))
+        sheet = sheet_of(document, store, find_mold)
         refinement, forest = _refinement(document, sheet)
         grown = _grown(sheet, forest)
         scene = build_scene(
@@ -157,7 +159,7 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
                 quasi_static=solver.quasi_static,
                 max_steps=solver.max_steps,
             ),
-            mold=mold_of(document, store),
+            mold=find_mold(),
             cooling=_cooling(document),
             name=document.name,
             frames=model.output.frames,

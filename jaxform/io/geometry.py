@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -30,26 +31,28 @@ def told_of(file: str, key: str = "") -> Iterator[None]:
         raise error.within(file=file, key=key) from None
 
 
-def sheet_of(document: SceneDocument, store: Store | None = None) -> shapes.Sheet:
+def sheet_of(
+    document: SceneDocument, store: Store | None = None, find_mold: Callable[[], Mold | None] | None = None
+) -> shapes.Sheet:
     """The sheet of a document.
 
     One whose outline is filled with elements takes half a second, and is kept: but not where it is refined, for that
     asks the outline where new nodes belong.
+
+    Args:
+        document: The scene.
+        store: Where it is kept; nowhere by default.
+        find_mold: Gives the document's mold, where it is there already or will be needed again.
     """
-    table = document.model.parison
-    if document.model.refinement is not None or not isinstance(table, schema.Outline | schema.BottleHalfParison):
-        return _made(document, store)
+    find_mold = find_mold or functools.cache(lambda: mold_of(document, store))
+    table, meshed = document.model.parison, schema.Outline | schema.BottleHalfParison
+    if store is None or document.model.refinement is not None or not isinstance(table, meshed):
+        return _made(document, find_mold)
     depends: list[Any] = [table.model_dump(exclude={"thickness", "temperature"})]
-    if isinstance(table, schema.Outline) and table.polygon is None:
-        mold = mold_of(document, store)
-        depends += [] if mold is None else [np.asarray(mold.vertices), np.asarray(mold.triangles)]
-    return shapes.Sheet(**_kept(store, "sheet", depends, lambda: _arrays(_made(document, store))))
-
-
-def _kept(store: Store | None, name: str, depends: Any, make: Callable[[], Arrays]) -> dict[str, Any]:
-    """The arrays of a shape, which are made once."""
-    key = tuple(depends) if isinstance(depends, list) else (depends,)
-    return dict(make() if store is None else store.arrays(name, key, make))
+    if isinstance(table, schema.Outline) and table.polygon is None and (mold := find_mold()) is not None:
+        depends += [np.asarray(mold.vertices), np.asarray(mold.triangles)]
+    kept = store.arrays("sheet", tuple(depends), lambda: _arrays(_made(document, find_mold)))
+    return shapes.Sheet(kept["positions"], kept["triangles"], kept["clamped"], kept["fixed"])
 
 
 def _arrays(shape: shapes.Sheet | molds.MoldShape) -> Arrays:
@@ -57,7 +60,7 @@ def _arrays(shape: shapes.Sheet | molds.MoldShape) -> Arrays:
     return {name: value for name, value in vars(shape).items() if isinstance(value, np.ndarray)}
 
 
-def _made(document: SceneDocument, store: Store | None) -> shapes.Sheet:
+def _made(document: SceneDocument, find_mold: Callable[[], Mold | None]) -> shapes.Sheet:
     table = document.model.parison
     if isinstance(table, schema.FileParison):
         with told_of("", "parison.path"):
@@ -83,7 +86,7 @@ def _made(document: SceneDocument, store: Store | None) -> shapes.Sheet:
         size = {"element_size": table.element_size, "elements": table.elements}
         if table.polygon is not None:
             return shapes.outline(polygon=table.polygon, planes=table.planes, **size)
-        mold = mold_of(document, store)
+        mold = find_mold()
         if mold is None:
             raise InputError("there is no mold", "add [mold], or give polygon", "parison.mold_rim", True)
         return rims.over_opening(np.asarray(mold.vertices, float), np.asarray(mold.triangles), **size)
@@ -110,7 +113,8 @@ def mold_of(document: SceneDocument, store: Store | None = None) -> Mold | None:
         shape = molds.box_insert(**table.model_dump(exclude={"shape", "motion"}))
     elif isinstance(table, schema.BottleHalfMold):
         numbers = table.model_dump(exclude={"shape", "motion"})
-        shape = molds.MoldShape(**_kept(store, "bottle", numbers, lambda: _arrays(molds.bottle_half(**numbers))))
+        kept = (store or Store()).arrays("bottle", (numbers,), lambda: _arrays(molds.bottle_half(**numbers)))
+        shape = molds.MoldShape(kept["vertices"], kept["triangles"])
     else:
         with told_of("", "mold.path"):
             names = [table.path] if isinstance(table.path, str) else table.path
