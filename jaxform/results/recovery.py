@@ -21,7 +21,7 @@ from jaxform.model.tables import Sheet
 _MOST = 2.0  # how far from the mean a value may be carried, as a factor: past a sharp bend the gradient means little
 _SPREADS = 6.0  # how far a value may be carried to a rim, in standard deviations there: a linear function needs 3
 _RIDGE = 1e-3  # of the middles' square distance: a gradient across them, where they lie in a plane or on a line, is 0
-_MOMENTS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])  # a symmetric matrix of its entries xx, yy, zz, xy, yz, zx
+_MOMENTS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]], np.int32)  # a symmetric matrix of xx, yy, zz, xy, yz, zx
 _EVEN = 1e-6  # h/h0 that differ by less are alike; a root has no slope at 0
 
 
@@ -77,9 +77,9 @@ def _fits(
     variance = _sums_at_nodes(off[None], sheet.triangles, mobile.shape[1])[0] / area
     # The images behind a symmetry plane: what is odd in the distance from it cancels.
     first = jnp.where(mobile, first, 0.0)
-    size = jnp.trace(second)
+    size = jnp.sum(means[8:11], axis=0)
     size = jnp.where(size > 0.0, size, 1.0)
-    axes = jnp.eye(3, dtype=values.dtype)[:, :, None]
+    axes = np.eye(3, dtype=values.dtype)[:, :, None]
     even = (mobile[:, None] & mobile[None]) | (axes == 1.0)
     matrix = jnp.where(even, second - first[:, None] * first[None], 0.0) / size[None, None] + _RIDGE * axes
     slope = _solved(matrix, jnp.where(mobile, rise - mean[None] * first, 0.0) / size[None])

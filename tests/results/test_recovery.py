@@ -8,6 +8,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxform
 from jaxform.results.recovery import nodal_ratio
@@ -73,3 +74,15 @@ def test_a_rim_that_lies_flat_is_not_as_steep_as_the_wall_behind_it() -> None:
     change = np.random.default_rng(2).uniform(-1.0, 1.0, ratio.size)
     ends = [float(at_nodes(ratio + sign * 1e-9 * change)[clamped].sum()) for sign in (1, -1)]
     np.testing.assert_allclose(slope @ change, (ends[0] - ends[1]) / 2e-9, rtol=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:jaxform computes in float32")
+def test_one_process_may_use_both_precisions() -> None:
+    walls = []
+    for double in (True, False, True):
+        with jax.enable_x64(double):
+            wall = jaxform.simulate(scenes.free_disc(40, 0.3, scenes.mooney(0.1), end_time=1.0)).thickness
+            assert wall.dtype == (np.float64 if double else np.float32)
+            walls.append(np.asarray(wall, float))
+    np.testing.assert_array_equal(walls[0], walls[2])
+    np.testing.assert_allclose(walls[0], walls[1], rtol=1e-5)
