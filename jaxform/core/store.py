@@ -11,6 +11,7 @@ import contextlib
 import functools
 import hashlib
 import io
+import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
@@ -29,6 +30,7 @@ from jaxform.core.pytree import is_own
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
 _SEAL = hashlib.sha256().digest_size
+_MOST_SUBJECTS = 256  # of which it is known what they took last time
 _MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
 
 PACKAGE = Path(__file__).parents[1]
@@ -111,20 +113,31 @@ class Store:
     def remember(self, subject: str) -> None:
         """Notes which kept programs a run of a subject took; what was loaded for it in vain is let go."""
         self._ahead = None
-        names = "\n".join(self._taken)
-        for about in (subject, ""):
-            if self.folder is not None and names and names != self._lately(about):
-                self._write(self.folder / _lately(about), names.encode())
+        if self.folder is None or not self._taken:
+            return
+        before = self._lately()
+        others = [(about, names) for about, names in before.items() if about != subject]
+        now = dict([*others[1 - _MOST_SUBJECTS :], (subject, list(self._taken))])
+        if [*now.items()] != [*before.items()]:
+            self._write(self.folder / _lately(), json.dumps(now).encode())
 
-    def _lately(self, subject: str) -> str:
-        """The names of the files of the programs that a subject took."""
-        kept = None if self.folder is None else _kept(self.folder / _lately(subject))
-        return "" if kept is None else bytes(kept).decode(errors="replace")
+    def _lately(self) -> dict[str, list[str]]:
+        """The names of the files of the programs that subjects took, the latest last."""
+        kept = None if self.folder is None else _kept(self.folder / _lately())
+        try:
+            found = {} if kept is None else json.loads(bytes(kept))
+        except ValueError:
+            return {}
+        # Another version may write something else there.
+        lists = found.values() if isinstance(found, dict) else [None]
+        known = all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists)
+        return found if known else {}
 
     def _loading_ahead(self, subject: str) -> dict[str, _Loading]:
         assert self.folder is not None
-        names = self._lately(subject) or self._lately("")
-        read = {name: _kept(self.folder / Path(name).name) for name in names.splitlines()}
+        lately = self._lately()
+        names = lately.get(subject) or next(reversed(lately.values()), [])
+        read = {name: _kept(self.folder / Path(name).name) for name in names}
         found = {name: kept for name, kept in read.items() if kept is not None}
         longest_first = sorted(found, key=lambda name: -len(found[name]))
         return {name: loading for name in longest_first if (loading := _begun(found[name])) is not None}
@@ -237,10 +250,10 @@ def _key(function: Any, arguments: Any) -> _Key:
     return _Key(function, tree, kinds, jax.default_backend())
 
 
-def _lately(subject: str) -> str:
+def _lately() -> str:
     """Where the names are kept; for programs of this host alone, but of whatever source, which takes long to read."""
-    words = f"{jax.config.read('jax_enable_x64')} {subject}"
-    return f"lately-{hashlib.sha256(executables.host() + words.encode()).hexdigest()[:32]}"
+    precision = f"{jax.config.read('jax_enable_x64')}"
+    return f"lately-{hashlib.sha256(executables.host() + precision.encode()).hexdigest()[:32]}"
 
 
 class _Loading(NamedTuple):

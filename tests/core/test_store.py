@@ -154,6 +154,20 @@ def test_what_a_scene_took_is_loaded_before_it_is_asked_for(
     assert ahead.program(many, *arguments) is ahead.program(many, *arguments)
 
 
+def test_of_many_scenes_the_latest_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(store, "_MOST_SUBJECTS", 3)
+    for number in range(5):
+        kept = Store(tmp_path)
+        kept.program(jax.jit(lambda x, n=number: x + n), jnp.ones(1))
+        kept._taken = {f"program-{number}": None}
+        kept.remember(f"scene {number}")
+    again = Store(tmp_path)
+    assert again._lately() == {f"scene {number}": [f"program-{number}"] for number in (2, 3, 4)}
+    again._taken = {"program-2": None}
+    again.remember("scene 2")
+    assert [*again._lately()] == ["scene 3", "scene 4", "scene 2"]
+
+
 def test_what_is_foreseen_wrongly_does_no_harm(tmp_path: Path) -> None:
     """Names of files that are damaged, or no more, or not in the folder; and no names at all."""
     double, x = jax.jit(lambda x: 2 * x), jnp.arange(3.0)
@@ -171,6 +185,12 @@ def test_what_is_foreseen_wrongly_does_no_harm(tmp_path: Path) -> None:
         ahead.foresee("a scene")
         assert ahead._ahead is not None and ahead._ahead.result() == {}
         assert ahead.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
+    for content in (b"no JSON", b"[1, 2]", b'{"a scene": 3}', b'{"a scene": [3]}'):
+        other = Store(tmp_path / "kept")
+        other._write(tmp_path / "kept" / store._lately(), content)
+        other.foresee("a scene")
+        assert other.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
+        other.remember("a scene")
     nowhere = Store()
     nowhere.foresee("a scene")
     nowhere.program(double, x)
