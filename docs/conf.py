@@ -33,7 +33,7 @@ autodoc_member_order = "bysource"
 napoleon_use_rtype = False
 nitpicky = True
 # Types of other packages, and of ours that no page shows.
-nitpick_ignore_regex = [("py:class", r"(jax|numpy|collections|jaxform)\..*")]
+nitpick_ignore_regex = [("py:class", r"(jax|numpy|collections|jaxform|optimize)\..*")]
 
 GENERATED = DOCS / "_generated"
 shutil.rmtree(GENERATED, ignore_errors=True)

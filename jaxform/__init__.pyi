@@ -1,5 +1,6 @@
-from . import molds, scenes, shapes
+from . import molds, plot, scenes, shapes
 from .adapt.refinement import fitted
+from .adjoint.gradient_check import GradientCheck, check_gradient
 from .adjoint.strategies import Adjoint, Checkpointed, Reversed, Stored
 from .core.compiling import compiler_options
 from .core.errors import InputError, InputWarning
@@ -23,6 +24,7 @@ from .materials import (
     Yeoh,
     law,
 )
+from .mesh.profiles import Profile
 from .model.field import Field, Surroundings, field
 from .model.replacing import replace
 from .model.scene import (
@@ -37,6 +39,7 @@ from .model.scene import (
 from .prepare.building import build_scene
 from .results.explanation import explain
 from .results.result import Result
+from .results.stages import parison_of
 from .results.summary import summarize
 from .runs.batch import simulate_batch
 from .runs.host import Moment, run
@@ -55,6 +58,7 @@ __all__ = [
     "Cooling",
     "Field",
     "Gent",
+    "GradientCheck",
     "InputError",
     "InputWarning",
     "Interval",
@@ -71,6 +75,7 @@ __all__ = [
     "Parison",
     "PlaneLaw",
     "Pressure",
+    "Profile",
     "Refinement",
     "Result",
     "Reversed",
@@ -82,6 +87,7 @@ __all__ = [
     "Wlf",
     "Yeoh",
     "build_scene",
+    "check_gradient",
     "compiler_options",
     "explain",
     "field",
@@ -98,6 +104,8 @@ __all__ = [
     "molds",
     "padded",
     "parameter",
+    "parison_of",
+    "plot",
     "replace",
     "run",
     "scenes",

@@ -12,6 +12,7 @@ from typing import Any, dataclass_transform
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from numpy.typing import ArrayLike
 
 
@@ -22,8 +23,40 @@ def static(**kwargs: Any) -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field, static))
 def pytree[T](cls: type[T]) -> type[T]:
-    """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`."""
-    return jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(cls))
+    """Makes a class a frozen dataclass whose fields are leaves, but for those declared with `static`.
+
+    Its `repr` is one line: arrays by type and shape, parts by the names of their classes.
+    """
+    made = dataclass(frozen=True, eq=False, repr=False)(cls)
+    if made.__repr__ is object.__repr__:
+        made.__repr__ = _describe  # pyright: ignore[reportAttributeAccessIssue]
+    return jax.tree_util.register_dataclass(made)
+
+
+def _describe(tree: Any) -> str:
+    """A tree in one line, without the fields that have nothing."""
+    values = {part.name: getattr(tree, part.name, None) for part in dataclasses.fields(tree)}
+    inside = ", ".join(f"{name}={abbreviate(value)}" for name, value in values.items() if value is not None)
+    return f"{type(tree).__name__}({inside})"
+
+
+def abbreviate(value: Any) -> str:
+    """A number as it is, an array as its type and shape, a tree as the name of its class, for a line of text."""
+    if isinstance(value, (jax.Array, np.ndarray)):
+        if value.ndim or isinstance(value, Tracer):
+            return f"{value.dtype}[{','.join(map(str, value.shape))}]"
+        return f"{value.item():.6g}" if np.issubdtype(value.dtype, np.floating) else str(value.item())
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key!r}: {abbreviate(one)}" for key, one in value.items()) + "}"
+    if dataclasses.is_dataclass(value) or (isinstance(value, tuple) and hasattr(value, "_fields")):
+        return f"{type(value).__name__}(...)"
+    return repr(value)
+
+
+def row_count(array: Any) -> str:
+    """The rows of an array (..., n, k), for a line of text; "?" where a tree has something else in its place."""
+    shape = getattr(array, "shape", ())
+    return str(shape[-2]) if len(shape) > 1 else "?"
 
 
 def remembered[T, R](function: Callable[[T], R]) -> Callable[[T], R]:

@@ -51,7 +51,7 @@ def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | No
     """What is in the picture of a formed part, as arrays; the arguments are those of `thickness_picture`."""
     scene, result = only_used(scene, result)
     thin = thinnest(result, scene)
-    view = part_view(scene, result, _scale([(scene, result)]), mark=thin["formed"])
+    view = part_view(scene, result, wall_scale([(scene, result)]), mark=thin["formed"])
     return PartPicture(_title(scene, result), view, _wall(result), _diagram(scene, result, thin, reference))
 
 
@@ -64,23 +64,23 @@ def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) 
     """
     figure = canvas.new_figure(14, 5.5, "")
     left, right = figure.subplots(1, 2)
-    spent = _column(history, "simulations")
-    error, words = 100 * _column(history, "thickness_rms_error"), "deviation from the target, rms [%]"
+    spent = column(history, "simulations")
+    error, words = 100 * column(history, "thickness_rms_error"), "deviation from the target, rms [%]"
     if not np.isfinite(error).any():
-        error, words = _column(history, "objective"), "objective"
+        error, words = column(history, "objective"), "objective"
     left.plot(spent, error, "o", color=_BEFORE, markersize=4, label="each simulation")
     if "violation" in history[0]:
-        kept = _column(history, "violation") <= _KEPT
+        kept = column(history, "violation") <= _KEPT
         left.plot(spent[kept], error[kept], "o", color=AFTER, markersize=5, label="limits kept")
     else:
         left.plot(spent, np.fmin.accumulate(error), "-", color=AFTER, label="best so far")
     left.set(yscale="log", xlabel="cost in simulations", ylabel=words)
     left.legend(frameon=False)
-    right.plot(spent, 1e3 * _column(history, "wall_mean"), "-", color=AFTER, label="mean wall [mm]")
-    right.plot(spent, 1e3 * _column(history, "wall_min"), "--", color=AFTER, label="minimum of the wall [mm]")
+    right.plot(spent, 1e3 * column(history, "wall_mean"), "-", color=AFTER, label="mean wall [mm]")
+    right.plot(spent, 1e3 * column(history, "wall_min"), "--", color=AFTER, label="minimum of the wall [mm]")
     right.set(xlabel="cost in simulations", ylabel="wall thickness [mm]")
     twin = right.twinx()
-    twin.plot(spent, 100 * _column(history, "wall_cv"), "-", color=_EXACT, label="variation [%]")
+    twin.plot(spent, 100 * column(history, "wall_cv"), "-", color=_EXACT, label="variation [%]")
     twin.set(ylabel="variation of the wall [%]")
     twin.spines["top"].set_visible(False)
     right.legend(handles=[*right.lines, *twin.lines], frameon=False, loc="center right")
@@ -100,7 +100,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     designed = _designed_field(before[0], after[0])
     before, after = only_used(*before), only_used(*after)
     figure = canvas.new_figure(16, 12, "")
-    scale = _scale([before, after])
+    scale = wall_scale([before, after])
     for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
         view = figure.add_axes((place, 0.46, 0.45, 0.47), projection="3d")
         colors = views.draw(view, part_view(*part, scale))
@@ -131,7 +131,7 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
         results: The part at each time.
     """
     parts = [only_used(scene, result) for result in results]
-    figure, scale = canvas.new_figure(5.5 * len(parts), 5.5, scene.name), _scale(parts[-1:])
+    figure, scale = canvas.new_figure(5.5 * len(parts), 5.5, scene.name), wall_scale(parts[-1:])
     for k, (shown, part) in enumerate(parts):
         view = figure.add_axes((0.95 * k / len(parts), 0.02, 0.95 / len(parts), 0.84), projection="3d")
         colors = views.draw(view, part_view(shown, part, scale, edges=True))
@@ -163,7 +163,7 @@ def _part_words(words: str, part: Part) -> str:
     )
 
 
-def _scale(parts: Sequence[Part]) -> tuple[float, float]:
+def wall_scale(parts: Sequence[Part]) -> tuple[float, float]:
     """Range of the colours [mm], shared by all that are drawn: of what was formed, not of flanges that stayed flat."""
     walls, areas = [], []
     for scene, result in parts:
@@ -283,7 +283,7 @@ def _draw_pressures(axes: Any, before: Scene, after: Scene) -> None:
     axes.legend(frameon=False)
 
 
-def _column(history: Sequence[Mapping[str, Any]], name: str) -> Array:
+def column(history: Sequence[Mapping[str, Any]], name: str) -> Array:
     """A column as numbers, NaN where it is empty or infinite."""
     values = [row.get(name) for row in history]
     numbers = np.array([np.nan if value in (None, "") else float(value) for value in values])

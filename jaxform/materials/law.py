@@ -26,7 +26,7 @@ class _Dense:
     density: jax.Array
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Law(_Dense):
     """Strain energy of an incompressible isotropic material, as a function of the invariants (I1, I2).
 

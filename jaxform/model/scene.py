@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
-from jaxform.core.pytree import as_index, as_real, pytree, static
+from jaxform.core.pytree import abbreviate, as_index, as_real, pytree, row_count, static
 from jaxform.core.ranges import MOST_STEPS, as_numbers, check, check_one
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
@@ -154,6 +154,15 @@ class Scene:
     name: str = static(default="scene")
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
     cooling: Cooling | None = None
+
+    def __repr__(self) -> str:
+        """The name, the size of the mesh and the kinds of the parts, in one line."""
+        kinds = type(self.material).__name__, type(self.pressure).__name__
+        parts = [f"{row_count(self.parison.triangles)} elements", *kinds]
+        parts += [] if self.mold is None else [f"mold of {row_count(self.mold.triangles)} triangles"]
+        parts += [] if self.refinement is None else [f"refined up to {self.refinement.elements} elements"]
+        parts += [f"end_time={abbreviate(self.solver.end_time)}"]
+        return f"Scene({self.name!r}: {', '.join(parts)})"
 
     @property
     def law(self) -> Law:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.core.pytree import marked, pytree
+from jaxform.core.pytree import abbreviate, marked, pytree, row_count
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Rule
 from jaxform.model.scene import Scene
@@ -45,6 +45,7 @@ class Result:
 
     Attributes:
         positions: Final node positions (n_node, 3) [m].
+        reference: Initial node positions (n_node, 3) [m], in the same order, those of inserted nodes included.
         thickness: Final thickness at the nodes (n_node,) [m]: the linear function that fits h/h0 of the adjacent
             elements best, at rims carried on from inside, times the node's initial thickness; 0 where the
             node does not exist. See `jaxform.results.recovery`.
@@ -76,6 +77,7 @@ class Result:
     """
 
     positions: jax.Array = dataclasses.field(metadata=NODAL)
+    reference: jax.Array = dataclasses.field(metadata=NODAL)
     thickness: jax.Array = dataclasses.field(metadata=NODAL)
     active: jax.Array = dataclasses.field(metadata=NODAL)
     stuck: jax.Array = dataclasses.field(metadata=NODAL)
@@ -102,6 +104,12 @@ class Result:
     loading: Any = None
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)
+
+    def __repr__(self) -> str:
+        """The size of the mesh, the time and steps simulated and the status, in one line."""
+        parts = [f"{row_count(self.triangles)} elements", f"{row_count(self.positions)} nodes"]
+        numbers = {"time": self.time, "steps": self.steps, "status": self.status}
+        return f"Result({', '.join(parts + [f'{name}={abbreviate(value)}' for name, value in numbers.items()])})"
 
     def of(self, kind: dict[str, str], chosen: np.ndarray | slice) -> dict[str, Any]:
         """The nodal values, or those of elements, of the chosen ones alone: NumPy arrays by name."""
@@ -153,6 +161,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
     volume = enclosed_volume(state.nodes.positions, sheet)
     return Result(
         positions=nodes.positions.T,
+        reference=scene.parison.positions,
         thickness=nodal(ratios, 0.0) * scene.parison.thickness,
         active=active,
         stuck=nodes.stuck,

@@ -416,7 +416,7 @@ def test_a_reader_who_leaves_early_stops_nothing() -> None:
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write) as nobody:
-        command = [sys.executable, "-m", "jaxform.cli", "scenes"]
+        command = [sys.executable, "-m", "jaxform", "scenes"]
         done = subprocess.run(command, stdout=nobody, stderr=subprocess.PIPE, text=True)
     assert (done.returncode, done.stderr) == (0, "")
 

@@ -40,16 +40,20 @@ def test_the_site_takes_nothing_from_elsewhere(site: Path) -> None:
 
 def test_the_site_shows_formulas_notebooks_and_every_public_name(site: Path) -> None:
     import jaxform
+    import optimize
 
     assert "<math" in (site / "explanation" / "method.html").read_text(encoding="utf-8")
     notebook = site / "_generated" / "notebooks" / "01_first_simulation.html"
     assert re.search(r"<img [^>]*\.png", notebook.read_text(encoding="utf-8"))
     text = (site / "reference" / "python.html").read_text(encoding="utf-8")
-    modules = {"molds", "scenes", "shapes"}
+    modules = {"molds", "plot", "scenes", "shapes"}
     # These are made by functions that are shown.
     parts = {"Parison", "Pressure", "Refinement", "Scene", "Solver", "Mold", "Motion"}
     missing = [name for name in set(jaxform.__all__) - modules - parts if f'id="jaxform.{name}"' not in text]
     assert not missing
+    text = (site / "reference" / "optimize.html").read_text(encoding="utf-8")
+    parts = {"COLUMNS", "Search", "doubts", "fitting"}  # of the command
+    assert not [name for name in set(optimize.__all__) - parts if f'id="optimize.{name}"' not in text]
 
 
 @pytest.mark.parametrize("model", [schema.SceneFile, schema.StudyFile])
