@@ -10,6 +10,10 @@ from dataclasses import dataclass, field
 from typing import Any, dataclass_transform
 
 import jax
+
+# It adds values to what JAX compares when it looks for a traced function: imported inside of the first trace it would
+# have every program traced and compiled once more. So it comes with the first of this package's modules that needs JAX.
+import jax.extend
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
