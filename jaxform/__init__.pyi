@@ -45,7 +45,7 @@ from .runs.batch import simulate_batch
 from .runs.host import Moment, run
 from .runs.padding import padded
 from .runs.simulation import simulate
-from .sheet.state import Schedule
+from .sheet.state import Schedule, Status
 from .tools.mold import Mold, make_mold
 from .tools.motion import Motion, make_motion
 
@@ -82,6 +82,7 @@ __all__ = [
     "Scene",
     "Schedule",
     "Solver",
+    "Status",
     "Stored",
     "Surroundings",
     "Wlf",

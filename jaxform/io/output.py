@@ -202,4 +202,6 @@ def _valid(value: Any) -> Any:
     """The same with null for numbers that are not finite, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _valid(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_valid(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

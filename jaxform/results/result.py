@@ -48,7 +48,8 @@ class Result:
         reference: Initial node positions (n_node, 3) [m], in the same order, those of inserted nodes included.
         thickness: Final thickness at the nodes (n_node,) [m]: the linear function that fits h/h0 of the adjacent
             elements best, at rims carried on from inside, times the node's initial thickness; 0 where the
-            node does not exist. See `jaxform.results.recovery`.
+            node does not exist. See `jaxform.results.recovery`. NaN where the status has `Status.INPUT`: nothing was
+            simulated. So are the elements' thickness, volume and stretches, and the mass.
         active: Nodes that exist at the end (n_node,).
         stuck: Nodes that do not move any more (n_node,).
         contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
@@ -67,7 +68,7 @@ class Result:
         energy: The energy account.
         time: Simulated time [s].
         steps, windows, shortened: Steps and windows taken, and windows that were rejected and retried.
-        status: Bits of `Status`; 0 when all went well.
+        status: Bits of `jaxform.Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
         temperature: At the nodes (n_node,) [degC], where the sheet cools; None where it keeps what it has at first.

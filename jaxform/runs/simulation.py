@@ -14,7 +14,6 @@ from jax.custom_derivatives import SymbolicZero
 from jaxform.adapt.refinement import refined, without_sides
 from jaxform.adjoint.strategies import Adjoint, adjoint_of
 from jaxform.core.errors import InputError
-from jaxform.core.ranges import RANGES
 from jaxform.dynamics.initial import initial_state
 from jaxform.kernels.derivatives import Rule, apart, recomputed
 from jaxform.kernels.sealed import manual_axes
@@ -31,8 +30,9 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
     Differentiate through `replace`: first derivatives in either mode, second ones forward over either
-    (`jax.hessian`). Where a number that was traced is out of its range nothing is simulated: the result is the sheet as
-    it was at first, finite, with the thickness 0 where the given one is out of range, and its status says so.
+    (`jax.hessian`). Where a number that was traced is out of its range nothing is simulated: the result has the sheet
+    where it was at first and NaN for its walls, stretches, volumes and mass, so that a line search backs off; its
+    status has the bit `Status.INPUT`.
 
     Args:
         scene: The scene.
@@ -81,7 +81,7 @@ def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Resu
 
 
 def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
-    given, (scene, out_of_range) = scene, with_stand_ins(scene)
+    scene, out_of_range = with_stand_ins(scene)
     first, state = discretize(scene), without_sides(initial_state(scene))
     state = dataclasses.replace(state, status=jnp.where(jnp.all(out_of_range == 0), state.status, Status.INPUT))
     count = scene.tables.window_count
@@ -93,8 +93,27 @@ def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Res
     else:
         state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
     result = make_result(closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
-    thick = RANGES["parison.thickness"].holds(given.parison.thickness)
-    return dataclasses.replace(result, thickness=jnp.where(thick, result.thickness, 0.0), out_of_range=out_of_range)
+    return _without_wall(dataclasses.replace(result, out_of_range=out_of_range), jnp.any(out_of_range != 0))
+
+
+def _without_wall(result: Result, unknown: jax.Array) -> Result:
+    """The result, with NaN for what the walls are judged by where that is unknown: the sheet at rest is perfectly even.
+
+    What does not exist has 0, as ever.
+    """
+
+    def known(values: jax.Array, here: jax.Array) -> jax.Array:
+        return jnp.where(unknown & here, jnp.nan, values)
+
+    used = result.used
+    return dataclasses.replace(
+        result,
+        thickness=known(result.thickness, result.active),
+        element_thickness=known(result.element_thickness, used),
+        element_volume=known(result.element_volume, used),
+        stretches=known(result.stretches, used[:, None]),
+        mass=jnp.where(unknown, jnp.nan, result.mass),
+    )
 
 
 def _windows(

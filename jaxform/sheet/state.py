@@ -21,7 +21,21 @@ from jaxform.sheet.heat import Heat
 class Status(enum.IntFlag):
     """Why a run stopped early, or why it is not to be trusted (UNBALANCED); no bit is set when all went well.
 
-    BURST is found by the host's loop, `run`, alone.
+    `explain` says each in words. The status of a result is an integer of these bits: `result.status & Status.INPUT`.
+
+    Attributes:
+        NON_FINITE: A position or velocity is not finite; the state before that window is kept.
+        UNSTABLE: The sheet holds more energy than was put in, or less.
+        WINDOWS_EXHAUSTED: The steps that the run may take did not suffice to reach the end time.
+        CONTACT_OVERFLOW: More pairs of node and mold triangle came near each other than there is room for.
+        CONTACT_MISSED: A node moved so far in one step that it may have missed the mold.
+        STOPPED: Stopped by the caller of `run`.
+        REFINEMENT_OVERFLOW: Refinement asked for more elements or nodes than there is room for.
+        RUNAWAY: The sheet is ten thousand times as large as it was.
+        UNBALANCED: The end was reached, but the account of energy misses more than 1 % of the work.
+        INPUT: A number that was traced is out of its range. Nothing was simulated, and all walls are NaN.
+        ESCAPED: The sheet left its mold.
+        BURST: The sheet passed through itself; found by the host's loop, `run`, alone.
     """
 
     NON_FINITE = 1
