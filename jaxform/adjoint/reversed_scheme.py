@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from jaxform.adjoint.backward import BackwardNodes, End, Turn, Window, over_nodes, with_loss
 from jaxform.adjoint.landings import back_over_landings
+from jaxform.adjoint.moving_rims import at_rim, back_over_rim, ends_of
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import pytree
 from jaxform.dynamics.timestep import LEAST_LEFT
@@ -33,6 +34,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import idle_volume, packed_moving
 from jaxform.sheet.discretization import NEVER, Discretization, Mesh, present_discretization
+from jaxform.sheet.rim import rim_places
 from jaxform.sheet.scheme import Timing, kicked, kicks, pressures
 from jaxform.sheet.state import LOSSES, Schedule, State, carries
 
@@ -41,8 +43,8 @@ from jaxform.sheet.state import LOSSES, Schedule, State, carries
 class _Kept:
     """What the reverse derivative of a window needs.
 
-    Of its begin stuck, time [s], step [s], volume [m^3] and mesh, as in `State`; of its end the positions `end`
-    (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
+    Of its begin stuck, time [s], step [s], volume and rim [m^3], and mesh, as in `State`; of its end the positions
+    `end` (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
 
     Attributes:
         positions: Of nodes that landed, before that step (3, n_node) [m].
@@ -56,6 +58,7 @@ class _Kept:
     time: jax.Array
     before: jax.Array
     volume: jax.Array
+    rim: jax.Array | None
     mesh: Mesh | None
     end: jax.Array
     wall: jax.Array
@@ -93,6 +96,7 @@ def _value(
         time=state.time,
         before=state.control.step_length,
         volume=state.account.volume,
+        rim=state.account.rim,
         mesh=state.mesh,
         end=end.nodes.positions,
         wall=end.nodes.wall,
@@ -177,13 +181,15 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
         count=kept.count,
     )
 
-    # What the pressure does: mean times (volume - volume before), summed.
+    # What the pressure does: mean times what is swept, (volume - volume before) and what the rim adds; summed.
     work = end.account.external_work
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
     idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, discrete, packed), kept.end)
-    back = _steps_back(kept, now, cotangents, end, volume)
+    back = _steps_back(kept, now, cotangents, end, volume, mean)
     nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
+    if back.rim is not None and kept.rim is not None:
+        gains += back.rim[:-1].at[0].set(kept.rim)
     gains = jnp.where(taken, work * gains, 0.0)
 
     put, of = cotangents.put, cotangents.of
@@ -191,6 +197,8 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     put(begun.nodes.velocities, packed.put_back(nodes.velocities))
     put(begun.nodes.contact_time, packed.put_back(nodes.contact_time))
     put(begun.account.volume, jnp.where(kept.count > 0, -work * mean[0], end.account.volume))
+    if end.account.rim is not None:
+        put(begun.account.rim, jnp.where(kept.count > 0, work * mean[0], end.account.rim))
     for name in ("external_work", *LOSSES):
         put(getattr(begun.account, name), getattr(end.account, name))
     put(of[1].pressure, pull_pressure((back.pressing[:-1], gains))[0])
@@ -232,13 +240,27 @@ class _Back(NamedTuple):
     volumes: jax.Array
     law: dict[str, jax.Array]
     zones: dict[str, jax.Array]
+    rim: jax.Array | None
 
 
-def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, volume: jax.Array) -> _Back:
+def _rim_cotangents(kept: _Kept, end: State, mean: jax.Array) -> jax.Array | None:
+    """Of what moving rims sweep in the step before each (steps + 1,), and in the last one; None without such."""
+    if end.account.rim is None:
+        return None
+    number, work = jnp.arange(len(mean) + 1), end.account.external_work * jnp.append(mean, 0.0)
+    found = jnp.where(number < kept.count, work, jnp.where(number == kept.count, end.account.rim, 0.0))
+    # What was swept before the window's first step is given.
+    return found.at[0].set(0.0)
+
+
+def _steps_back(
+    kept: _Kept, now: Window, cotangents: Cotangents, end: State, volume: jax.Array, mean: jax.Array
+) -> _Back:
     """To the window's begin, with the cotangents of the volume at every step."""
     scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
     start, positions, real = _end_of(kept, now), packed.taken(kept.end), now.thickness.dtype
     loss = end.account
+    rim, places = _rim_cotangents(kept, end, mean), rim_places(scene, kept.mesh, packed)
     thickens = cotangents.want(of[2].thickness)
     presses, zones = cotangents.want(of[1].pressure), now.material.zones
     numbers = {name: getattr(scene.material, name) for name in ranges_of(scene.material)}
@@ -272,6 +294,7 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
         volumes=at_every_step,
         law={name: jnp.zeros_like(numbers[name]) for name in single},
         zones={},
+        rim=None if rim is None else at_every_step,
     )
 
     def back(carry: _Back) -> _Back:
@@ -296,7 +319,12 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
         law = carry.law
         if varies:
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
+        after = None if places is None else ends_of(nodes, places)
         nodes = over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
+        early, swept = None, carry.rim
+        if rim is not None and places is not None and after is not None and swept is not None:
+            nodes, early, own = back_over_rim(nodes, start.before, after, turn, places, now, rim[n])
+            swept = swept.at[n].set(own)
         if mold is not None:
             back_over = functools.partial(back_over_landings, mold=mold, now=now, loss=loss.contact_loss)
             nodes = only_if(
@@ -304,8 +332,10 @@ def _steps_back(kept: _Kept, now: Window, cotangents: Cotangents, end: State, vo
                 lambda nodes: back_over(nodes, start.before, turn, (packed.taken(kept.wall), kept.time)),
                 nodes,
             )
+        if early is not None and places is not None:
+            nodes = at_rim(nodes, early, places)
         volumes = carry.volumes.at[n].set(enclosed)
-        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law, {})
+        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law, {}, swept)
 
     done = jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
     return done._replace(zones=zone_cotangents(first, wanted, done.summed))

@@ -67,6 +67,7 @@ def initial_state(scene: Scene) -> State:
             cooling_loss=zero if scene.stiffens else None,
             tool_work=None if scene.motion is None else zero,
             tool_last=None if scene.motion is None else zero,
+            rim=None if scene.tables.rim is None else zero,
         ),
         control=Control(
             step_length=zero,

@@ -61,6 +61,7 @@ class Window:
         row: Of a schedule that is followed; None where none is.
         wary: Whether no look at the nodes is trusted, since the last window was not taken.
         recursion: How viscous modes go over a step; None where there are none.
+        rim: Places of the ends of moving rims' edges (2, n_edge); None where there are none.
     """
 
     active: ActiveSet
@@ -71,6 +72,7 @@ class Window:
     row: Row | None
     wary: jax.Array
     recursion: Recursion | None
+    rim: jax.Array | None = None
 
 
 class Row(NamedTuple):

@@ -31,6 +31,7 @@ from jaxform.mechanics.response import Memory, present
 from jaxform.model.field import Surroundings, stepped
 from jaxform.model.scene import Scene
 from jaxform.sheet.account import pressure_at
+from jaxform.sheet.rim import rim_ends, swept_by_rim
 from jaxform.sheet.scheme import carried, kicked
 from jaxform.tools.motion import Frame
 
@@ -59,6 +60,7 @@ def step(
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
+    rim = None if now.rim is None else once(rim_ends(moving.nodes.positions, now.rim))
     begin = now.begin + moving.count * now.length
     last = pressed = moving.account.pressed
     if last is not None:
@@ -74,9 +76,10 @@ def step(
     else:
         taken = _taken_in_blocks(load, moving, moving.room, kick, length, scene, now, frame)
     volume, account = taken.volume + now.active.idle_volume, moving.account
+    swept = account.swept(volume)
     if moving.room is None:
         # So that the account is that of a loop which ends with the last step.
-        volume = jnp.where(moving.halted, account.volume, volume)
+        volume, swept = jnp.where(moving.halted, account.volume, volume), jnp.where(moving.halted, 0.0, swept)
     moved = dataclasses.replace(
         moving,
         nodes=dataclasses.replace(moving.nodes, positions=taken.positions, velocities=taken.velocities),
@@ -84,7 +87,7 @@ def step(
             account,
             volume=volume,
             pressed=jax.tree.map(lambda old, new: jnp.where(moving.halted, old, new), last, pressed),
-            external_work=account.external_work + mean_pressure * (volume - account.volume),
+            external_work=account.external_work + mean_pressure * swept,
             damping_loss=account.damping_loss + taken.loss,
             tool_work=None if account.tool_work is None else account.tool_work + taken.work,
             viscous_loss=_with_loss(moving, length, taken.remembered),
@@ -99,7 +102,18 @@ def step(
         moved = landed_again(moved, length, tool, contact, now, frame)
     elif moving.room is None:
         moved = dataclasses.replace(moved, halted=flown(moved, scene, now))
+    moved = _with_rim(moved, moving.halted, rim, now)
     return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+
+
+def _with_rim(moved: Moving, halted: jax.Array, before: jax.Array | None, now: Window) -> Moving:
+    """With what moving rims swept in the step, from where they were `before`, unless the window was halted."""
+    last = moved.account.rim
+    if before is None or now.rim is None or last is None:
+        return moved
+    swept = swept_by_rim(before, rim_ends(moved.nodes.positions, now.rim), now.active.packed.elements.origin)
+    kept = swept if moved.room is not None else jnp.where(halted, last, swept)
+    return dataclasses.replace(moved, account=dataclasses.replace(moved.account, rim=kept))
 
 
 def _memory(moving: Moving, scene: Scene, now: Window) -> Memory | None:

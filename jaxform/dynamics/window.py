@@ -32,6 +32,7 @@ from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Room, active_set_of
 from jaxform.sheet.cooling import cooled
 from jaxform.sheet.discretization import NEVER, Discretization
+from jaxform.sheet.rim import rim_places
 from jaxform.sheet.scheme import Timing, kicks, pressures
 from jaxform.sheet.state import PackedState, Schedule, State
 
@@ -116,6 +117,7 @@ def _stepped(
         row=row,
         wary=state.control.last_count == 0,
         recursion=None if modes is None else modes.recursion(length),
+        rim=rim_places(scene, state.mesh, active.packed),
     )
     timing = Timing(state.time, state.control.step_length, length)
     longest = scene.tables.window_room

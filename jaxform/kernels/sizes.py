@@ -17,6 +17,7 @@ _ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first,
 _RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of a sheet about as wide as it is long
 _PAIRS = 9 / 16  # of the elements: few are left over
 _SPILL, _KNOTS, _WINDOWS, _RECORDED = BLOCK, 16, 256, 512
+_RIM_EDGES = 64
 _ROWS = 4, 6, 16  # of an assembly's table
 # What is only looked up takes memory, but no time: few rungs, far apart.
 _MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
@@ -96,6 +97,11 @@ def knots(count: int) -> int:
 def windows(count: int, *, recorded: bool = False) -> int:
     """How many windows are planned for; where they are only recorded, room for more takes nothing."""
     return rung(count, _RECORDED if recorded else _WINDOWS)
+
+
+def rim(count: int) -> int:
+    """Room for the edges of rims that move."""
+    return rung(count, _RIM_EDGES)
 
 
 def mold_triangles(count: int) -> int:

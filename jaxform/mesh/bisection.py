@@ -263,6 +263,14 @@ def _half_edges(triangles: NDArray[np.int64]) -> Integers:
     return (2 * number + (begin > end)).reshape(-1, 3).astype(np.int32)
 
 
+def rim_sides(forest: Forest) -> NDArray[np.bool_]:
+    """Which sides of the triangles (n_triangle, 3), from each corner to the next, have none beyond."""
+    sides = [_rim(forest.triangles[: forest.root_count].astype(np.int64))]
+    for _ in range(forest.depth):
+        sides.append(_child_sides(sides[-1], np.zeros(len(sides[-1]), bool)))
+    return np.concatenate(sides)
+
+
 def closure(split: NDArray[np.bool_], forest: Forest) -> NDArray[np.bool_]:
     """What is bisected (n_triangle,) when those split are, so that no node hangs; as `remeshing.closed` in a run."""
     split, new = split.copy(), np.flatnonzero(split)

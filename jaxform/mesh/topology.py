@@ -25,6 +25,20 @@ def boundary_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     return edge[count == 1]
 
 
+def open_sides(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Sides (k, 2) of triangles, in their sense, that no neighbour's side in the opposite sense makes up for.
+
+    Where neighbours agree, those of the boundary; a side is there as often as triangles too many have it.
+    """
+    side = _sides(triangles)
+    key, base = _keys(np.sort(side, axis=1))
+    sense = np.where(side[:, 0] < side[:, 1], 1.0, -1.0)
+    edge, inverse = np.unique(key, return_inverse=True)
+    net = np.round(np.bincount(inverse, sense)).astype(int)
+    ends = np.stack([edge // base, edge % base], axis=1)
+    return np.repeat(np.where(net[:, None] < 0, ends[:, ::-1], ends), np.abs(net), axis=0)
+
+
 def boundary_nodes(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     """Indices of the nodes on edges of one triangle only, sorted, shape (k,)."""
     return np.unique(boundary_edges(triangles))

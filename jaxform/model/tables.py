@@ -67,6 +67,19 @@ class Assembly:
 
 
 @pytree
+class Rim:
+    """Edges of a rim that moves so that the enclosed volume is not all that the sheet sweeps.
+
+    Attributes:
+        ends: Their nodes (2, n_edge), in the sense of the element's; one node twice beyond those there are.
+        triangle: The triangle of the forest that each is a side of (n_edge,); None without one.
+    """
+
+    ends: jax.Array
+    triangle: jax.Array | None
+
+
+@pytree
 class Bend:
     """Where the mold is bent.
 
@@ -173,6 +186,7 @@ class Tables:
         window_room: Room for so many.
         pairs_per_node: Room for so many pairs of node and mold triangle that come near each other, for each node.
         counts: How many elements and nodes there are; None where arrays are as long as that.
+        rim: Edges of rims that move; None where every rim is clamped or stays on a symmetry plane.
     """
 
     sheet: Sheet
@@ -189,3 +203,4 @@ class Tables:
     window_room: int = static(default=LONG_WINDOW)
     pairs_per_node: int = static(default=2)
     counts: Counts | None = None
+    rim: Rim | None = None

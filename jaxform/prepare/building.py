@@ -22,6 +22,7 @@ from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Box, Sheet
 from jaxform.prepare import parts, start
 from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
 from jaxform.prepare.planning import longest_window, planned_windows, spare_windows
+from jaxform.prepare.rims import moving_rim
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
@@ -85,10 +86,11 @@ def build_scene(
         parison, lying = _laid(parison, triangles if forest is None else forest.triangles, pushes, mold, grid)
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
-    sheet = _reference_sheet(parison)
+    sheet = _reference_sheet(parison, pressure)
     bound = as_real(reference.shape_bound(positions, triangles))
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
+    rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
     if refinement is not None and forest is not None:
         check_room(refinement, len(triangles))
         bend = None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store)
@@ -112,6 +114,7 @@ def build_scene(
         longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest_window(planned, frames)),
         window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
         pairs_per_node=_pairs_per_node(mold, grid),
+        rim=rim,
     )
     return Scene(
         parison=parison,
@@ -173,7 +176,7 @@ def _laid(
     return dataclasses.replace(parison, positions=as_real(found.positions)), as_index(found.wall)
 
 
-def _reference_sheet(parison: Parison) -> Sheet:
+def _reference_sheet(parison: Parison, pressure: Loading) -> Sheet:
     triangles = np.asarray(parison.triangles)
     inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
     # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
@@ -182,14 +185,15 @@ def _reference_sheet(parison: Parison) -> Sheet:
     origin = []
     for k, axis in enumerate("xyz"):
         there = places[on_plane[:, k], k] if on_plane[:, k].any() else np.zeros(1)
-        if np.ptp(there) > 1e-6 * np.ptp(places, axis=0).max():
+        apart = np.ptp(there) > 1e-6 * np.ptp(places, axis=0).max()
+        if apart and pressure.follows_volume:
             raise InputError(
                 "nodes are held on more than one plane, from which the enclosed volume cannot be counted",
                 f"keep one symmetry plane across {axis}",
                 "parison.fixed",
                 f"{axis} from {there.min():.4g} to {there.max():.4g} m",
             )
-        origin.append(there.mean())
+        origin.append(there[0] if apart else there.mean())
     return Sheet(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
 
 

@@ -21,7 +21,7 @@ class Energy:
     Attributes:
         strain: Strain energy at the end.
         kinetic: Kinetic energy at the end.
-        external_work: Sum of P dV.
+        external_work: Pressure forces times nodal displacements: the sum of P dV, unless an open rim moves.
         tool_work: Done by the mold as it moved.
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.

@@ -14,7 +14,7 @@ from jaxform.loads import Loading, Pressure
 from jaxform.materials import Law
 from jaxform.model.field import Field
 from jaxform.model.scene import Parison, Refinement
-from jaxform.model.tables import Assembly, Bend, Forest, Pairs, Sheet
+from jaxform.model.tables import Assembly, Bend, Forest, Pairs, Rim, Sheet
 from jaxform.sheet.discretization import NEVER, node_room
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import Motion
@@ -114,6 +114,15 @@ def sheet_with_room(sheet: Sheet, room: int, order: Order) -> Sheet:
 def lying_with_room(lying: Any, order: Order) -> Any:
     """What lies on the mold at first; where nothing does, it says so of every node."""
     return nodal_with_room(np.zeros(len(order.node), np.int32) if lying is None else lying, order, 0)
+
+
+def rim_with_room(rim: Rim, order: Order) -> Rim:
+    """Edges beyond those there are begin and end at one node."""
+    ends, triangle = order.node[np.asarray(rim.ends)].astype(np.int32), rim.triangle
+    room = sizes.rim(ends.shape[1])
+    if triangle is not None and order.triangle is not None:
+        triangle = padded_to(order.triangle[np.asarray(triangle)].astype(np.int32), room, 0)
+    return Rim(padded_to(ends, room, 0), triangle)
 
 
 def assembly_with_room(assembly: Assembly, elements: int, nodes: int) -> Assembly:

@@ -35,6 +35,7 @@ from jaxform.runs.arrays import (
     padded_to,
     parison_with_room,
     pressure_with_room,
+    rim_with_room,
     sheet_with_room,
     spread,
 )
@@ -199,6 +200,7 @@ def _rungs(tables: Tables, count: int, refinement: Refinement | None, least: int
         window_room=tables.window_room,
         pairs_per_node=tables.pairs_per_node,
         counts=counts,
+        rim=None if tables.rim is None else rim_with_room(tables.rim, order),
     )
     made, refinement = jax.device_put((made, refinement))
     return _Rungs(made, refinement, order)

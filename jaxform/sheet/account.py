@@ -131,7 +131,7 @@ def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
 
 def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
     """External work of the last step [J], with the volume enclosed now [m^3]: the next force brings it."""
-    return last_pressure(state, scene, volume) * (volume - state.account.volume)
+    return last_pressure(state, scene, volume) * state.account.swept(volume)
 
 
 def enclosed_volume(positions: jax.Array, sheet: Sheet | Elements, counted: jax.Array | float = 1.0) -> jax.Array:

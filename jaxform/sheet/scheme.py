@@ -142,5 +142,6 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
             tool_work=work,
+            rim=None if account.rim is None else jnp.zeros_like(account.rim),
         ),
     )

@@ -88,7 +88,7 @@ class Account:
     Attributes:
         volume: Enclosed before the last step [m^3].
         pressed: How the loading pressed before the last step; None where it follows from the time alone.
-        external_work: Sum of P dV.
+        external_work: Of the pressure: its forces times the nodes' displacements.
         damping_loss, contact_loss: Taken by damping, and by the mold.
         refinement_loss: Strain and kinetic energy that new nodes took away.
         peak_work: Largest magnitude of the external work.
@@ -100,6 +100,7 @@ class Account:
             None where neither happens.
         tool_work: Done by the mold on what it holds, up to the last force; None where it rests.
         tool_last: What the force of now adds to that, at the last window's end; None where it rests.
+        rim: Volume that moving rims swept since the last step's begin [m^3]; None where there are none.
     """
 
     volume: jax.Array
@@ -116,6 +117,12 @@ class Account:
     cooling_loss: jax.Array | None = dataclasses.field(default=None, metadata=LOSS)
     tool_work: jax.Array | None = None
     tool_last: jax.Array | None = None
+    rim: jax.Array | None = None
+
+    def swept(self, volume: jax.Array) -> jax.Array:
+        """What the sheet swept since the last step's begin [m^3], with the volume that it encloses now [m^3]."""
+        change = volume - self.volume
+        return change if self.rim is None else change + self.rim
 
     @property
     def tool_whole(self) -> jax.Array | None:
@@ -264,6 +271,8 @@ def carries(state: State) -> State:
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
     if state.account.tool_work is not None:
         terms |= {"tool_work": True, "tool_last": True}
+    if state.account.rim is not None:
+        terms |= {"rim": True}
     account = dataclasses.replace(none.account, **terms, pressed=pressed)
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)
