@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
 import threading
 import warnings
 from collections.abc import Callable, Collection, Iterator
@@ -17,12 +16,12 @@ import numpy as np
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.mesh import facets, legacy_vtk
+from jaxform.mesh import abaqus, facets, gmsh, legacy_vtk, nastran, ply
 from jaxform.mesh.facets import Faces
 
 ENDINGS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtu", ".msh")
-FURTHER = {".inp": "abaqus", ".bdf": "nastran", ".nas": "nastran", ".fem": "nastran", ".mesh": "medit"}
-"""Endings of other programs' input files, and what meshio calls their formats."""
+FURTHER = (".inp", ".bdf", ".nas", ".fem", ".mesh")
+"""Endings of other programs' input files: Abaqus' and CalculiX', Nastran's and OptiStruct's, Medit's."""
 _GEOMETRY = (
     *(".step", ".stp", ".iges", ".igs", ".brep", ".x_t", ".x_b", ".sat", ".jt", ".dxf", ".dwg", ".3dm"),
     *(".sldprt", ".sldasm", ".ipt", ".iam", ".catpart", ".catproduct", ".prt", ".par", ".fcstd", ".f3d"),
@@ -106,26 +105,17 @@ def _bounded(room: int) -> Iterator[None]:
             resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def _by_meshio(file_format: str, prepare: Callable[[bytes, str], Any]) -> Callable[[bytes, str], Faces]:
+def _by_meshio(file_format: str) -> Callable[[bytes, str], Faces]:
     def read(content: bytes, name: str) -> Faces:
         import meshio
 
         with _bounded(_ROOM + _ROOM_PER_BYTE * len(content)):
-            raw = meshio.read(prepare(content, name), file_format=file_format)
-        _check_complete(file_format, content, raw)
+            raw = meshio.read(name, file_format=file_format)
+        if np.ndim(raw.points) != 2 or not len(raw.points):
+            raise ValueError("no points")
         return _faces(raw)
 
     return read
-
-
-def _check_complete(file_format: str, content: bytes, raw: Any) -> None:
-    if np.ndim(raw.points) != 2 or not len(raw.points):
-        raise ValueError("no points")
-    # Of a truncated PLY file meshio reads what is left, without a word.
-    if file_format == "ply":
-        faces, nodes = (re.search(rb"element %s (\d+)" % name, content) for name in (b"face", b"vertex"))
-        if faces and nodes and (int(faces[1]), int(nodes[1])) != (sum(map(len, raw.cells)), len(raw.points)):
-            raise ValueError("fewer elements than the header says")
 
 
 def _faces(raw: Any) -> Faces:
@@ -149,37 +139,19 @@ def _faces(raw: Any) -> Faces:
     return Faces(raw.points, np.concatenate(corners), np.concatenate(counts), dict(raw.point_data), data)
 
 
-def _ply_header(content: bytes, name: str) -> io.BytesIO:
-    # Without its end meshio looks for it for ever; and it knows only one of the two names of the face list.
-    head, end, body = content.partition(b"end_header")
-    if not end:
-        raise ValueError("no end of the header")
-    return io.BytesIO(re.sub(rb"vertex_index\b", b"vertex_indices", head) + end + body)
-
-
-def _whole_msh(content: bytes, name: str) -> str:
-    if b"$EndElements" not in content:
-        raise ValueError("truncated")
-    return name
-
-
-def _one_inp(content: bytes, name: str) -> str:
-    # meshio would read whatever it names, a pipe or itself.
-    if re.search(rb"(?im)^\*\s*include", content):
-        raise InputError("takes in other files (*INCLUDE)", "give one file that has the mesh")
-    return name
-
-
 _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".stl": facets.read_stl,
     ".obj": facets.read_obj,
     ".off": facets.read_off,
+    ".ply": ply.read_ply,
     ".vtk": legacy_vtk.read_vtk,
-    ".ply": _by_meshio("ply", _ply_header),
-    ".vtu": _by_meshio("vtu", lambda content, name: name),
-    ".msh": _by_meshio("gmsh", _whole_msh),
+    ".vtu": _by_meshio("vtu"),
+    ".msh": gmsh.read_msh,
 }
 _FURTHER: dict[str, Callable[[bytes, str], Faces]] = {
-    ending: _by_meshio(file_format, _one_inp if ending == ".inp" else lambda content, name: name)
-    for ending, file_format in FURTHER.items()
+    ".inp": abaqus.read_inp,
+    ".bdf": nastran.read_bdf,
+    ".nas": nastran.read_bdf,
+    ".fem": nastran.read_bdf,
+    ".mesh": _by_meshio("medit"),
 }

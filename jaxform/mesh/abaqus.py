@@ -1,0 +1,233 @@
+"""The reader of input files of Abaqus and CalculiX (INP): nodes and surface elements of parts and instances.
+
+Keywords in any case, comments, parts with numbers of their own, instances with translation and rotation. What makes
+nodes or elements elsewhere, or in other coordinates, is refused by name. Why not meshio's: of two parts it gives all
+elements the nodes of the second, and it refuses lower case, comments between nodes and elements such as M3D3.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError, warn_of
+from jaxform.mesh.facets import Faces, no_surface
+
+Array = NDArray[np.float64]
+
+_SURFACE = re.compile(r"(?:STRI|S|M3D|SFM3D|R3D|DS|F3D|CPS|CPE|CPEG|WARPF?2D)(65|3|4|6|8|9)(?:[A-Z]\w*)?")
+_NODES = {"3": (3, 3), "4": (4, 4), "6": (6, 3), "65": (6, 3), "8": (8, 4), "9": (9, 4)}
+"""Of surface elements by the number in their name: all nodes, and the corners, which come first."""
+_SOLID = re.compile(r"(?:C3D|CCL|CSS|SC[68]|DC3D|AC3D|COH3D|EC3D|FC3D|PC3D|Q3D)\w*")
+_ELSEWHERE = {
+    "INCLUDE": "takes in other files",
+    "MANIFEST": "takes in other files",
+    "PARAMETER": "has parameters",
+    "SYSTEM": "has nodes in other coordinates",
+    "NGEN": "generates nodes",
+    "NFILL": "generates nodes",
+    "NCOPY": "generates nodes",
+    "NMAP": "generates nodes",
+    "ELGEN": "generates elements",
+    "ELCOPY": "generates elements",
+    "SYMMETRIC MODEL GENERATION": "generates elements",
+}
+"""Keywords of what a file of plain nodes and elements does not have."""
+_PLACED = 7  # numbers that turn an instance: two points of an axis, and degrees
+
+
+@dataclass
+class _Scope:
+    """Nodes and faces with numbers of their own: a part, an instance, the assembly, or a file without parts."""
+
+    nodes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    faces: list[tuple[int, list[int]]] = field(default_factory=list)
+    solid: bool = False
+    curved: int = 0
+
+
+@dataclass
+class _Instance:
+    """A part in the assembly: its name, what moves it, and what the instance itself has."""
+
+    part: str
+    own: _Scope = field(default_factory=_Scope)
+    numbers: list[list[float]] = field(default_factory=list)
+
+
+@dataclass
+class _Model:
+    """All that was read."""
+
+    top: _Scope = field(default_factory=_Scope)
+    assembly: _Scope = field(default_factory=_Scope)
+    parts: dict[str, _Scope] = field(default_factory=dict)
+    instances: list[_Instance] = field(default_factory=list)
+
+
+def read_inp(content: bytes, name: str) -> Faces:
+    """The surface elements of an input file; of those with nodes on their sides the corners, with a warning.
+
+    Raises:
+        InputError: Nodes or elements are generated or in other files or coordinates, some node is missing, or there
+            are no surface elements.
+    """
+    model = _model(content)
+    scopes = [model.top, model.assembly, *_placed(model)]
+    if curved := sum(scope.curved for scope in scopes):
+        warn_of(f"has {curved} elements with nodes on their sides, of which the corners are taken", value=name)
+    points: list[tuple[float, float, float]] = []
+    corners: list[int] = []
+    counts: list[int] = []
+    for scope in scopes:
+        index = dict(zip(scope.nodes, itertools.count(len(points))))
+        points += scope.nodes.values()
+        for label, face in scope.faces:
+            try:
+                corners += [index[node] for node in face]
+            except KeyError as missing:
+                problem = f"has an element {label} of node {missing}, which is not there"
+                raise InputError(problem, "export it again, with all its nodes") from None
+            counts.append(len(face))
+    if not counts:
+        raise no_surface(solid=any(scope.solid for scope in scopes))
+    return Faces(np.array(points).reshape(-1, 3), np.array(corners, np.int64), np.array(counts, np.int64))
+
+
+def _keywords(content: bytes) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]:
+    """Each keyword in capitals with its parameters, and the words of its data lines."""
+    head, data = "", []
+    text = content.decode("utf-8-sig", errors="replace")
+    for line in text.splitlines():
+        line = line.strip()
+        if not line or line.startswith("**"):
+            continue
+        if line.startswith("*"):
+            if head:
+                yield *_split(head), data
+            head, data = line, []
+        elif head.endswith(","):
+            head += line
+        else:
+            data.append([word.strip() for word in line.split(",")])
+    if head:
+        yield *_split(head), data
+
+
+def _split(line: str) -> tuple[str, dict[str, str]]:
+    word, *options = line[1:].split(",")
+    pairs = (option.partition("=") for option in options)
+    named = {" ".join(key.split()).upper(): value.strip().strip('"') for key, _, value in pairs}
+    return " ".join(word.split()).upper(), named
+
+
+def _model(content: bytes) -> _Model:
+    model = _Model()
+    scope, instance = model.top, None
+    for word, options, data in _keywords(content):
+        _check_plain(word, options)
+        if word == "PART":
+            scope = model.parts.setdefault(options.get("NAME", "").upper(), _Scope())
+        elif word == "INSTANCE":
+            instance = _Instance(options.get("PART", "").upper())
+            instance.numbers = [_numbers(row) for row in data]
+            model.instances.append(instance)
+            scope = instance.own
+        elif word in ("ASSEMBLY", "END INSTANCE"):
+            scope = model.assembly
+        elif word in ("END PART", "END ASSEMBLY"):
+            scope = model.top
+        elif word == "NODE":
+            for row in data:
+                label, *place = _numbers(row)
+                x, y, z = (*place[:3], 0.0, 0.0, 0.0)[:3]
+                scope.nodes[int(label)] = x, y, z
+        elif word == "ELEMENT":
+            _add_elements(scope, options.get("TYPE", "").upper(), data)
+    return model
+
+
+def _check_plain(word: str, options: dict[str, str]) -> None:
+    remedy = "give one file that has the mesh as plain nodes and elements, or export it as STL"
+    if _ELSEWHERE.get(word):
+        raise InputError(f"{_ELSEWHERE[word]} (*{word})", remedy)
+    if word in ("NODE", "ELEMENT") and "INPUT" in options:
+        raise InputError(f"takes in other files (*{word}, INPUT={options['INPUT']})", remedy)
+    if word == "NODE" and options.get("SYSTEM", "R").upper() not in ("R", "RECTANGULAR"):
+        raise InputError(f"has nodes in other coordinates (*NODE, SYSTEM={options['SYSTEM']})", remedy)
+    if word == "INSTANCE" and ("LIBRARY" in options or "INSTANCE" in options):
+        raise InputError("takes in an instance of other results (*INSTANCE, LIBRARY)", remedy)
+
+
+def _numbers(words: list[str]) -> list[float]:
+    try:
+        return [float(word.lower().replace("d", "e")) for word in words if word]
+    except ValueError:
+        raise InputError(f"has words for numbers ({', '.join(words)[:60]})", "export or copy it again") from None
+
+
+def _add_elements(scope: _Scope, kind: str, data: list[list[str]]) -> None:
+    """Elements of one type; a row goes on in the next one until all nodes are there."""
+    found = _SURFACE.fullmatch(kind)
+    if not found:
+        scope.solid |= bool(_SOLID.fullmatch(kind))
+        return
+    count, used = _NODES[found[1]]
+    row: list[int] = []
+    for words in data:
+        row += [int(number) for number in _numbers(words)]
+        if len(row) < 1 + count:
+            continue
+        if len(row) > 1 + count:
+            raise InputError(f"has an element {row[0]} of type {kind} with {len(row) - 1} nodes", "export it again")
+        scope.faces.append((row[0], row[1 : 1 + used]))
+        scope.curved += used < count
+        row = []
+    if row:
+        raise InputError(f"has an element {row[0]} of type {kind} with {len(row) - 1} nodes", "export it again")
+
+
+def _placed(model: _Model) -> list[_Scope]:
+    """The instances where the assembly has them; parts as they are where there is no instance at all."""
+    if not model.instances:
+        return list(model.parts.values())
+    scopes = []
+    for instance in model.instances:
+        part = model.parts.get(instance.part)
+        if part is None and not instance.own.nodes:
+            raise InputError(f"has an instance of part {instance.part!r}, which is not there", "export it again")
+        part = part or _Scope()
+        scope = _Scope(part.nodes | instance.own.nodes, part.faces + instance.own.faces, part.solid, part.curved)
+        scopes.append(_moved(scope, instance))
+    return scopes
+
+
+def _moved(scope: _Scope, instance: _Instance) -> _Scope:
+    """A scope with its nodes translated, then turned about an axis, as an instance says."""
+    if not instance.numbers or not scope.nodes:
+        return scope
+    places = np.array(list(scope.nodes.values()))
+    shift = (*instance.numbers[0], 0.0, 0.0, 0.0)[:3] if len(instance.numbers[0]) <= 3 else None
+    turns = [row for row in instance.numbers if len(row) == _PLACED]
+    if shift is None or len(instance.numbers) != 1 + len(turns) or len(turns) > 1:
+        raise InputError(f"has an instance of part {instance.part!r} whose place is not understood", "export it again")
+    places = places + np.array(shift)
+    for row in turns:
+        places = _turned(places, np.array(row[:3]), np.array(row[3:6]), row[6])
+    moved = (tuple(row) for row in places.tolist())
+    nodes: Any = dict(zip(scope.nodes, moved, strict=True))
+    return _Scope(nodes, scope.faces, scope.solid, scope.curved)
+
+
+def _turned(places: Array, begin: Array, end: Array, degrees: float) -> Array:
+    """Places (n, 3) turned about the axis from one point to another, by the right-hand rule."""
+    axis = (end - begin) / np.linalg.norm(end - begin)
+    angle, arms = np.radians(degrees), places - begin
+    along = np.outer(arms @ axis, axis)
+    return begin + along + np.cos(angle) * (arms - along) + np.sin(angle) * np.cross(axis, arms)

@@ -1,0 +1,332 @@
+"""The reader of Gmsh's MSH files: nodes and elements of versions 1, 2, 4.0 and 4.1, text and binary; on the host.
+
+Physical groups, entities and partitions are left alone. Why not meshio's: it refuses files in which only some entities
+are in a physical group, parametric nodes and most files of version 4.0.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh.facets import Faces, located, no_surface
+
+Array = NDArray[Any]
+
+# fmt: off
+_NODES = {
+    1: 2, 2: 3, 3: 4, 4: 4, 5: 8, 6: 6, 7: 5, 8: 3, 9: 6, 10: 9, 11: 10, 12: 27, 13: 18, 14: 14, 15: 1, 16: 8, 17: 20,
+    18: 15, 19: 13, 20: 9, 21: 10, 22: 12, 23: 15, 24: 15, 25: 21, 26: 4, 27: 5, 28: 6, 29: 20, 30: 35, 31: 56, 36: 16,
+    37: 25, 38: 36, 42: 28, 43: 36, 44: 45, 45: 55, 46: 66, 47: 49, 48: 64, 49: 81, 50: 100, 51: 121, 71: 84, 72: 120,
+    73: 165, 74: 220, 75: 286, 90: 40, 91: 75, 92: 64, 93: 125, 94: 216, 95: 343, 96: 512, 97: 729, 98: 1000,
+    106: 126, 107: 196, 108: 288, 109: 405, 110: 550, 118: 30, 119: 55,
+}  # of each type of element
+_CURVED = (9, 10, 16, 20, 21, 22, 23, 24, 25, 36, 37, 38, 42, 43, 44, 45, 46, 47, 48, 49, 50, 51)
+_SOLID = (*range(4, 8), *range(11, 15), *range(17, 20), 29, 30, 31, *range(71, 76), *range(90, 99), *range(106, 120))
+# fmt: on
+_TRIANGLE, _QUADRILATERAL = 2, 3
+_SECTION = re.compile(rb"\$([A-Za-z]\w*)[ \t]*\r?\n?")
+
+
+@dataclass
+class _Read:
+    """What was read so far; elements by type as their numbers (n,) and nodes (n, k)."""
+
+    version: float = 1.0
+    order: str = ""  # of bytes; "" for text
+    size: int = 8
+    numbers: list[Array] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+    elements: dict[int, list[tuple[Array, Array]]] = field(default_factory=dict)
+    data: dict[str, dict[str, tuple[Array, Array]]] = field(default_factory=lambda: {"node": {}, "element": {}})
+
+    def add(self, kind: int, numbers: Array, nodes: Array) -> None:
+        self.elements.setdefault(kind, []).append((numbers.astype(np.int64), nodes.astype(np.int64)))
+
+
+class _Text:
+    """Numbers of a section that is text."""
+
+    def __init__(self, content: bytes) -> None:
+        self.numbers, self.place = np.array(content.split()).astype(np.float64), 0
+
+    def take(self, count: int, kind: str) -> Array:
+        if not 0 <= count <= len(self.numbers) - self.place:
+            raise _cut()
+        self.place += count
+        found = self.numbers[self.place - count : self.place]
+        return found if kind == "f8" else found.astype(np.int64)
+
+
+class _Binary:
+    """Numbers of a binary section, whose end only its own numbers tell."""
+
+    def __init__(self, content: bytes, place: int, order: str, size: int) -> None:
+        self.content, self.place, self.order, self.size = content, place, order, size
+
+    def take(self, count: int, kind: str) -> Array:
+        dtype = np.dtype(self.order + (f"u{self.size}" if kind == "size" else kind))
+        if not 0 <= count <= (len(self.content) - self.place) // dtype.itemsize:
+            raise _cut()
+        found = np.frombuffer(self.content, dtype, count, self.place)
+        self.place += found.nbytes
+        return found.astype(np.float64 if kind == "f8" else np.int64)
+
+    def line(self) -> bytes:
+        end = self.content.find(b"\n", self.place)
+        line = self.content[self.place : end if end >= 0 else None]
+        self.place += len(line) + 1
+        return line
+
+
+def _cut() -> InputError:
+    return InputError("is cut off: a section has fewer numbers than it says", "export or copy it again")
+
+
+def read_msh(content: bytes, name: str) -> Faces:
+    """The triangles and quadrilaterals of an MSH file, with its scalar data at nodes and in elements.
+
+    Raises:
+        InputError: It is of another version, has curved faces or no faces, or its end is cut off.
+    """
+    read, place = _Read(), 0
+    found = False
+    while head := _SECTION.search(content, place):
+        name, place = head[1].decode(), head.end()
+        if name[:3].upper() == "END":
+            continue
+        found = found or name in ("MeshFormat", "NOD")
+        place = _section(content, place, name, read)
+    if not found:
+        raise InputError("has no section $MeshFormat, as an MSH file of Gmsh has", "save it from Gmsh as MSH")
+    return _faces(read)
+
+
+def _section(content: bytes, place: int, name: str, read: _Read) -> int:
+    """Reads a section from a place in the content; the place behind it."""
+    end = content.find(b"$End" + name.encode() if name not in ("NOD", "ELM") else b"$END" + name.encode(), place)
+    if end < 0:
+        raise InputError(f"is cut off: its section ${name} has no end", "export or copy it again")
+    if name == "MeshFormat":
+        _format(content[place:end], read)
+        return end
+    reader = {
+        "Nodes": _nodes,
+        "ParametricNodes": _parametric_nodes,
+        "NOD": _nodes,
+        "Elements": _elements,
+        "ELM": _elements,
+        "NodeData": _node_data,
+        "ElementData": _element_data,
+    }.get(name)
+    if reader is None:
+        return end
+    if not read.order:
+        if name.endswith("NodeData") or name == "ElementData":
+            _text_data(content[place:end], name, read)
+        elif read.version < 4.0 and reader in (_nodes, _parametric_nodes):
+            _nodes_of_2(content[place:end], read)
+        else:
+            reader(_Text(content[place:end]), read)
+        return end
+    binary = _Binary(content, place, read.order, read.size)
+    reader(binary, read)
+    return binary.place
+
+
+def _format(section: bytes, read: _Read) -> None:
+    words = section.split(b"\n", 1)
+    version, binary, size = words[0].split()[:3]
+    read.version, read.size = float(version), int(size)
+    if not (2.0 <= read.version < 3.0 or 4.0 <= read.version < 4.2) or read.size not in (4, 8):
+        problem = f"is of version {version.decode('latin-1')} of the MSH format, which is not read"
+        raise InputError(problem, "save it as version 2.2 or 4.1 (Mesh.MshFileVersion)")
+    if int(binary):
+        one = words[1][:4]
+        read.order = {b"\1\0\0\0": "<", b"\0\0\0\1": ">"}[bytes(one)]
+
+
+def _count(numbers: Any, read: _Read) -> int:
+    """The number at the head of a section: in binary files of version 2 a line of text."""
+    if isinstance(numbers, _Binary):
+        return int(numbers.line())
+    return int(numbers.take(1, "i4")[0])
+
+
+def _nodes(numbers: Any, read: _Read) -> None:
+    if read.version < 4.0:
+        _interleaved(numbers, _count(numbers, read), 3, read)
+        return
+    old = read.version < 4.1
+    blocks = int(numbers.take(2 if old else 4, "size")[0])
+    for _ in range(blocks):
+        head = numbers.take(3, "i4")
+        dimension, parametric = (int(head[1]), int(head[2])) if old else (int(head[0]), int(head[2]))
+        count = int(numbers.take(1, "size")[0])
+        width = 3 + (max(dimension, 0) if parametric else 0)
+        if old:
+            _interleaved(numbers, count, width, read)
+            continue
+        read.numbers.append(numbers.take(count, "size"))
+        read.points.append(numbers.take(count * width, "f8").reshape(count, width)[:, :3])
+
+
+def _interleaved(numbers: Any, count: int, width: int, read: _Read) -> None:
+    """Nodes that are a number and coordinates each, of which the first three are those in space."""
+    if isinstance(numbers, _Binary):
+        item = np.dtype([("number", numbers.order + "i4"), ("place", numbers.order + "f8", (width,))])
+        rows = np.frombuffer(numbers.take(count * item.itemsize, "u1").astype(np.uint8).tobytes(), item)
+        read.numbers.append(rows["number"].astype(np.int64))
+        read.points.append(rows["place"][:, :3].astype(np.float64))
+        return
+    rows = numbers.take(count * (1 + width), "f8").reshape(count, 1 + width)
+    read.numbers.append(rows[:, 0].astype(np.int64))
+    read.points.append(rows[:, 1:4])
+
+
+def _nodes_of_2(section: bytes, read: _Read) -> None:
+    """Nodes in text, a line each: number, x, y, z, and where they are parametric entity and parameters."""
+    count, *rows = [line.split(None, 4)[:4] for line in section.split(b"\n") if line.strip()]
+    table = np.array(rows[: int(count[0])]).astype(np.float64).reshape(-1, 4)
+    if len(table) < int(count[0]):
+        raise _cut()
+    read.numbers.append(table[:, 0].astype(np.int64))
+    read.points.append(table[:, 1:])
+
+
+def _parametric_nodes(numbers: _Binary, read: _Read) -> None:
+    """Binary nodes of version 2 with, after x, y, z, dimension and number of their entity, and its parameters."""
+    for _ in range(_count(numbers, read)):
+        read.numbers.append(numbers.take(1, "i4"))
+        read.points.append(numbers.take(3, "f8")[None])
+        numbers.take({1: 1, 2: 2}.get(int(numbers.take(2, "i4")[0]), 0), "f8")
+
+
+def _width(kind: int) -> int:
+    if kind not in _NODES:
+        raise InputError(f"has elements of Gmsh's type {kind}, which is not read", "save a mesh of first order")
+    return _NODES[kind]
+
+
+def _elements(numbers: Any, read: _Read) -> None:
+    if read.version < 4.0:
+        if isinstance(numbers, _Binary):
+            _binary_elements_of_2(numbers, read)
+        else:
+            _elements_of_2(numbers, read)
+        return
+    old = read.version < 4.1
+    blocks = int(numbers.take(2 if old else 4, "size")[0])
+    for _ in range(blocks):
+        kind = int(numbers.take(3, "i4")[2])
+        count, width = int(numbers.take(1, "size")[0]), 1 + _width(kind)
+        rows = numbers.take(count * width, "i4" if old else "size").reshape(count, width)
+        read.add(kind, rows[:, 0], rows[:, 1:])
+
+
+def _binary_elements_of_2(numbers: _Binary, read: _Read) -> None:
+    left = _count(numbers, read)
+    while left > 0:
+        kind, count, tags = (int(number) for number in numbers.take(3, "i4"))
+        if count < 1 or tags < 0:
+            raise _cut()
+        width = 1 + tags + _width(kind)
+        rows = numbers.take(count * width, "i4").reshape(count, width)
+        read.add(kind, rows[:, 0], rows[:, 1 + tags :])
+        left -= count
+
+
+def _elements_of_2(numbers: _Text, read: _Read) -> None:
+    rows: dict[int, list[Array]] = {}
+    for _ in range(_count(numbers, read)):
+        number, kind, tags = numbers.take(3, "i4")
+        if read.version < 2.0:  # physical group, entity, number of nodes
+            numbers.take(2, "i4")
+        elif tags > 0:
+            numbers.take(int(tags), "i4")
+        rows.setdefault(int(kind), []).append(np.append(number, numbers.take(_width(int(kind)), "i4")))
+    for kind, found in rows.items():
+        table = np.array(found)
+        read.add(kind, table[:, 0], table[:, 1:])
+
+
+def _text_data(section: bytes, name: str, read: _Read) -> None:
+    lines = section.split(b"\n")
+    strings = int(lines[0])
+    label = lines[1].strip().strip(b'"').decode("latin-1") if strings else ""
+    numbers = _Text(b"\n".join(lines[1 + strings :]))
+    numbers.take(int(numbers.take(1, "i4")[0]), "f8")
+    components, count = (int(number) for number in numbers.take(int(numbers.take(1, "i4")[0]), "i4")[1:3])
+    if components == 1:
+        rows = numbers.take(2 * count, "f8").reshape(count, 2)
+        read.data["node" if name == "NodeData" else "element"][label] = rows[:, 0].astype(np.int64), rows[:, 1]
+
+
+def _node_data(numbers: _Binary, read: _Read) -> None:
+    _binary_data(numbers, read, "node")
+
+
+def _element_data(numbers: _Binary, read: _Read) -> None:
+    _binary_data(numbers, read, "element")
+
+
+def _binary_data(numbers: _Binary, read: _Read, where: str) -> None:
+    strings = [numbers.line() for _ in range(min(int(numbers.line()), 100))]
+    for _ in range(min(int(numbers.line()), 100)):
+        numbers.line()
+    integers = [int(numbers.line()) for _ in range(min(int(numbers.line()), 100))]
+    components, count = integers[1:3]
+    item = np.dtype([("number", numbers.order + "i4"), ("value", numbers.order + "f8", (components,))])
+    rows = np.frombuffer(numbers.take(count * item.itemsize, "u1").astype(np.uint8).tobytes(), item)
+    if components == 1 and strings:
+        label = strings[0].strip().strip(b'"').decode("latin-1")
+        read.data[where][label] = rows["number"].astype(np.int64), rows["value"][:, 0].astype(np.float64)
+
+
+def _faces(read: _Read) -> Faces:
+    if not read.points or not sum(map(len, read.points)):
+        raise InputError("has no nodes", "save the mesh, not the geometry alone")
+    curved = [kind for kind in read.elements if kind in _CURVED]
+    if curved:
+        problem = f"has curved faces (elements of second or higher order, Gmsh's type {curved[0]})"
+        raise InputError(problem, "save a mesh of first order (Mesh.ElementOrder = 1)")
+    straight = [kind for kind in (_TRIANGLE, _QUADRILATERAL) if kind in read.elements]
+    if not straight:
+        raise no_surface(solid=any(kind in _SOLID for kind in read.elements))
+    numbers, places = _ordered(np.concatenate(read.numbers), np.concatenate(read.points))
+    own, corners, counts = [], [], []
+    for kind in straight:
+        for number, nodes in read.elements[kind]:
+            own.append(number)
+            corners.append(located(nodes.reshape(-1), numbers))
+            counts.append(np.full(len(nodes), nodes.shape[1]))
+    cells = np.concatenate(own)
+    return Faces(
+        places,
+        np.concatenate(corners),
+        np.concatenate(counts),
+        {label: _looked_up(numbers, *pair) for label, pair in read.data["node"].items()},
+        {label: _looked_up(cells, *pair) for label, pair in read.data["element"].items()},
+    )
+
+
+def _ordered(numbers: Array, places: Array) -> tuple[Array, Array]:
+    """Nodes by their number, each once."""
+    found, first = np.unique(numbers, return_index=True)
+    return found, places[first]
+
+
+def _looked_up(wanted: Array, there: Array, values: Array) -> Array:
+    """Values of the numbers that are wanted (n,); NaN where none is given."""
+    found = np.full(len(wanted), np.nan)
+    if len(there):
+        order = np.argsort(there)
+        at = np.minimum(np.searchsorted(there[order], wanted), len(there) - 1)
+        here = there[order][at] == wanted
+        found[here] = values[order][at][here]
+    return found
