@@ -34,6 +34,11 @@ _CHECK_SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
 _ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
 
 
+def formed(scene: Scene) -> Result:
+    """The part of a scene, whether or not it fills the mold: on the way of a search that is no failure."""
+    return jaxform.run(dataclasses.replace(scene, fill=False))
+
+
 @dataclass
 class Search:
     """Evaluates designs and remembers them.
@@ -237,7 +242,7 @@ class Search:
             value, report = self._program("value", self._value, *arguments)(*arguments)
             return _plain(report) | {"value": float(value)}
         scene = self.scene(free)
-        result = jaxform.run(scene)
+        result = formed(scene)
         arguments = scene, dataclasses.replace(result, seconds=None), self.limits
         value, report = self._program("judge", self.judged, *arguments)(*arguments)
         return _plain(report) | {"value": float(value)}
@@ -315,7 +320,7 @@ class Search:
         """
         if self.schedule is None or self.iteration % _REFRESH:
             return point
-        live = jaxform.run(self.scene(point.free))
+        live = formed(self.scene(point.free))
         self.simulations += 1.0
         if int(live.status) or live.used.size != self._room:
             return point

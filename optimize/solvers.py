@@ -22,7 +22,7 @@ from optimize.journal import Answer, Journal
 from optimize.least_squares import least_squares
 from optimize.price import price
 from optimize.rounds import fall_back, rounds
-from optimize.search import Search
+from optimize.search import Search, formed
 from optimize.variables import SheetVariable
 
 __all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
@@ -136,7 +136,7 @@ def solve(
             cannot be simulated to its end, or it asks for what no design within the bounds can reach.
     """
     check(study)
-    first = jaxform.run(study.scene)
+    first = formed(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
     forward_seconds = _cost(study.scene)
@@ -191,7 +191,7 @@ def _cost(scene: Scene) -> float:
     spent = []
     for _ in range(2):
         began = time.process_time()
-        jaxform.run(scene)
+        formed(scene)
         spent.append(time.process_time() - began)
     return max(min(spent), 1e-6)
 

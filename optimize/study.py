@@ -25,6 +25,7 @@ from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.heaters import HeaterZones
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
+from optimize.search import formed
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.variables import Scale, Variable
 
@@ -123,7 +124,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
         other = files.build(files.read_scene(name, document.folder))
     except InputError as error:
         raise error.within(key=key) from None
-    result = jaxform.run(other)
+    result = formed(other)
     if int(result.status):
         raise InputError(f"fails: {jaxform.explain(result)}", "remedy that scene first", key, name)
     other, result = only_used(other, result)

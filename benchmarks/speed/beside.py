@@ -18,8 +18,9 @@ from jaxform.cli import checking
 from jaxform.core.store import Store
 from jaxform.io import files, output, plots
 from jaxform.mesh import meshes
+from jaxform.results.filling import filling_of
 from jaxform.results.review import warnings_of_part
-from jaxform.results.summary import penetrated, unfilled
+from jaxform.results.summary import penetrated
 from jaxform.runs import padding
 from jaxform.tools.molds import MoldShape, revolved
 
@@ -86,7 +87,7 @@ def show(elements: int, triangles: int, folder: Path) -> None:
     _, roomy = timed("arrays of their rungs", lambda: padding.on_rungs(scene, recorded=True))
     result = jaxform.run(scene)
     _, through = timed("penetration", lambda: penetrated(result, scene))
-    _, apart = timed("gaps", lambda: unfilled(result, scene))
+    _, apart = timed("gaps", lambda: filling_of(result, scene))
     _, told = timed("warnings", lambda: warnings_of_part(result, scene))
     _, written = timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))
     _, drawn = timed("pictures", lambda: plots.thickness_picture(folder / "thickness.png", scene, result, None))

@@ -61,6 +61,17 @@ def optimize_study(arguments: argparse.Namespace) -> int:
         say(f"{journal.replayed} answers were known from before")
     _write_design(arguments, study, design, reference)
     _tell_design(say, design, folder)
+    return _exit_status(design)
+
+
+def _exit_status(design: Any) -> int:
+    """That of a design; one that does not fill its mold is no failure of the search: its summary says so, as here."""
+    from jaxform.results.explanation import explain
+    from jaxform.sheet.state import Status
+
+    if int(design.result.status) == Status.UNFILLED:
+        session.warn(explain(design.result))
+        return _limits_status(design)
     return session.exit_status(design.result) or _limits_status(design)
 
 

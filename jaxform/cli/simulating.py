@@ -103,12 +103,6 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
         f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
         f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
-    if summary["penetration_max"] > summary["thickness"]["mean"]:
-        where = place(summary["penetration_place"])
-        say(
-            f"an element cuts an edge of the mold, {1e3 * summary['penetration_max']:.3g} mm deep at {where}: "
-            "smaller elements would follow it"
-        )
     if summary["gap_max"] > summary["thickness"]["mean"]:
         where = place(summary["gap_place"])
         say(f"the mold is filled least at {where}: {1e3 * summary['gap_max']:.3g} mm are left")

@@ -161,6 +161,7 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
             ),
             mold=find_mold(),
             cooling=_cooling(document),
+            fill=model.mold is None or model.mold.fill,
             name=document.name,
             frames=model.output.frames,
             store=store,

@@ -110,9 +110,9 @@ def mold_of(document: SceneDocument, store: Store | None = None) -> Mold | None:
     if isinstance(table, schema.RevolvedMold):
         shape = molds.revolved(profile=table.profile, segments=table.segments)
     elif isinstance(table, schema.BoxInsertMold):
-        shape = molds.box_insert(**table.model_dump(exclude={"shape", "motion"}))
+        shape = molds.box_insert(**table.model_dump(exclude={"shape", "motion", "fill"}))
     elif isinstance(table, schema.BottleHalfMold):
-        numbers = table.model_dump(exclude={"shape", "motion"})
+        numbers = table.model_dump(exclude={"shape", "motion", "fill"})
         kept = (store or Store()).arrays("bottle", (numbers,), lambda: _arrays(molds.bottle_half(**numbers)))
         shape = molds.MoldShape(kept["vertices"], kept["triangles"])
     else:

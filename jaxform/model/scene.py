@@ -142,6 +142,7 @@ class Scene:
         name: What the scene is called.
         fields: Nodal fields of its own, by name.
         cooling: How the sheet cools; None where it keeps its temperature.
+        fill: Whether the mold is to be filled: where it is not, the status of a run says so.
     """
 
     parison: Parison
@@ -154,6 +155,7 @@ class Scene:
     name: str = static(default="scene")
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
     cooling: Cooling | None = None
+    fill: bool = static(default=True)
 
     def __repr__(self) -> str:
         """The name, the size of the mesh and the kinds of the parts, in one line."""

@@ -42,6 +42,7 @@ def build_scene(
     forest: bisection.Forest | None = None,
     fields: Mapping[str, Field] | None = None,
     cooling: Cooling | None = None,
+    fill: bool = True,
     name: str = "scene",
     frames: int = 0,
     store: Store | None = None,
@@ -59,6 +60,7 @@ def build_scene(
             have the mean thickness of their edges' ends.
         fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
         cooling: How the sheet cools; None where it keeps its temperature.
+        fill: Whether the mold is to be filled: where a fifth of its depth is left open, the status of a run says so.
         name: What the scene is called.
         frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
         store: Where the mold's search structure is kept between runs; nowhere by default.
@@ -127,6 +129,7 @@ def build_scene(
         name=name,
         fields=carried,
         cooling=cooling,
+        fill=bool(fill),
     )
 
 

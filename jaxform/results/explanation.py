@@ -11,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxform.core.errors import InputError
+from jaxform.core.words import place
 from jaxform.model.replacing import in_words
 from jaxform.results.result import Result
 from jaxform.sheet.state import Status
@@ -28,6 +29,7 @@ _WORDS = {
     Status.BURST: "the sheet passed through itself and burst: a sheet's contact with itself is not simulated",
     Status.INPUT: "a number of the scene is out of its range, so nothing was simulated",
     Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
+    Status.UNFILLED: "the mold is not filled",
 }
 _REMEDIES = {
     Status.NON_FINITE: "lower solver.safety or the pressure",
@@ -42,6 +44,8 @@ _REMEDIES = {
     Status.BURST: "lower the pressure, or widen what is narrow in the mold",
     Status.INPUT: "keep what is designed within its range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
+    Status.UNFILLED: "raise pressure.value or solver.end_time, or say mold.fill = false where the mold is not to be "
+    "filled",
 }
 
 
@@ -61,7 +65,7 @@ def explain(result: Result) -> Any:
     if not count:
         return _explained(result)
     # Each leaf is brought to the host once; what the host's loop adds is no array.
-    leaves = jax.tree.map(np.asarray, dataclasses.replace(result, schedule=None, seconds=None))
+    leaves = jax.tree.map(np.asarray, dataclasses.replace(result, schedule=None, seconds=None, filling=None))
     return [explain(jax.tree.map(operator.itemgetter(k), leaves)) for k in range(count[0])]
 
 
@@ -69,12 +73,25 @@ def _explained(result: Result) -> str:
     status = int(result.status)
     if status == 0:
         return "ok"
-    what = [words for bit, words in _WORDS.items() if status & bit]
+    what = [
+        words + (_left_open(result) if bit == Status.UNFILLED else "") for bit, words in _WORDS.items() if status & bit
+    ]
     remedy = [words for bit, words in _REMEDIES.items() if status & bit]
     if status & Status.INPUT:
         return "; ".join([f"{what[0]}: {in_words(np.asarray(result.out_of_range))}", *what[1:], *remedy])
+    if status == Status.UNFILLED:
+        return "; ".join([*what, *remedy])
     speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
     node = int(np.argmax(speed))
-    place = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
-    where = f"at t = {float(result.time):.6g} s, fastest node {node} at ({place}) m with {speed[node]:.3g} m/s"
+    at = ", ".join(f"{value:.4g}" for value in np.asarray(result.positions)[node])
+    where = f"at t = {float(result.time):.6g} s, fastest node {node} at ({at}) m with {speed[node]:.3g} m/s"
     return "; ".join([*what, where, *remedy])
+
+
+def _left_open(result: Result) -> str:
+    """Where how much of a mold is left open, in words."""
+    if result.filling is None:
+        return ""
+    left, depth = result.filling.left, result.filling.depth
+    share = f"{100 * left.width / depth:.2g} % of the opening's depth of {depth:.3g} m"
+    return f": {left.width:.3g} m are left at {place(left.place)}, {share}"

@@ -14,6 +14,7 @@ from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Rule
 from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy
+from jaxform.results.filling import Filling
 from jaxform.results.recovery import nodal_ratio
 from jaxform.sheet.account import (
     enclosed_volume,
@@ -71,6 +72,7 @@ class Result:
         status: Bits of `jaxform.Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
+        filling: How far the mold is filled, where `run` measured it, else None.
         temperature: At the nodes (n_node,) [degC], where the sheet cools; None where it keeps what it has at first.
         loading: The state that the loading has of its own, now; None where it has none.
         out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
@@ -102,6 +104,7 @@ class Result:
     status: jax.Array
     schedule: Schedule | None = None
     seconds: Seconds | None = None
+    filling: Filling | None = None
     loading: Any = None
     out_of_range: jax.Array | None = None
     temperature: jax.Array | None = dataclasses.field(default=None, metadata=NODAL)

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.core.pytree import as_real
 from jaxform.core.words import place
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import taut
 from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
+from jaxform.results.filling import filling_of, mold_offset, warnings_of_filling
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import thinnest, warnings_of_part
 from jaxform.results.sections import symmetry_planes
 from jaxform.sheet.state import Status
-from jaxform.tools.gaps import NO_GAP, Gap, widest_gap
 from jaxform.tools.penetration import Penetration, penetration, resting_directions
 
 SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
 _NODES_BEYOND = 1e-6  # of the sheet's size, that a node may be beyond the mold
-_BRIDGED, _WIDE = 2.0, 0.025  # sides of an element, and of the mold's size, that a gap which stays open is wide
 _ELEMENTS_BEYOND = 0.5  # of the longest side of an element, the same of an element
 
 
@@ -58,7 +57,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
-    beyond, gap = penetrated(result, scene), unfilled(result, scene)
+    result = with_filling(result, scene)
+    beyond, filling = penetrated(result, scene), result.filling or filling_of(result, scene)
     slow = float(result.energy.quasi_static_error)
     return {
         "scene": scene.name,
@@ -82,8 +82,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "added_mass": float(result.added_mass),
         "penetration_max": beyond.elements,
         "penetration_place": beyond.place.tolist(),
-        "gap_max": gap.width,
-        "gap_place": gap.place.tolist(),
+        "gap_max": filling.gap.width,
+        "gap_place": filling.gap.place.tolist(),
         # Under its older name as well.
         "energy": energy
         | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow, "haste": slow},
@@ -91,7 +91,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
             *warnings_of(result, scene),
             *warnings_of_part(result, scene),
             *warnings_of_mold(result, scene, beyond),
-            *warnings_of_gap(result, scene, gap),
+            *warnings_of_filling(result, scene, filling),
         ],
     }
 
@@ -149,11 +149,29 @@ def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[
     side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
-        return []
+        return _cut_edge(beyond, corners, np.asarray(result.element_thickness, float)[np.asarray(result.used)])
     return [
         f"the sheet is beyond the mold, deepest at {place(beyond.place)} with {beyond.elements:.3g} m: it hangs over "
         "the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
         "elements smaller"
+    ]
+
+
+def _cut_edge(beyond: Penetration, corners: np.ndarray, walls: np.ndarray) -> list[str]:
+    """A sentence where an element cuts the mold deeper than its wall is thick.
+
+    Args:
+        beyond: How far the part is beyond the mold, and where.
+        corners: Of the elements (n_element, 3, 3) [m].
+        walls: Their thickness (n_element,) [m].
+    """
+    nearest = int(np.argmin(np.linalg.norm(corners.mean(1) - beyond.place, axis=1)))
+    if not beyond.elements > walls[nearest]:
+        return []
+    return [
+        f"an element cuts an edge of the mold, {beyond.elements:.3g} m deep at {place(beyond.place)}, deeper than its "
+        f"wall of {walls[nearest]:.3g} m: its nodes lie on both sides of the edge; make parison.element_size smaller, "
+        "or add [refinement]"
     ]
 
 
@@ -165,42 +183,24 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     triangles = np.asarray(result.triangles)[np.asarray(result.used)]
     start = np.asarray(scene.parison.positions, float)
     resting = resting_directions(start, positions, triangles, scene.strongest_push())
-    offset = _offset(result, scene)
+    offset = mold_offset(result, scene)
     wall, grid = np.asarray(result.wall), scene.tables.grid
     found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
     return found._replace(place=found.place + offset)
 
 
-def unfilled(result: Result, scene: Scene) -> Gap:
-    """The widest gap between the formed part and the mold before it; none where there is no mold, or no part."""
-    positions, lost = np.asarray(result.positions, float), Status.RUNAWAY | Status.ESCAPED | Status.BURST
-    if scene.mold is None or int(result.status) & lost or not np.isfinite(positions).all():
-        return NO_GAP
-    offset, triangles = _offset(result, scene), np.asarray(result.triangles)[np.asarray(result.used)]
-    nodes = np.asarray(result.wall), np.asarray(scene.parison.clamped)
-    gap = widest_gap(positions - offset, triangles, *nodes, scene.strongest_push(), scene.mold, scene.tables.grid)
-    return gap._replace(place=gap.place + offset)
+def with_filling(result: Result, scene: Scene) -> Result:
+    """The result of a run with how far it fills its mold, and `UNFILLED` in its status where it does not; on the host.
 
-
-def warnings_of_gap(result: Result, scene: Scene, gap: Gap) -> list[str]:
-    """A sentence where all nodes around a gap stick, so that no pressure would close it."""
-    if scene.mold is None or gap.element < 0:
-        return []
-    nodes = np.asarray(result.triangles)[np.asarray(result.used)][gap.element]
-    corners = np.asarray(scene.parison.positions, float)[nodes]
-    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max())
-    size = float(np.ptp(scene.mold.where_it_turns(), axis=0).max())
-    if not np.asarray(result.stuck)[nodes].all() or gap.width <= max(_BRIDGED * side, _WIDE * size):
-        return []
-    return [
-        f"the sheet sticks all around a place of the mold that is {gap.width:.3g} m before it, at {place(gap.place)}: "
-        "its elements are too large to follow the mold there; add [refinement], or make parison.element_size smaller"
-    ]
-
-
-def _offset(result: Result, scene: Scene) -> np.ndarray:
-    """How far the mold has moved (3,) [m]: its grid is of how it starts, from where a sheet is looked at."""
-    return np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))))
+    One that has it is as it was. The status of a run that stopped says more; of a mold that need not be filled
+    (`Scene.fill`) none is set.
+    """
+    if result.filling is not None:
+        return result
+    filling = filling_of(result, scene)
+    short = scene.fill and filling.unfilled and not int(result.status) & ~Status.UNBALANCED
+    status = result.status | Status.UNFILLED if short else result.status
+    return dataclasses.replace(result, filling=filling, status=status)
 
 
 def _touching(result: Result) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxform.model.replacing import check_numbers, check_scene
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import has_burst, warnings_of_part
-from jaxform.results.summary import warnings_of
+from jaxform.results.summary import warnings_of, with_filling
 from jaxform.runs.loop import IN_MEMORY, programs, roomed
 from jaxform.runs.room import roomier, windows_left
 from jaxform.sheet.state import State, Status
@@ -43,6 +43,9 @@ class Moment:
 
 def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, store: Store | None = None) -> Result:
     """Simulates a scene by the host's loop of the same windows; same numbers as `simulate`, no derivative.
+
+    Its status says what is found after the run alone: that the sheet burst, and that the mold is not filled, unless
+    the scene says that it need not be (`Scene.fill`).
 
     Args:
         scene: The scene.
@@ -102,6 +105,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
     if has_burst(final, own):
         final = dataclasses.replace(final, status=final.status | Status.BURST)
+    if own.fill:
+        final = with_filling(final, own)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2)
     return dataclasses.replace(final, seconds=seconds)

@@ -36,6 +36,8 @@ class Status(enum.IntFlag):
         INPUT: A number that was traced is out of its range. Nothing was simulated, and all walls are NaN.
         ESCAPED: The sheet left its mold.
         BURST: The sheet passed through itself; found by the host's loop, `run`, alone.
+        UNFILLED: A fifth of the opening's depth, or more, is left open; found after the run on the host, by `run` and
+            in the status of `summarize`, never by `simulate`.
     """
 
     NON_FINITE = 1
@@ -50,6 +52,7 @@ class Status(enum.IntFlag):
     INPUT = 512
     ESCAPED = 1024
     BURST = 2048
+    UNFILLED = 4096
 
 
 Taken = tuple[jax.Array, jax.Array, jax.Array]  # as the first parts of `Schedule`, (n_window,)

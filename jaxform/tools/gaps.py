@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,6 +53,9 @@ def widest_gap(
     push: float,
     mold: Mold,
     grid: SearchGrid | None = None,
+    *,
+    held: NDArray[np.bool_] | None = None,
+    counts: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> Gap:
     """The widest gap between a sheet and the mold before it.
 
@@ -66,18 +70,20 @@ def widest_gap(
         push: The pressure [Pa]; its sign alone counts.
         mold: The mold.
         grid: Its search structure; made here by default.
+        held: Elements (n_element,) before which nothing counts; those with a clamped node by default.
+        counts: Says which places of the mold (n, 3) [m] count (n,); all by default.
     """
     if not len(triangles):
         return NO_GAP
+    held = clamped[triangles].any(1) if held is None else held
     grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles)) if grid is None else grid
     walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
     sheet = positions[triangles]
     usual = float(np.linalg.norm(sheet - np.roll(sheet, 1, axis=1), axis=2).mean())
     distances = Distances(Triangulation(positions, triangles), _REACH * usual)
     back = _back(positions, triangles, wall, push, corners[walls])
-    sight = _Sight(sheet, back[triangles], clamped[triangles].any(1), distances, mold, grid)
-    places = np.concatenate([corners[np.unique(walls)], corners[walls].mean(1)])
-    places = places[:: 1 + len(places) // _MOST]
+    sight = _Sight(sheet, back[triangles], held, distances, mold, grid, counts)
+    places = places_of(mold)
     bound = distances.about(places)
     order, best = np.argsort(-bound, kind="stable"), NO_GAP
     first, count = 0, _ASKED
@@ -85,6 +91,13 @@ def widest_gap(
         best = max(best, sight.widest(places[order[first : first + count]]), key=lambda gap: gap.width)
         first, count = first + count, _MORE * count
     return best
+
+
+def places_of(mold: Mold) -> Array:
+    """The places (n, 3) [m] of a mold that are looked at: its corners and the middles of its triangles."""
+    walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
+    places = np.concatenate([corners[np.unique(walls)], corners[walls].mean(1)])
+    return places[:: 1 + len(places) // _MOST]
 
 
 def _back(positions: Array, triangles: Integers, wall: Integers, push: float, mold_corners: Array) -> Array:
@@ -99,25 +112,28 @@ def _back(positions: Array, triangles: Integers, wall: Integers, push: float, mo
 
 @dataclass(frozen=True)
 class _Sight:
-    """Elements (n_element, 3, 3) [m] that look at the mold, which way is back at their nodes, and which are clamped."""
+    """Elements (n_element, 3, 3) [m] that look at the mold, which way is back at their nodes, and which are held."""
 
     sheet: Array
     back: Array
-    clamped: NDArray[np.bool_]
+    held: NDArray[np.bool_]
     distances: Distances
     mold: Mold
     grid: SearchGrid
+    counts: Callable[[Array], NDArray[np.bool_]] | None
 
     def widest(self, places: Array) -> Gap:
         """The widest of the gaps before places of the mold (n, 3) [m]."""
         near = self.distances.nearest(places)
         way, back = places - near.place, self.back[near.triangle]
         before = np.einsum("nkj,nj->n", back, way) < 0
-        before &= ~near.at_rim & ~self.clamped[near.triangle] & (near.distance > 0)
+        before &= ~near.at_rim & ~self.held[near.triangle] & (near.distance > 0)
         found = np.flatnonzero(before)
         # A place of an element may be beyond an edge of the mold; its nodes are not.
         lift = _LIFT * near.distance[found, None, None] * back[found]
         found = found[self._sees(self.sheet[near.triangle[found]], lift, places[found]).sum(1) >= 2]
+        if self.counts is not None and len(found):
+            found = found[self.counts(places[found])]
         if not len(found):
             return NO_GAP
         farthest = found[np.argmax(near.distance[found])]

@@ -32,12 +32,14 @@ class RevolvedMold(Table):
         profile: Points [r, z] [m] from the axis outwards.
         segments: Around the axis.
         motion: How it moves; at rest by default.
+        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
     """
 
     shape: Literal["revolved"]
     profile: Annotated[list[Point], Field(min_length=2)]
     segments: Annotated[int, Field(ge=3, le=1_000_000)]
     motion: Motion | None = None
+    fill: bool = True
 
 
 class BoxInsertMold(Table):
@@ -52,6 +54,7 @@ class BoxInsertMold(Table):
         draft: Of all walls [degrees].
         divisions: Into how many parts each side of a triangle is divided.
         motion: How it moves; at rest by default.
+        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
     """
 
     shape: Literal["box-insert"]
@@ -64,6 +67,7 @@ class BoxInsertMold(Table):
     draft: NotNegative = 0.0
     divisions: Annotated[int, Field(ge=1, le=200)] = 1
     motion: Motion | None = None
+    fill: bool = True
 
 
 class BottleHalfMold(Table):
@@ -77,6 +81,7 @@ class BottleHalfMold(Table):
         hole: Half width and half height of the hole of the handle [m].
         element_size: Side of a triangle [m].
         motion: How it moves; at rest by default.
+        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
     """
 
     shape: Literal["bottle-half"]
@@ -86,6 +91,7 @@ class BottleHalfMold(Table):
     hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
     element_size: Length = 0.00595
     motion: Motion | None = None
+    fill: bool = True
 
 
 Paths = Annotated[
@@ -104,6 +110,7 @@ class FileMold(Table):
         translate: Moved by this [m], after it was turned.
         rotate: Turned about x, y and z, one after the other [degrees].
         motion: How it moves; at rest by default.
+        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
     """
 
     shape: Literal["file"]
@@ -112,6 +119,7 @@ class FileMold(Table):
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     motion: Motion | None = None
+    fill: bool = True
 
 
 Mold = Annotated[

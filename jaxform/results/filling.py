@@ -1,0 +1,127 @@
+"""Whether a formed part fills its mold: the widest gap, measured against the depth of the opening. On the host."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.pytree import as_real
+from jaxform.core.words import place
+from jaxform.model.scene import Scene
+from jaxform.sheet.state import Status
+from jaxform.tools import facing
+from jaxform.tools.gaps import NO_GAP, Gap, places_of, widest_gap
+
+if TYPE_CHECKING:
+    from jaxform.results.result import Result
+
+Array = NDArray[np.float64]
+
+OPEN = 0.2  # of the opening's depth: what is left open of a part that does not fill its mold
+_NOTICED = 0.02  # of the same, that is warned of
+_SMALL = 2e-3  # of the mold's size: a smaller gap is not measured against the depth
+_BRIDGED, _WIDE = 2.0, 0.025  # sides of an element, and of the mold's size, that a gap which stays open is wide
+
+
+class Filling(NamedTuple):
+    """How far a formed part is from filling its mold.
+
+    Attributes:
+        gap: The widest gap between the part and the mold before it.
+        depth: Of the opening [m]: how far the deepest place of the mold that the sheet meets first on its way along
+            the push was before the sheet when the run began; 0 where the gap is so small that it was not measured.
+        left: The widest gap, of at least a fifth of the depth, before places that the sheet is to reach, where elements
+            are free to move: then the mold is not filled. `NO_GAP` where there is none.
+    """
+
+    gap: Gap
+    depth: float
+    left: Gap
+
+    @property
+    def unfilled(self) -> bool:
+        """Whether a fifth of the opening's depth is left open."""
+        return self.left.width > 0.0
+
+
+def filling_of(result: Result, scene: Scene) -> Filling:
+    """How far the formed part is from filling its mold; no gap where there is no mold, or no part."""
+    positions, lost = np.asarray(result.positions, float), Status.RUNAWAY | Status.ESCAPED | Status.BURST
+    if scene.mold is None or scene.tables.grid is None or int(result.status) & lost or not np.isfinite(positions).all():
+        return Filling(NO_GAP, 0.0, NO_GAP)
+    triangles, clamped = np.asarray(result.triangles)[np.asarray(result.used)], np.asarray(scene.parison.clamped)
+    offset, push, mold, grid = mold_offset(result, scene), scene.strongest_push(), scene.mold, scene.tables.grid
+    formed = positions - offset, triangles, np.asarray(result.wall), clamped, push, mold, grid
+    gap = widest_gap(*formed)
+    if gap.element < 0 or not gap.width > _SMALL * float(grid.size):
+        return Filling(_moved(gap, offset), 0.0, NO_GAP)
+    start = np.asarray(scene.parison.positions, float)
+    ahead = facing.facing(start[: scene.first_nodes], np.asarray(scene.parison.triangles), push, mold, grid)
+    depth = 0.0 if ahead is None else ahead.depth(places_of(mold))
+    depth = depth or _first_gap(scene, push)
+    left = NO_GAP
+    if depth > 0.0 and gap.width >= OPEN * depth:
+        held = clamped[triangles].any(1) | np.asarray(result.stuck)[triangles].all(1)
+        left = widest_gap(*formed, held=held, counts=None if ahead is None else ahead.meets)
+        left = left if left.width >= OPEN * depth else NO_GAP
+    return Filling(_moved(gap, offset), depth, _moved(left, offset))
+
+
+def _first_gap(scene: Scene, push: float) -> float:
+    """The widest gap [m] before the sheet as it was at first, of one that meets nothing straight along the push."""
+    parison, lying = scene.parison, scene.tables.lying
+    assert scene.mold is not None
+    wall = np.zeros(len(parison.positions), int) if lying is None else np.asarray(lying)
+    first, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
+    none = np.zeros(len(triangles), bool)
+    return widest_gap(
+        first, triangles, wall, np.asarray(parison.clamped), push, scene.mold, scene.tables.grid, held=none
+    ).width
+
+
+def mold_offset(result: Result, scene: Scene) -> Array:
+    """How far the mold has moved (3,) [m]: its grid is of how it starts, from where a sheet is looked at."""
+    return np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))), float)
+
+
+def _sides(result: Result, scene: Scene, gap: Gap) -> Array:
+    """The initial sides (3,) [m] of the element that is nearest to a gap, ascending."""
+    nodes = np.asarray(result.triangles)[np.asarray(result.used)][gap.element]
+    corners = np.asarray(scene.parison.positions, float)[nodes]
+    return np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+
+
+def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[str]:
+    """A sentence where the part is visibly short of its mold, with the place, how much, and the remedy."""
+    gap, mold = filling.gap, scene.mold
+    if (
+        mold is None
+        or gap.element < 0
+        or filling.unfilled
+        or int(result.status) & ~(Status.UNBALANCED | Status.UNFILLED)
+    ):
+        return []
+    nodes = np.asarray(result.triangles)[np.asarray(result.used)][gap.element]
+    sides, size = _sides(result, scene, gap), float(np.ptp(mold.where_it_turns(), axis=0).max())
+    noticed = scene.fill and gap.width > max(float(sides[1]), _NOTICED * filling.depth) and filling.depth > 0.0
+    if np.asarray(result.stuck)[nodes].all():
+        if gap.width <= max(_BRIDGED * float(sides[2]), _WIDE * size) and not noticed:
+            return []
+        return [
+            f"the sheet sticks all around a place of the mold that is {gap.width:.3g} m before it, at "
+            f"{place(gap.place)}: its elements are too large to follow the mold there; add [refinement], or make "
+            "parison.element_size smaller"
+        ]
+    if not noticed:
+        return []
+    return [
+        f"the mold is not filled everywhere: {gap.width:.3g} m are left at {place(gap.place)}, "
+        f"{100 * gap.width / filling.depth:.2g} % of the opening's depth; raise pressure.value or solver.end_time, or "
+        "say mold.fill = false"
+    ]
+
+
+def _moved(gap: Gap, offset: Array) -> Gap:
+    return gap._replace(place=gap.place + offset) if gap.element >= 0 else gap
