@@ -46,6 +46,7 @@ value = [0.0, 2.0e4]
 shape = "revolved"
 profile = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
 segments = 48
+fill = false
 [solver]
 end_time = 0.05
 damping = 100.0
@@ -142,6 +143,7 @@ def cup(elements: int = 60, end_time: float = 20.0) -> jaxform.Scene:
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.2], "cubic-ramp"),
         solver=jaxform.make_solver(end_time=end_time, damping=2.0),
         mold=jaxform.make_mold(mold.vertices, mold.triangles, mold.dropped),
+        fill=False,
     )
 
 

@@ -38,6 +38,7 @@ def cup(elements: int = 192, **options: float) -> Scene:
         pressure=coarse.pressure,
         solver=coarse.solver,
         mold=coarse.mold,
+        fill=False,
         refinement=jaxform.make_refinement(**chosen),  # pyright: ignore[reportArgumentType]
     )
 
@@ -141,6 +142,7 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
         pressure=jaxform.make_pressure([0.0, 0.1], [0.0, 1e3]),
         solver=jaxform.make_solver(end_time=0.1),
         mold=jaxform.make_mold(box.vertices - [0.15, 0.15, top - gap], box.triangles),
+        fill=False,
         refinement=jaxform.make_refinement(base_level=6, base_reach=reach, **limits | options),
     )
 

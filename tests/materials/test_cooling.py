@@ -70,6 +70,7 @@ def test_a_flange_on_the_mold_and_a_sheet_at_rest_cool_as_walls_do() -> None:
         pressure=jaxform.make_pressure([0.0], [0.0]),
         solver=jaxform.make_solver(end_time=0.3, damping=1.0),
         mold=jaxform.make_mold(mold.vertices, mold.triangles),
+        fill=False,
         cooling=cooling,
     )
     with pytest.warns(jaxform.InputWarning, match="nothing touched"):
@@ -138,6 +139,7 @@ def _cup(skip_stuck: bool = True, refined: bool = True) -> jaxform.Scene:
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.8]),
         solver=dataclasses.replace(plain.solver, skip_stuck=skip_stuck, safety=real(0.7)),
         mold=plain.mold,
+        fill=False,
         refinement=limits if refined else None,
         cooling=_cooling(air=1e-4, mold=1e-3, conductivity=1e-5),
     )

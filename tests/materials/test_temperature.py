@@ -51,6 +51,7 @@ def _cup(viscous: Any, shift: Any, temperature: float | None) -> jaxform.Scene:
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
         solver=plain.solver,
         mold=plain.mold,
+        fill=False,
     )
 
 

@@ -151,6 +151,7 @@ def _cup(kind: Any) -> jaxform.Scene:
         parison=plain.parison,
         solver=dataclasses.replace(plain.solver, safety=real(0.7)),
         mold=plain.mold,
+        fill=False,
     )
 
 

@@ -85,6 +85,7 @@ def _cup() -> jaxform.Scene:
         parison=plain.parison,
         solver=plain.solver,
         mold=plain.mold,
+        fill=False,
         refinement=jaxform.make_refinement(angle=12.0, interval=64, max_level=2, elements=96),
     )
 

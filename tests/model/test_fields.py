@@ -38,6 +38,7 @@ def cup() -> jaxform.Scene:
         pressure=plain.pressure,
         solver=plain.solver,
         mold=plain.mold,
+        fill=False,
         fields={"temperature": cooling(150.0 + 30.0 * np.asarray(plain.parison.positions)[:, 0])},
     )
 

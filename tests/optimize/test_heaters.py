@@ -28,6 +28,7 @@ def _scene(temperature: float | None = 140.0) -> jaxform.Scene:
         pressure=jaxform.make_pressure([0.0, 16.0], [0.0, 0.3]),
         solver=plain.solver,
         mold=plain.mold,
+        fill=False,
     )
 
 

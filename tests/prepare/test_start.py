@@ -34,6 +34,7 @@ def flanged(gap: float = 0.0, turn: int = 1, level: int = 0, **options: Any) -> 
         pressure=jaxform.make_pressure([0.0, 48.0], [0.0, 0.2], "cubic-ramp"),
         solver=jaxform.make_solver(end_time=54.0, damping=2.0),
         mold=jaxform.make_mold(cup.vertices, cup.triangles[:, ::turn]),
+        fill=False,
         refinement=jaxform.make_refinement(**chosen) if level else None,
     )
 

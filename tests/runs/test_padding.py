@@ -42,6 +42,7 @@ def refined(elements: int) -> jaxform.Scene:
         pressure=scene.pressure,
         solver=scene.solver,
         mold=scene.mold,
+        fill=False,
         refinement=jaxform.make_refinement(angle=4.0, interval=64, max_level=2, elements=300),
     )
 

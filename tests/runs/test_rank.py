@@ -27,6 +27,7 @@ def _refined() -> jaxform.Scene:
         pressure=plain.pressure,
         solver=plain.solver,
         mold=plain.mold,
+        fill=False,
         refinement=jaxform.make_refinement(angle=5.0, interval=64, max_level=2, base_level=2, jump=0.3, elements=1024),
     )
 

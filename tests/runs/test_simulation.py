@@ -212,6 +212,7 @@ def test_a_sheet_that_leaves_its_mold_ends_the_run() -> None:
         pressure=cup.pressure,
         solver=cup.solver,
         mold=jaxform.make_mold(plate, np.array([[0, 1, 2], [0, 2, 3]], np.int32)),
+        fill=False,
     )
     with pytest.warns(jaxform.InputWarning):
         result = jaxform.run(scene)
@@ -260,6 +261,7 @@ def test_the_run_ends_when_nothing_can_move() -> None:
         pressure=jaxform.make_pressure([0.0, 40.0], [0.0, 0.05]),
         solver=jaxform.make_solver(end_time=50.0, damping=1.0, safety=0.5),
         mold=jaxform.make_mold(wall.vertices, wall.triangles),
+        fill=False,
     )
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
