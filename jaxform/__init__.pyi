@@ -2,7 +2,7 @@ from . import molds, plot, scenes, shapes
 from .adapt.refinement import fitted
 from .adjoint.gradient_check import GradientCheck, check_gradient
 from .adjoint.strategies import Adjoint, Checkpointed, Reversed, Stored
-from .core.compiling import compiler_options
+from .core.compiling import compiler_options, keep_programs
 from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
@@ -93,6 +93,7 @@ __all__ = [
     "explain",
     "field",
     "fitted",
+    "keep_programs",
     "law",
     "load",
     "loading",

@@ -67,14 +67,12 @@ def use_compile_cache(folder: Path) -> None:
     """Keeps compiled programs between runs, in a folder or where the environment says."""
     import warnings
 
-    import jax
+    from jaxform.core.compiling import keep_programs, keep_programs_in
 
-    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
-        guard.enter_context(cachefolder.guarded(folder))
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-    # Many small programs together take longer than one large one.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        keep_programs()
+    else:
+        keep_programs_in(folder, guard)
     # What cannot be kept, or read back, is compiled again: nothing that anybody must know, on a full disk for each one.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
 

@@ -1,7 +1,8 @@
-"""What XLA is asked for when it compiles a program."""
+"""What XLA is asked for when it compiles a program, and where JAX keeps the program."""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
 import gc
@@ -13,6 +14,10 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
+
+from jaxform.core import cachefolder, disk
+from jaxform.core.errors import InputError
 
 _LEVEL = 2  # of optimization, of the 3 that XLA's CPU compiler has
 _CROWDED = 0.5  # of the mappings that Linux lets a process have
@@ -42,6 +47,62 @@ def _unshared() -> dict[str, int | str]:
     except RuntimeError:
         return {}
     return option
+
+
+def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
+    """Has JAX keep what it compiles for the next process, and returns the folder; a script then starts in seconds.
+
+    Args:
+        folder: Where. By default where JAX keeps programs already (`JAX_COMPILATION_CACHE_DIR`), else in the user's
+            cache folder, as the command does. Programs from it are run: let nobody else write to it.
+
+    Returns:
+        The folder; None where the user has no cache folder that is theirs alone: then nothing is kept.
+
+    Raises:
+        InputError: If the folder cannot be made.
+    """
+    known = jax.config.jax_compilation_cache_dir
+    if folder is None and known:
+        _keep_all()
+        return Path(known)
+    if folder is None:
+        own = cachefolder.own_folder()
+        if own is None:
+            return None
+        chosen = own / cachefolder.COMPILED
+        keep_programs_in(chosen, _until_exit())
+        return chosen
+    chosen = Path(folder).absolute()
+    try:
+        chosen.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        problem = f"cannot be written ({disk.reason(error)})"
+        raise InputError(problem, "choose another folder", "folder", str(folder)) from None
+    keep_programs_in(chosen, _until_exit())
+    return chosen
+
+
+def keep_programs_in(folder: Path, guard: contextlib.ExitStack) -> None:
+    """Keeps compiled programs between processes in a folder, which is looked over now and when the guard is closed."""
+    guard.enter_context(cachefolder.guarded(folder))
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    # Else what was compiled before would have settled for this process that nothing is kept.
+    compilation_cache.reset_cache()
+    _keep_all()
+
+
+def _keep_all() -> None:
+    # Many small programs together take longer than one large one.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+@functools.cache
+def _until_exit() -> contextlib.ExitStack:
+    guard = contextlib.ExitStack()
+    atexit.register(guard.close)
+    return guard
 
 
 def compiled(function: Any, *arguments: Any) -> Any:

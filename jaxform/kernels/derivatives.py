@@ -1,7 +1,8 @@
 """Functions that bring a reverse derivative of their own; the forward one is JAX's.
 
 A `custom_vjp` would shut out forward mode, which least-squares columns need. The rule of a primitive is asked for
-both: where JAX looks for what is linear in unknown tangents, a reverse derivative is on its way.
+both: where JAX looks for what is linear in unknown tangents, a reverse derivative is on its way, or `jax.linearize`
+wants a linear function that it can also call, map and transpose.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+# Private, for want of a public way: such rules alone are told whether `jax.linearize` asks or `jax.vjp`.
+from jax._src.interpreters.ad import fallback_linearize_rule, primitive_linearizations
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -160,7 +164,12 @@ def _like(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
     return [typed_as(result.shape, result.dtype, leaves[0]) for result in results]
 
 
-def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
+def _linearized(is_vjp: bool, moving: Sequence[bool], *primals: Any, **static: Any) -> Any:
+    """The rule for linear functions of tangents: one that is only transposed need not keep the arguments."""
+    return fallback_linearize_rule(_reversed_p, is_vjp, moving, *primals, **static, forward=not is_vjp)
+
+
+def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any, forward: bool = False) -> tuple[Any, Any]:
     moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
     given = only(tangents, moving)
     if any(isinstance(t, pe.JaxprTracer) for t in given):
@@ -169,8 +178,9 @@ def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any) -> tuple[An
         carried, smooth = _smooth_leaves(result, rule.smooth)
         leaves, kept_structure = jax.tree.flatten(kept)
         changes = _change_p.bind(
-            *varying([*leaves, *given]),
+            *varying([*leaves, *(primals if forward else []), *given]),
             rule=rule,
+            forward=forward,
             structure=structure,
             moving=moving,
             kept=kept_structure,
@@ -212,6 +222,7 @@ def _transpose(
     cotangents: Any,
     *leaves: Any,
     rule: Rule,
+    forward: bool,
     structure: Any,
     moving: tuple[bool, ...],
     kept: Any,
@@ -220,8 +231,9 @@ def _transpose(
     shapes: Any,
 ) -> list[Any]:
     count = kept.num_leaves
+    given = leaves[count + structure.num_leaves * forward :]
     end = jax.tree.unflatten(like, merged(smooth, map(ad.instantiate_zeros, cotangents)))
-    change = map(ad.is_undefined_primal, leaves[count:])
+    change = map(ad.is_undefined_primal, given)
     wanted = tuple(merged(moving, change, itertools.repeat(False)))
 
     def pull(kept: Any, end: Any) -> list[Any]:
@@ -231,7 +243,7 @@ def _transpose(
 
     name = (rule, structure, wanted) if rule.lasting else None
     found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
-    return [None] * count + only(found, moving)
+    return [None] * (len(leaves) - len(given)) + only(found, moving)
 
 
 def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
@@ -268,8 +280,33 @@ def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any
     return results, (0,) * len(results)
 
 
-def _no_change(*_: Any, **__: Any) -> Any:
-    raise NotImplementedError("a simulation cannot be linearized by itself: take jax.jvp or jax.vjp of it")
+def _change(
+    *leaves: Any, rule: Rule, forward: bool, structure: Any, moving: tuple[bool, ...], kept: Any, **_: Any
+) -> list[Any]:
+    """The results' tangents, from those of the arguments: the function is worked out once more for it."""
+    if not forward:
+        raise NotImplementedError("what jax.vjp keeps of a simulation can only be transposed: take jax.jvp of it")
+    first = kept.num_leaves
+    primals, given = leaves[first : first + structure.num_leaves], leaves[first + structure.num_leaves :]
+    return _forward(rule, structure, moving, primals, list(given))[1]
+
+
+def _change_batched(leaves: Any, axes: Any, **static: Any) -> tuple[Any, Any]:
+    return jax.vmap(partial(_change, **static), axes)(*leaves), (0,) * len(static["shapes"])
+
+
+def _change_jvp(primals: Any, tangents: Any, **static: Any) -> tuple[Any, Any]:
+    """By the arguments and their tangents; what was kept follows from these."""
+    first = static["kept"].num_leaves
+    moving = [k >= first and not isinstance(t, ad.Zero) for k, t in enumerate(tangents)]
+
+    def moved(*new: Any) -> list[Any]:
+        return _change(*merged(moving, new, primals), **static)
+
+    if not any(moving):
+        changes = _change_p.bind(*primals, **static)
+        return changes, [ad.Zero(jax.typeof(change).to_tangent_aval()) for change in changes]
+    return jax.jvp(moved, only(primals, moving), only(tangents, moving))
 
 
 _reversed_p = Primitive("with_own_reverse")
@@ -278,11 +315,14 @@ _reversed_p.def_impl(lambda *leaves, **static: jax.jit(partial(_value, **static)
 _reversed_p.def_abstract_eval(_like)
 mlir.register_lowering(_reversed_p, lowered_apart(_value))
 ad.primitive_jvps[_reversed_p] = _jvp
+primitive_linearizations[_reversed_p] = _linearized
 batching.primitive_batchers[_reversed_p] = _batched
 
 _change_p = Primitive("with_own_reverse_change")
 _change_p.multiple_results = True
-_change_p.def_impl(_no_change)
+_change_p.def_impl(lambda *leaves, **static: jax.jit(partial(_change, **static))(*leaves))
 _change_p.def_abstract_eval(lambda first, *_, shapes, **__: [typed_as(shape, dtype, first) for shape, dtype in shapes])
 ad.primitive_transposes[_change_p] = _transpose
-mlir.register_lowering(_change_p, mlir.lower_fun(_no_change, multiple_results=True))
+ad.primitive_jvps[_change_p] = _change_jvp
+batching.primitive_batchers[_change_p] = _change_batched
+mlir.register_lowering(_change_p, lowered_apart(_change))

@@ -13,6 +13,9 @@ from functools import partial
 from typing import Any
 
 import jax
+
+# Private, for want of a public way: such rules alone are told whether `jax.linearize` asks or `jax.vjp`.
+from jax._src.interpreters.ad import fallback_linearize_rule, primitive_linearizations
 from jax.extend.core import Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
@@ -125,16 +128,27 @@ def _value(*leaves: Any, jaxpr: Any) -> Any:
     return jaxpr_as_fun(jaxpr)(*leaves)
 
 
-def _jvp(primals: Any, tangents: Any, *, jaxpr: Any) -> tuple[Any, Any]:
-    if any(isinstance(tangent, pe.JaxprTracer) for tangent in tangents):
+def _linearized(is_vjp: bool, moving: Sequence[bool], *primals: Any, jaxpr: Any) -> Any:
+    return fallback_linearize_rule(_sealed_p, is_vjp, moving, *primals, jaxpr=jaxpr, forward=not is_vjp)
+
+
+def _jvp(primals: Any, tangents: Any, *, jaxpr: Any, forward: bool = False) -> tuple[Any, Any]:
+    unknown = any(isinstance(tangent, pe.JaxprTracer) for tangent in tangents)
+    if unknown and not forward:
         raise NotImplementedError(_TWICE)
     moving = [not isinstance(tangent, ad.Zero) for tangent in tangents]
     both, moves = ad.jvp_jaxpr(jaxpr, moving, False)
     given = [tangent for tangent, here in zip(tangents, moving, strict=True) if here]
     found = _sealed_p.bind(*varying([*primals, *given]), jaxpr=both)
-    results, changes = found[: len(moves)], iter(found[len(moves) :])
+    # What is known now must not come out of one operation with what depends on unknown tangents.
+    results = _sealed_p.bind(*primals, jaxpr=jaxpr) if unknown else found[: len(moves)]
+    changes = iter(found[len(moves) :])
     none = [ad.Zero(jax.typeof(result).to_tangent_aval()) for result in results]
     return results, [next(changes) if here else zero for here, zero in zip(moves, none, strict=True)]
+
+
+def _no_transpose(*_: Any, **__: Any) -> Any:
+    raise NotImplementedError(_TWICE)
 
 
 def _batched(axis: Any, leaves: Any, axes: Any, *, jaxpr: Any) -> tuple[Any, Any]:
@@ -152,4 +166,6 @@ _sealed_p.def_impl(lambda *leaves, jaxpr: jax.jit(partial(_value, jaxpr=jaxpr))(
 _sealed_p.def_abstract_eval(_types)
 mlir.register_lowering(_sealed_p, lowered_apart(_value))
 ad.primitive_jvps[_sealed_p] = _jvp
+ad.primitive_transposes[_sealed_p] = _no_transpose
+primitive_linearizations[_sealed_p] = _linearized
 batching.fancy_primitive_batchers[_sealed_p] = _batched

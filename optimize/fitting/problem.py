@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,16 +53,8 @@ class Problem:
                 used.append(_says_something(table))
         self.measured, self._scale = np.concatenate(measured), np.concatenate(scale)
         self.used = np.concatenate(used)
-        models = [_model(table) for table in self.tables]
-        data = [_data(table) for table in self.tables]
-
-        def modelled(free: jax.Array, data: Any) -> tuple[jax.Array, jax.Array]:
-            law = numbers.make(free)
-            found = jnp.concatenate([one(law, *own) for one, own in zip(models, data, strict=True)])
-            return found, found
-
-        # Slopes and values in one: to compile another program takes longer than all its calls.
-        self._both = functools.partial(jax.jit(jax.jacfwd(modelled, has_aux=True)), data=data)
+        kinds, data = tuple(map(_kind, self.tables)), [_data(table) for table in self.tables]
+        self._both = functools.partial(_slopes_and_values, numbers, kinds, data=data)
         self._last: tuple[Array, Array, Array] | None = None
 
     def values(self, free: Array) -> Array:
@@ -100,20 +92,45 @@ def _data(table: Table) -> tuple[Any, ...]:
     return (bubble.plan(table.height / table.radius, table.time),)
 
 
-def _model(table: Table) -> Callable[..., jax.Array]:
-    """A function of a law and a table's data: the law's values for the measured columns, one after the other."""
+class _Inflated(NamedTuple):
+    """What of a bubble a program is compiled for: lengths [m], largest pressure [Pa], whether walls were measured."""
+
+    sheet: float
+    radius: float
+    pressure: float
+    walled: bool
+
+
+def _kind(table: Table) -> str | _Inflated:
+    """The state of a pull, or what there is of a bubble: with its data all that the law's values depend on."""
     if isinstance(table, Pull):
-        return lambda law, stretch, pulled: states.along(law, table.state, jnp.asarray(stretch), pulled)
-    over = table.sheet / table.radius
-    scale = float(table.pressure.max()) / over
+        return table.state
+    return _Inflated(table.sheet, table.radius, float(table.pressure.max()), table.thickness is not None)
 
-    def modelled(law: Law, plan: states.Path) -> jax.Array:
-        pressure, wall = bubble.inflated(law, plan, scale, law.viscous is not None)
-        return jnp.concatenate(
-            [over * pressure, table.sheet * wall] if table.thickness is not None else [over * pressure]
-        )
 
-    return modelled
+def _modelled(law: Law, kind: str | _Inflated, data: tuple[Any, ...]) -> jax.Array:
+    """The law's values for the measured columns of a table, one after the other."""
+    if isinstance(kind, str):
+        stretch, pulled = data
+        return states.along(law, kind, jnp.asarray(stretch), pulled)
+    over = kind.sheet / kind.radius
+    (plan,) = data
+    pressure, wall = bubble.inflated(law, plan, kind.pressure / over, law.viscous is not None)
+    return jnp.concatenate([over * pressure, kind.sheet * wall] if kind.walled else [over * pressure])
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _slopes_and_values(
+    numbers: Numbers, kinds: tuple[str | _Inflated, ...], free: jax.Array, data: list[tuple[Any, ...]]
+) -> tuple[jax.Array, jax.Array]:
+    """Both in one: to compile another program takes longer than all its calls. The same tests compile nothing again."""
+
+    def modelled(free: jax.Array) -> tuple[jax.Array, jax.Array]:
+        law = numbers.make(free)
+        found = jnp.concatenate([_modelled(law, kind, own) for kind, own in zip(kinds, data, strict=True)])
+        return found, found
+
+    return jax.jacfwd(modelled, has_aux=True)(free)
 
 
 def without_bubbles(tables: Sequence[Table]) -> list[Table]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -81,22 +82,7 @@ class Stability:
         ]
         one = jnp.array([stretch for _, stretch in self.places])
         states_of = {state: np.array([own == state for own, _ in self.places]) for state in reach}
-
-        def least(free: jax.Array) -> tuple[jax.Array, jax.Array]:
-            across = [jnp.where(own, states.crosswise(state, one), 0.0) for state, own in states_of.items()]
-            law = numbers.make(free)
-
-            def true_stress(logs: jax.Array) -> jax.Array:
-                stretch = jnp.exp(logs)
-                first, second = states.nominal(law, stretch[:1], stretch[1:])
-                return jnp.stack([stretch[0] * first[0], stretch[1] * second[0]])
-
-            slopes = jax.vmap(jax.jacfwd(true_stress))(jnp.log(jnp.stack([one, sum(across)], axis=1)))
-            mean = 0.5 * (slopes[:, 0, 0] + slopes[:, 1, 1])
-            apart = jnp.hypot(0.5 * (slopes[:, 0, 0] - slopes[:, 1, 1]), 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]))
-            return (mean - apart) / stress, (mean - apart) / stress
-
-        self._both = jax.jit(jax.jacfwd(least, has_aux=True))
+        self._both = functools.partial(_slopes_and_least, numbers, one=one, states_of=states_of, stress=stress)
 
     def lacking(self, free: Array, margin: float = 0.0) -> Array:
         """By how much (n_place,) each place misses being stable, relative to the largest stress; 0 where it is."""
@@ -114,6 +100,29 @@ class Stability:
         lacking = self.lacking(free) > 1e-6
         found = [place for place, bad in zip(self.places, lacking, strict=True) if bad]
         return min(found, key=lambda place: abs(np.log(place[1]))) if found else None
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _slopes_and_least(
+    numbers: Numbers, free: jax.Array, one: jax.Array, states_of: dict[str, Array], stress: float
+) -> tuple[jax.Array, jax.Array]:
+    """The least slope of the true stress at each place (n_place,), relative to a stress, and its derivatives."""
+
+    def least(free: jax.Array) -> tuple[jax.Array, jax.Array]:
+        across = [jnp.where(own, states.crosswise(state, one), 0.0) for state, own in states_of.items()]
+        law = numbers.make(free)
+
+        def true_stress(logs: jax.Array) -> jax.Array:
+            stretch = jnp.exp(logs)
+            first, second = states.nominal(law, stretch[:1], stretch[1:])
+            return jnp.stack([stretch[0] * first[0], stretch[1] * second[0]])
+
+        slopes = jax.vmap(jax.jacfwd(true_stress))(jnp.log(jnp.stack([one, sum(across)], axis=1)))
+        mean = 0.5 * (slopes[:, 0, 0] + slopes[:, 1, 1])
+        apart = jnp.hypot(0.5 * (slopes[:, 0, 0] - slopes[:, 1, 1]), 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]))
+        return (mean - apart) / stress, (mean - apart) / stress
+
+    return jax.jacfwd(least, has_aux=True)(free)
 
 
 def information(solution: Solution) -> float:

@@ -110,3 +110,30 @@ def test_reverse_mode_over_reverse_mode_is_refused_in_a_sentence() -> None:
     figure = _figure(_bounded(scenes.free_disc(24, 1.0, scenes.mooney(0.1), end_time=8.0)))
     with pytest.raises(NotImplementedError, match=r"^the gradient of a simulation.*jax\.hessian\(f\)"):
         jax.eval_shape(jax.grad(lambda at: jnp.sum(jax.grad(figure)(at))), jnp.ones(4))
+
+
+@pytest.mark.parametrize("adjoint", [jaxform.Reversed(), jaxform.Checkpointed()])
+def test_a_simulation_is_linearized_as_least_squares_of_others_do_it(adjoint: jaxform.Adjoint) -> None:
+    """Gauss and Newton's step: the linear function mapped over a basis, and transposed, inside of a jit."""
+    scene = _bounded(scenes.cup(elements=24))
+
+    def walls(factors: jax.Array) -> jax.Array:
+        changes = {
+            "parison.thickness": factors[0] * scene.parison.thickness,
+            "pressure.value": factors[1] * scene.pressure.value,
+        }
+        result = jaxform.simulate(jaxform.replace(scene, changes), adjoint=adjoint)
+        return jnp.append(result.thickness[:6], result.energy.damping_loss)
+
+    def step(factors: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        value, push = jax.linearize(walls, factors)
+        columns = jax.vmap(push)(jnp.eye(2))
+        slope = jax.linear_transpose(push, factors)(value)[0]
+        return value, columns, slope
+
+    at = jnp.asarray([1.05, 0.95])
+    value, columns, slope = jax.jit(step).lower(at).compile(_QUICKLY)(at)
+    expected = [jax.jit(lambda at, k=k: jax.jvp(walls, (at,), (jnp.eye(2)[k],))[1])(at) for k in range(2)]
+    np.testing.assert_allclose(columns, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(slope, columns @ value, rtol=1e-7)
+    assert np.abs(np.asarray(columns)).max(axis=1).min() > 1e-6

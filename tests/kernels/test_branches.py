@@ -67,3 +67,42 @@ def test_only_what_carries_a_derivative_is_gone_back_over() -> None:
         return value[0] + value[1]
 
     assert jax.grad(both, 1)(jnp.asarray(2.0), jnp.asarray(3.0)) == 2.0
+
+
+def test_what_is_linearized_can_be_called_mapped_transposed_and_differentiated() -> None:
+    """As solvers of others do: they map the linear function, or transpose it, inside of a jit."""
+    limit = jnp.int32(2)
+
+    def derivatives(choose: Callable[..., Any]) -> Any:
+        def figure(x: jax.Array) -> jax.Array:
+            return walked(choose, x, TABLE, limit) * x
+
+        def pushed(x: jax.Array, way: jax.Array) -> jax.Array:
+            return jax.linearize(figure, x)[1](way)
+
+        def jacobian(x: jax.Array) -> jax.Array:
+            return jax.vmap(jax.linearize(figure, x)[1])(jnp.eye(x.size))
+
+        def gradient(x: jax.Array) -> jax.Array:
+            value, push = jax.linearize(figure, x)
+            return jax.linear_transpose(push, x)(value)[0]
+
+        def curvature(x: jax.Array) -> jax.Array:
+            return jax.vmap(jax.linearize(jax.grad(lambda x: jnp.sum(figure(x))), x)[1])(jnp.eye(x.size))
+
+        ways = [jacobian, gradient, curvature, lambda x: pushed(x, x), lambda x: jax.jvp(jacobian, (x,), (TABLE[:3],))]
+        return [way(START) for way in ways] + [jax.jit(way)(START) for way in ways]
+
+    mine, its = derivatives(branch), derivatives(of_jax)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15), mine, its)
+    expected = jax.jacfwd(lambda x: walked(of_jax, x, TABLE, limit) * x)(START)
+    np.testing.assert_allclose(mine[0], expected.T, rtol=1e-13)
+
+
+def test_a_reverse_derivative_of_a_reverse_one_is_refused_in_words() -> None:
+    gradient = jax.grad(lambda x: walked(branch, x, TABLE, jnp.int32(2)))
+    with pytest.raises(NotImplementedError, match=r"jax\.hessian"):
+        jax.grad(lambda x: jnp.sum(gradient(x)))(START)
+    push = jax.linearize(gradient, START)[1]
+    with pytest.raises(NotImplementedError, match=r"jax\.hessian"):
+        jax.linear_transpose(push, START)(START)

@@ -1,0 +1,99 @@
+"""The Python on the pages: it runs in a fresh process, and what was run once compiles nothing the second time."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    str(page.relative_to(ROOT)) for page in _PAGES if "_generated" not in page.parts and _BLOCK.search(page.read_text())
+]
+
+# Definitions stay as they are: a function that is defined anew is another one to JAX.
+_TWICE = """
+import ast, json, sys
+import jax
+
+compiled = [0]
+jax.monitoring.register_event_duration_secs_listener(
+    lambda event, *_, **__: compiled.__setitem__(0, compiled[0] + event.endswith("backend_compile_duration"))
+)
+space, counts = {"__name__": "page"}, []
+for text in json.load(sys.stdin):
+    first = ast.parse(text)
+    kept = (ast.FunctionDef, ast.ClassDef, ast.Import, ast.ImportFrom)
+    again = ast.Module([part for part in first.body if not isinstance(part, kept)], [])
+    for part in (first, again):
+        before = compiled[0]
+        exec(compile(part, "page", "exec"), space)
+        counts.append(compiled[0] - before)
+print(json.dumps([counts[::2], counts[1::2]]))
+"""
+
+
+def _run(blocks: list[str], folder: Path) -> list[list[int]]:
+    """How many programs JAX compiles for each block, the first time and the second, in a process of its own."""
+    known = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0",
+    }
+    command = [sys.executable, "-W", "error", "-W", "ignore:Error (reading|writing) persistent", "-c", _TWICE]
+    given = json.dumps(blocks)
+    done = subprocess.run(
+        command, cwd=folder, env=known, input=given, capture_output=True, text=True, timeout=900, check=False
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """With the files that pages read: tests of a material."""
+    shutil.copy(ROOT / "tests" / "optimize" / "treloar" / "uniaxial.csv", tmp_path)
+    stretch = np.linspace(1.2, 4.0, 12)
+    rows = np.column_stack([stretch, 0.4e6 * (stretch - stretch**-3)])
+    np.savetxt(tmp_path / "strip.csv", rows, delimiter=",", header="stretch,stress", comments="")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_python_of_a_page_runs_and_compiles_nothing_the_second_time(page: str, folder: Path) -> None:
+    blocks = _BLOCK.findall((ROOT / page).read_text())
+    first, second = _run(blocks, folder)
+    assert second == [0] * len(blocks), first
+
+
+_JITTED = """
+import jax
+import jax.numpy as jnp
+import jaxform
+
+jax.config.update("jax_enable_x64", True)
+scene = jaxform.scenes.dish(elements=40)
+
+
+def mean(factor):
+    changed = jaxform.replace(scene, {"parison.thickness": factor * scene.parison.thickness})
+    return jnp.mean(jaxform.simulate(changed).thickness)
+
+
+jitted = jax.jit(mean)
+"""
+_CALL = "assert float(jitted(jnp.asarray(1.0))) > 0.0"
+
+
+def test_a_jitted_script_compiles_once_though_simulate_is_first_used_inside_the_trace(tmp_path: Path) -> None:
+    """No module that is imported then may add to what JAX compares when it looks for a traced function."""
+    (_, first), (_, second) = _run([_JITTED, _CALL], tmp_path)
+    assert first > 0 and second == 0
