@@ -25,8 +25,8 @@ from jaxform.sheet.account import (
     strain_energy,
 )
 from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
-from jaxform.sheet.heat import Walls, further, touching
-from jaxform.sheet.state import Schedule, State, Taken
+from jaxform.sheet.heat import Heat, Walls, further, touching
+from jaxform.sheet.state import Schedule, State, Taken, nothing_moves
 
 NODAL, OF_ELEMENTS = {"of": "nodes"}, {"of": "elements"}
 """Mark what a result has for each node, and for each element."""
@@ -73,7 +73,8 @@ class Result:
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
         filling: How far the mold is filled, where `run` measured it, else None.
-        temperature: At the nodes (n_node,) [degC], where the sheet cools; None where it keeps what it has at first.
+        temperature: At the nodes (n_node,) [degC], where the sheet cools, at the end time where nothing can move before;
+            None where it keeps what it has at first.
         loading: The state that the loading has of its own, now; None where it has none.
         out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.
@@ -121,7 +122,9 @@ class Result:
         return {name: jax.tree.map(lambda values: np.asarray(values)[chosen], getattr(self, name)) for name in names}
 
 
-def make_result(state: State, scene: Scene, first: Discretization, taken: Taken | None = None) -> Result:
+def make_result(
+    state: State, scene: Scene, first: Discretization, taken: Taken | None = None, last: jax.Array | bool = False
+) -> Result:
     """The result of a state; pure, so it can be traced.
 
     Args:
@@ -129,6 +132,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         scene: The scene.
         first: The sheet as it was at first.
         taken: The windows that were taken, as the first parts of a `Schedule`.
+        last: Whether the run has ended: a sheet that cannot move any more cools on until the end time.
     """
     now, adaptivity, mesh = present_discretization(scene, state.mesh, first), scene.adaptivity, state.mesh
     sheet = now.sheet
@@ -161,7 +165,7 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
         return nodal(values, scene.parison.positions.T if rule.absent is None else rule.absent)
 
     nodes = dataclasses.replace(state.nodes, mode=None).mapped(ordered)
-    change = _change_of_temperature(state, scene, now, ratio)
+    change = _change_of_temperature(state, scene, now, ratio, last)
     volume = enclosed_volume(state.nodes.positions, sheet)
     return Result(
         positions=nodes.positions.T,
@@ -202,7 +206,9 @@ def make_result(state: State, scene: Scene, first: Discretization, taken: Taken 
     )
 
 
-def _change_of_temperature(state: State, scene: Scene, now: Discretization, ratio: jax.Array) -> jax.Array | None:
+def _change_of_temperature(
+    state: State, scene: Scene, now: Discretization, ratio: jax.Array, last: jax.Array | bool
+) -> jax.Array | None:
     """How much warmer the nodes (n_node,) are than at first [K]: the mean of their elements; None without cooling."""
     cooling, heat, sheet, nodes = scene.cooling, state.heat, now.sheet, state.nodes
     if cooling is None or heat is None or now.temperature is None:
@@ -211,7 +217,14 @@ def _change_of_temperature(state: State, scene: Scene, now: Discretization, rati
     wall = now.thickness * jnp.where(used, ratio, 1.0)
     share = touching(nodes, sheet.triangles, heat.time, time)
     density = now.zones.get("density", scene.material.density)
-    change = further(heat, cooling, Walls(now.temperature, wall, share, density), time)
+    walls = Walls(now.temperature, wall, share, density)
+    change = further(heat, cooling, walls, time)
+    # From there on it touches what it touches now.
+    begun = jnp.broadcast_to(time, change.shape)
+    walls = walls._replace(share=touching(nodes, sheet.triangles, begun, time))
+    still = (state.status == 0) & nothing_moves(state, scene) & last
+    end = jnp.where(still, jnp.maximum(scene.solver.end_time, time), time)
+    change = further(Heat(change, begun, change), cooling, walls, end)
     shares = jnp.stack([sheet.area, jnp.where(used, sheet.area * change, 0.0)])
     area, total = (membrane.sum_to_nodes(row, sheet.triangles, now.mass.size) for row in shares)
     return total / jnp.where(area > 0.0, area, 1.0)

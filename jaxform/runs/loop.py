@@ -43,7 +43,7 @@ def result_of(
 ) -> Result:
     """The result of a state; of the last one with what it has ended with."""
     status = jnp.where(last, closed(state, scene, first).status, state.status)
-    return make_result(dataclasses.replace(state, status=status), scene, first, taken)
+    return make_result(dataclasses.replace(state, status=status), scene, first, taken, last)
 
 
 @jax.jit

@@ -92,7 +92,7 @@ def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Res
         taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
         state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
-    result = make_result(closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken))
+    result = make_result(closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken), True)
     return _without_wall(dataclasses.replace(result, out_of_range=out_of_range), jnp.any(out_of_range != 0))
 
 

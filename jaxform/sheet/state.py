@@ -257,7 +257,14 @@ def finished(state: State, scene: Scene) -> jax.Array:
     """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
     slack = 16 * jnp.finfo(state.time.dtype).eps
     done = (state.time >= scene.solver.end_time * (1.0 - slack)) | (state.status != 0)
-    return done | jnp.all(state.nodes.stuck) if scene.solver.end_early and scene.rests else done
+    return done | nothing_moves(state, scene)
+
+
+def nothing_moves(state: State, scene: Scene) -> jax.Array:
+    """Whether nothing can move any more, so that a run ends before its time."""
+    if not (scene.solver.end_early and scene.rests):
+        return jnp.asarray(False)
+    return jnp.all(state.nodes.stuck)
 
 
 def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Array:

@@ -191,6 +191,56 @@ def test_what_sticks_cools_whether_it_is_stepped_on_or_not() -> None:
     np.testing.assert_allclose(skipped.energy.cooling_loss, stepped.energy.cooling_loss, rtol=1e-9)
 
 
+def _all_stuck(end: float) -> jaxform.Scene:
+    """A disc that lies on its mold with all nodes at 13, and cools by the mold alone."""
+    sheet = shapes.disc(radius=1.0, elements=40, symmetry="quarter")
+    mold = molds.revolved(profile=[[0.0, 0.3], [0.7, 0.3], [1.0, 0.0]], segments=48)
+    return jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed, 150.0),
+        material=jaxform.NeoHookean(real(1.0), real(1.0)),
+        pressure=jaxform.make_pressure([0.0, 20.0], [0.0, 0.4], "cubic-ramp"),
+        solver=jaxform.make_solver(end_time=end, damping=2.0),
+        mold=jaxform.make_mold(mold.vertices, mold.triangles),
+        cooling=_cooling(heat_capacity=1000.0, mold=1.0, mold_temperature=60.0),
+    )
+
+
+@pytest.mark.parametrize("end", [25.0, 40.0])
+def test_what_sticks_early_has_the_temperature_of_the_end_time(end: float) -> None:
+    """It was that of the border at which the last node had stuck, whatever the end time."""
+    scene = _all_stuck(end)
+    result = jaxform.run(scene)
+    assert int(result.status) == 0 and float(result.time) < 20.0
+    triangles, wall = np.asarray(result.triangles), np.asarray(result.element_thickness)
+    since = np.where(np.asarray(result.wall) != 0, end - np.asarray(result.contact_time), 0.0)
+    # Newton's law for each element, over as much of its area and as long as it touches the mold.
+    own = 60.0 + 90.0 * np.exp(-since[triangles].mean(1) / (1000.0 * wall))
+    area = np.asarray(scene.tables.sheet.area)
+    sums = [np.bincount(triangles.ravel(), np.repeat(x, 3), len(since)) for x in (area * own, area)]
+    np.testing.assert_allclose(_warmth(result), sums[0] / sums[1], atol=0.2)
+    np.testing.assert_allclose(_warmth(jaxform.simulate(scene)), _warmth(result), rtol=1e-9)
+
+
+def test_temperatures_after_an_early_end_have_gradients() -> None:
+    scene = _all_stuck(25.0)
+
+    @jax.jit
+    def warm(mold: jax.Array) -> jax.Array:
+        return jnp.mean(_warmth(jaxform.simulate(jaxform.replace(scene, {"cooling.mold": mold}))))
+
+    at, step = real(1.0), 1e-5
+    slope = jax.jit(jax.grad(warm))(at)
+    np.testing.assert_allclose(slope, (warm(at + step) - warm(at - step)) / (2 * step), rtol=1e-6)
+    assert float(slope) < -1.0
+
+
+def test_the_air_is_as_warm_as_the_reference_says_where_a_file_does_not_say(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(FILE.format(cooling="heat_capacity = 2000.0\nair = 10.0\nmold = 5.0"))
+    with pytest.warns(jaxform.InputWarning, match="no mold"):
+        cooling = files.load(tmp_path / "scene.toml").cooling
+    assert cooling is not None and float(cooling.air_temperature) == float(cooling.mold_temperature) == 20.0
+
+
 def test_below_a_shift_the_sheet_is_glass() -> None:
     wlf = jaxform.Wlf(real(100.0), real(17.44), real(51.6))
     factors, slopes = jax.vmap(jax.value_and_grad(wlf.factor))(jnp.asarray([130.0, 100.0, 60.0, 48.4, 20.0]))
@@ -243,7 +293,6 @@ def test_cooling_in_a_file_and_in_the_part(tmp_path: Path) -> None:
     [
         ("air = 10.0\nair_temperature = 20.0", "cooling.heat_capacity: is missing"),
         ("heat_capacity = 2000.0", "cooling.air = 0.0: cools nothing"),
-        ("heat_capacity = 2000.0\nair = 10.0", "cooling.air_temperature: is missing"),
         (_AIR.replace("50.0", "-1.0"), "cooling.air = -1.0: is too small"),
         (_AIR + "conductivity = 0.0", "cooling.conductivity = 0.0"),
         (_AIR + "wind = 1.0", "cooling.wind"),

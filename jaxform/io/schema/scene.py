@@ -94,10 +94,6 @@ class Cooling(Table):
 
     @model_validator(mode="after")
     def _check(self) -> Cooling:
-        for name in ("air", "mold"):
-            key = f"{name}_temperature"
-            if key not in self.model_fields_set and getattr(self, name) > 0.0:
-                raise wrong("is missing", f"say how cold it is, since {name} cools the sheet", key, None)
         if self.air == 0.0 == self.mold:
             raise wrong("cools nothing", "give air or mold, or leave [cooling] out", "air", self.air)
         return self
