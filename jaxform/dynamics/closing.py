@@ -87,7 +87,7 @@ def close(
         status=status.astype(jnp.int32),
         control=dataclasses.replace(
             kept.control,
-            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, now),
+            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, now, new.time),
             retries=retries,
             last_length=now.length,
             last_count=jnp.where(bad, 0, moving.count),
@@ -98,12 +98,19 @@ def close(
 
 
 def _next_span(
-    state: State, rejected: jax.Array, quiet: jax.Array, searched: Searched | None, scene: Scene, now: Window
+    state: State,
+    rejected: jax.Array,
+    quiet: jax.Array,
+    searched: Searched | None,
+    scene: Scene,
+    now: Window,
+    time: jax.Array,
 ) -> jax.Array:
     """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
 
     A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
-    stiffness.
+    stiffness. Where short windows would not do with those that were planned for the `time` that is left, they are as
+    long as they can be.
     """
     if scene.tables.window_room <= SHORT_WINDOW:
         return state.control.span
@@ -117,7 +124,10 @@ def _next_span(
         jnp.minimum(2 * state.control.span, longest),
         jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
     )
-    return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), jnp.where(longer, twice, half))
+    span = jnp.where(longer, twice, half)
+    windows = (scene.solver.end_time - time) / (SHORT_WINDOW * now.length)
+    span = jnp.where(windows > scene.tables.planned - state.windows, longest, span)
+    return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), span)
 
 
 class End(NamedTuple):

@@ -182,6 +182,8 @@ class Tables:
         lying: Which nodes (n_node,) lie on the mold when a run begins, and on which of its triangles, as `State.wall`
             has it; None where none do.
         window_count: Number of windows that a run may take.
+        planned: How many were planned for what is expected, where more may be met: windows then become longer, so that
+            they do. The largest number where enough were planned.
         longest_window: Steps that a window may take at most.
         window_room: Room for so many.
         pairs_per_node: Room for so many pairs of node and mold triangle that come near each other, for each node.
@@ -199,6 +201,7 @@ class Tables:
     forest: Forest | None
     lying: jax.Array | None
     longest_window: np.int32 | jax.Array
+    planned: np.int32 | jax.Array
     window_count: int = static()
     window_room: int = static(default=LONG_WINDOW)
     pairs_per_node: int = static(default=2)

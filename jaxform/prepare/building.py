@@ -21,8 +21,10 @@ from jaxform.model.scene import Parison, Refinement, Scene, Solver, pushes_of
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Box, Sheet, Tables
 from jaxform.prepare import parts, start
 from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
-from jaxform.prepare.planning import longest_window, planned_windows, spare_windows
+from jaxform.prepare.planning import longest_window, planned_windows, spare_windows, stiffens_steeply
 from jaxform.prepare.rims import moving_rim
+from jaxform.prepare.stretches import expected_stretch
+from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
@@ -101,7 +103,14 @@ def build_scene(
         grown = grown_forest(forest, refinement, sheet, mobility, bend, fine)
         bound = grown.bound
     cold, change = parts.coldest(parison, cooling, solver, material)
-    planned = planned_windows(bound, material.at(cold), solver)
+    law = material.at(cold)
+    steep = stiffens_steeply(law)
+    expected = expected_stretch(parison, law, pushes_of(pressure, solver, parison), mold) if steep else None
+    planned = planned_windows(bound, law, solver, expected)
+    if steep and refinement is not None:
+        # Its windows do not become longer.
+        planned *= LONG_WINDOW // SHORT_WINDOW
+    window_count, longest = planned + spare_windows(grid, change), longest_window(planned, frames, steep=steep)
     tables = Tables(
         sheet=sheet,
         assembly=_assembly(positions, triangles, refinement),
@@ -112,8 +121,9 @@ def build_scene(
         grid=grid,
         forest=grown,
         lying=lying,
-        window_count=planned + spare_windows(grid, change),
-        longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest_window(planned, frames)),
+        window_count=window_count,
+        planned=np.int32(window_count if steep else NEVER),
+        longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest),
         window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
         pairs_per_node=_pairs_per_node(mold, grid),
         rim=rim,

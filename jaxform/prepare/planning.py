@@ -16,18 +16,32 @@ from jaxform.mechanics import membrane, stiffness
 from jaxform.mechanics.response import Memory, overstress, strained
 from jaxform.model.scene import Scene, Solver
 from jaxform.model.tables import LONG_WINDOW, MOST_COOLING, SHORT_WINDOW
+from jaxform.prepare.stretches import LARGEST_STRETCH
 from jaxform.tools.search import SearchGrid
 
-_LARGEST_STRETCH = 6.0  # that windows are planned for
+_STEEP = 8.0  # times as many steps at the largest stretch as at first: such a law is planned for what it will meet
+_FEWEST_WINDOWS = 128  # for which such a plan is made
 _PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
 
 
-def planned_windows(bound: jax.Array, material: Law, solver: Solver) -> int:
-    """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for."""
-    step = float(solver.safety) * float(
-        _stiffest_step(as_real(np.asarray(bound).max()), material, as_real(_LARGEST_STRETCH))
+def stiffens_steeply(material: Law) -> bool:
+    """Whether steps at the largest stretch are so much shorter than at first that no run is planned for it."""
+    first, last = (
+        float(_stiffest_step(as_real(1.0), material, as_real(stretch))) for stretch in (1.0, LARGEST_STRETCH)
     )
-    steps = 1.3 * float(solver.end_time) / step if step > 0 else np.inf
+    return not last * _STEEP > first
+
+
+def planned_windows(bound: jax.Array, material: Law, solver: Solver, expected: float | None = None) -> int:
+    """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for.
+
+    Or up to the stretch that is expected, of a law that stiffens steeply: where it is stiffer, windows become longer
+    (`dynamics.closing`). As many as there is always room for are planned in any case.
+    """
+    stretch = as_real(LARGEST_STRETCH if expected is None else expected)
+    step = float(solver.safety) * float(_stiffest_step(as_real(np.asarray(bound).max()), material, stretch))
+    steps = float(solver.end_time) / step if step > 0 else np.inf
+    steps = 1.3 * steps if expected is None else max(steps, _FEWEST_WINDOWS * SHORT_WINDOW)
     if not steps < MOST_STEPS:
         raise InputError(
             f"the run would take {steps:.2g} steps of {step:.2g} s",
@@ -44,8 +58,12 @@ def spare_windows(grid: SearchGrid | None, cooling: float = 0.0) -> int:
     return spare if grid is None else spare + round(2 * float(grid.size) / float(grid.reach))
 
 
-def longest_window(planned: int, frames: int) -> int:
-    """Steps of the longest window, so that of so many planned short ones there are enough that are taken."""
+def longest_window(planned: int, frames: int, *, steep: bool = False) -> int:
+    """Steps of the longest window, so that of so many planned short ones there are enough that are taken.
+
+    Where a steep law is planned for what is expected, windows can become longer whatever the plan.
+    """
+    planned *= LONG_WINDOW // SHORT_WINDOW if steep else 1
     # Steps are not all alike, so there are twice as many windows as frames.
     longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, 2 * frames)
     while longest < LONG_WINDOW and planned * SHORT_WINDOW >= 2 * longest * enough:

@@ -73,8 +73,8 @@ class Result:
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
         filling: How far the mold is filled, where `run` measured it, else None.
-        temperature: At the nodes (n_node,) [degC], where the sheet cools, at the end time where nothing can move before;
-            None where it keeps what it has at first.
+        temperature: At the nodes (n_node,) [degC], where the sheet cools; at the end time where nothing can move any
+            more before. None where it keeps what it has at first.
         loading: The state that the loading has of its own, now; None where it has none.
         out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.

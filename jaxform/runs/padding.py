@@ -196,6 +196,7 @@ def _rungs(tables: Tables, count: int, refinement: Refinement | None, least: int
         forest=grown,
         lying=None if tables.grid is None else lying_with_room(tables.lying, order),
         longest_window=tables.longest_window,
+        planned=tables.planned,
         window_count=sizes.windows(tables.window_count, recorded=recorded),
         window_room=tables.window_room,
         pairs_per_node=tables.pairs_per_node,
