@@ -188,7 +188,7 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
     assert np.all(shape >= np.asarray(grid.shape)), grid.shape
     middle = np.asarray(grid.corner) + 0.5 * float(grid.width) * np.asarray(grid.shape)
     corner = middle - 0.5 * float(grid.width) * shape
-    frame = search._Frame(corner, float(grid.width), float(grid.reach), shape)
+    frame = search.Frame(corner, float(grid.width), float(grid.reach), shape)
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)][np.asarray(grid.number)]
     place = np.array([*frame.corner, frame.width, frame.reach])
     lists = _STORE.arrays("grid", (corners, place, frame.shape), lambda: search._lists(corners, frame))

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 _TIE = 1e-9  # of the mold's size: triangles as near as that are equally near
 _AT_FIRST = 8  # pieces of triangles that are looked for near a point
 _FINEST = 200  # pieces of triangles along the mold's longest side
+_MOST_PIECES = 200_000, 2  # in all or for each triangle, whichever are more
+_ASKED, _MORE = 256, 4  # points, the farthest by a quick bound, that are measured first, and times as many then
 _CHUNK = 200_000  # pairs of point and triangle looked at together
 
 
@@ -65,7 +67,9 @@ class Distances:
         self.farthest = farthest
         self.open_side, self.open_corner = _rims(triangles, len(mold.vertices))
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
-        pieces, self.owner = cut(self.corners, max(min(longest, 0.5 * farthest), self.size / _FINEST))
+        pieces, self.owner = cut(
+            self.corners, _length(self.corners, max(min(longest, 0.5 * farthest), self.size / _FINEST))
+        )
         middle = pieces.mean(1)
         self.radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
         self.tree = KDTree(middle)
@@ -94,6 +98,21 @@ class Distances:
         rim = np.zeros(len(points), bool)
         rim[point[at_rim & (distance <= nearest[point] + _TIE * self.size)]] = True
         return np.where(rim | (nearest > self.farthest), 0.0, nearest)
+
+    def farthest_of(self, points: Array) -> tuple[float, int]:
+        """The largest of the distances of points (n, 3) [m] that `exact` gives, and which has it; 0 and -1 of none.
+
+        Only those are measured that a quick bound does not rule out.
+        """
+        bound, best, found = self.about(points), 0.0, -1
+        order, first, count = np.argsort(-bound, kind="stable"), 0, _ASKED
+        while first < len(order) and bound[order[first]] > best:
+            asked = order[first : first + count]
+            distance = self.exact(points[asked])
+            if distance.max() > best:
+                best, found = float(distance.max()), int(asked[np.argmax(distance)])
+            first, count = first + count, _MORE * count
+        return best, found
 
     def nearest(self, points: Array) -> Nearest:
         """The nearest places to points (n, 3) [m]; in the triangle with the nearest middle, where it is too far."""
@@ -133,6 +152,18 @@ class Distances:
         at_rim = (side >= 0) & self.open_side[triangle, side]
         at_rim |= (side >= 0) & (end >= 0) & self.open_corner[triangle, on_corner]
         return distance, at_rim
+
+
+def _length(corners: Array, length: float) -> float:
+    """A length [m] to which triangles (n, 3, 3) can be cut, so that the pieces are not too many."""
+    side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    in_all, each = _MOST_PIECES
+    while True:
+        across = np.maximum(area / side / length, 1.0)
+        if (2 * np.maximum(side / length, 0.5) * across).sum() <= max(in_all, each * len(corners)):
+            return length
+        length *= 1.25
 
 
 def _rims(triangles: NDArray[np.integer], vertex_count: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -7,10 +7,8 @@ dismissed by one look-up, and a near one is compared with the few triangles of i
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,19 +16,19 @@ from numpy.typing import NDArray
 
 from jaxform.core.pytree import as_index, as_real, pytree
 from jaxform.core.store import Store
+from jaxform.tools.reach import HALF_DIAGONAL, Frame, pairs_in_reach
 
 Array = NDArray[np.float64]
 
 _MOST_CELLS = 2_000_000
+_MOST_LISTED = 5_000_000, 60  # entries of all cells' lists, in all or for each triangle, whichever are more
 _COARSEST, _FINEST = 32, 256  # cells along the longest side of a mold
 _FEWEST = 16  # where a coarse sheet moves far in a window
 # In cells: a coarse mold's lists are short and may reach far; a fine one's as far as the sheet moves, within this.
 _REACH = {"coarse": 1.5, "fine": (0.75, 1.0)}
 _FAR = 3  # how many times as wide the cells for nodes that move far are, and as long their reach
 CLASSES = 4  # of distance, in which a cell's list is sorted: a small ball is compared with what is near alone
-_CHUNK = 120_000  # pairs of cell and triangle looked at together: what a core's cache holds
 _SLACK = 1e-6  # relative to a cell, for rounding
-_HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
 
 
 @pytree
@@ -92,15 +90,6 @@ class SearchGrid:
         return self.reach if self.far is None else self.far.reach
 
 
-class _Frame(NamedTuple):
-    """The cells: lowest corner (3,) [m], width [m], reach [m], number along x, y, z (3,)."""
-
-    corner: Array
-    width: float
-    reach: float
-    shape: NDArray[np.int64]
-
-
 def build_grid(
     vertices: Array, triangles: NDArray[np.integer], travel: float = 0.0, store: Store | None = None
 ) -> SearchGrid:
@@ -147,51 +136,77 @@ def build_grid(
     )
 
 
-def _kept_lists(corners: Array, frame: _Frame, store: Store | None) -> Mapping[str, NDArray[Any]]:
+def _kept_lists(corners: Array, frame: Frame, store: Store | None) -> Mapping[str, NDArray[Any]]:
     place = np.array([*frame.corner, frame.width, frame.reach])
-    return (store or Store()).arrays("grid in classes", (corners, place, frame.shape), lambda: _lists(corners, frame))
+    return (store or Store()).arrays(
+        "grid in exact classes", (corners, place, frame.shape), lambda: _lists(corners, frame)
+    )
 
 
-def _lists(corners: Array, frame: _Frame) -> dict[str, NDArray[Any]]:
+def _lists(corners: Array, frame: Frame) -> dict[str, NDArray[Any]]:
     """What a grid's cells hold: `bound`, `start`, `ends` and `listed`."""
     from scipy import sparse  # not needed where the lists are kept
 
-    row, triangle, distance = _near_pairs(corners, frame)
+    cell, triangle, distance = pairs_in_reach(corners, frame)
+    beside = frame.width * (HALF_DIAGONAL + _SLACK)
+    kind = np.clip(np.ceil((CLASSES / frame.reach) * (distance - beside)) - 1, 0, CLASSES - 1)
+    row = CLASSES * cell + kind.astype(np.int64)
     # A matrix with a row for each cell and class: the rows' entries stay in their order.
     size = (CLASSES * int(np.prod(frame.shape)), len(corners))
     rows = sparse.csr_array((np.ones(len(row), bool), (row, triangle)), size)
     return {
-        "bound": _distance_bound(row // CLASSES, distance, frame),
+        "bound": _distance_bound(cell, distance, frame),
         "start": rows.indptr[::CLASSES].astype(np.int32),
         "ends": rows.indptr[1:].astype(np.int32),
         "listed": rows.indices.astype(np.int32),
     }
 
 
-def _frame(corners: Array, travel: float) -> _Frame:
+def _frame(corners: Array, travel: float) -> Frame:
     """Cells about twice as wide as a typical triangle, within what memory and the mold's own size allow."""
     low, high = corners.min((0, 1)), corners.max((0, 1))
     size = float((high - low).max())
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     width = min(max(1.2 * edge, size / _FINEST), size / _COARSEST)
-    coarse = edge > width
+    long, most = edge > width, _most_listed(len(corners))
+    coarse = long and _listed_about(corners, width, _REACH["coarse"]) <= most
     if coarse:
         width = min(max(width, travel / _REACH["coarse"]), size / _FEWEST)
     while np.prod(_cell_counts(low, high, width)) > _MOST_CELLS:
         width *= 1.1
+    widest = size / (_FEWEST if long else _COARSEST)
+    while not coarse and width < widest and _listed_about(corners, width, _REACH["fine"][0]) > most:
+        width = min(1.1 * width, widest)
     reach = _REACH["coarse"] * width if coarse else np.clip(1.5 * travel, *(cells * width for cells in _REACH["fine"]))
     return _framed(low, high, width, float(reach))
 
 
-def _moves_far(frame: _Frame, travel: float) -> bool:
+def _most_listed(triangle_count: int) -> int:
+    """How many entries cells' lists may have."""
+    in_all, each = _MOST_LISTED
+    return max(in_all, each * triangle_count)
+
+
+def _listed_about(corners: Array, width: float, reach: float) -> float:
+    """About how many entries cells of a width [m] list; the reach is in cells.
+
+    Slivers as long as a mold are in reach of very many.
+    """
+    long = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    beside = 2 * (reach + HALF_DIAGONAL)
+    return float(2 * ((long / width + beside) * (area / long / width + beside)).sum())
+
+
+def _moves_far(frame: Frame, travel: float) -> bool:
     """Whether a sheet moves beyond the reach of cells that a fine mold made small."""
     return frame.reach < _REACH["coarse"] * frame.width and 1.5 * travel > frame.reach * (1 + _SLACK)
 
 
-def _framed(low: Array, high: Array, width: float, reach: float) -> _Frame:
+def _framed(low: Array, high: Array, width: float, reach: float) -> Frame:
     """Cells of a width [m] about the box (3,), (3,) [m]."""
     shape = _cell_counts(low, high, width)
-    return _Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
+    return Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
 
 
 def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:
@@ -199,7 +214,7 @@ def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:
     return np.ceil((high - low) / width - 1e-3).astype(int) + 2
 
 
-def _along_a_curve(places: Array, frame: _Frame) -> NDArray[np.int64]:
+def _along_a_curve(places: Array, frame: Frame) -> NDArray[np.int64]:
     """An order of places (n, 3) in which neighbours are close: that of the bits of their cells, interleaved."""
     index = np.clip((places - frame.corner) / frame.width, 0, frame.shape - 1).astype(np.int64)
     code = np.zeros(len(places), np.int64)
@@ -229,64 +244,6 @@ def _planes(corners: Array) -> Array:
     return np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])
 
 
-def _near_pairs(corners: Array, frame: _Frame) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
-    """All (cell, triangle) closer than the reach, those of each cell in the triangles' order.
-
-    The triangles are taken in pieces no longer than a cell: a large one is then near few cells that it does not
-    touch, and its pieces' spheres and its plane bound the distance well.
-
-    Returns:
-        CLASSES times the cell plus the class of distance, triangles, and a lower bound on the distance from the
-        cell's centre [m].
-    """
-    pieces, owner = cut(corners, frame.width)
-    order = np.argsort(owner, kind="stable")
-    owner, spheres, planes = owner[order], _spheres(pieces[order]), _planes(corners)
-    # Wide enough for the reach, half a cell's diagonal and the largest piece.
-    beside = frame.width * (_HALF_DIAGONAL + _SLACK)
-    reach = frame.reach + beside + spheres[:, 3].max()
-    wide = int(reach / frame.width + 0.5)
-    stencil = np.arange(-wide, wide + 1)
-
-    def pairs(part: slice) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
-        cell, piece, distance = _stencil_pairs(spheres[part], planes[owner[part]], stencil, frame)
-        key = cell * len(corners) + owner[part][piece]
-        if len(pieces) > len(corners):
-            key, distance = _nearest(key, distance)
-        cell, triangle = np.divmod(key, len(corners))
-        kind = np.clip(np.ceil((CLASSES / frame.reach) * (distance - beside)) - 1, 0, CLASSES - 1)
-        return (CLASSES * cell + kind.astype(np.int64)).astype(np.int32), triangle.astype(np.int32), distance
-
-    # NumPy lets go of the interpreter's lock in long operations.
-    with ThreadPoolExecutor(os.cpu_count()) as workers:
-        rows, triangles, distances = zip(*workers.map(pairs, _parts(owner, _CHUNK // len(stencil) ** 3)), strict=True)
-    return np.concatenate(rows), np.concatenate(triangles), np.concatenate(distances)
-
-
-def _parts(owner: NDArray[np.int64], size: int) -> list[slice]:
-    """Slices of about so many pieces; those of one triangle, which come one after the other, stay together."""
-    begin = np.flatnonzero(np.diff(owner, prepend=-1))
-    first = begin[np.unique(np.searchsorted(begin, np.arange(0, len(owner), max(1, size))).clip(max=len(begin) - 1))]
-    ends = np.append(first[1:], len(owner))
-    return [slice(int(a), int(b)) for a, b in zip(first, ends, strict=True)]
-
-
-def _nearest(key: NDArray[np.int64], distance: Array) -> tuple[NDArray[np.int64], Array]:
-    """Each key once, ascending, with its least distance: a triangle's pieces near one cell count as one."""
-    order = _sorting(key)
-    key, distance = key[order], distance[order]
-    begin = np.flatnonzero(np.diff(key, prepend=-1))
-    return key[begin], np.minimum.reduceat(distance, begin) if len(begin) else distance
-
-
-def _sorting(key: NDArray[np.int64]) -> NDArray[np.int64]:
-    """What sorts keys (n,) that are not negative, equal ones in their order: numbers sort faster than their places."""
-    count = len(key)
-    if count == 0 or int(key.max()) >= np.iinfo(np.int64).max // count - 1:
-        return np.argsort(key, kind="stable")
-    return np.sort(key * count + np.arange(count)) % count
-
-
 def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
     """Triangles (n, 3, 3) [m] halved at their longest sides until none is longer, and the triangle each is part of."""
     owner = np.arange(len(corners))
@@ -305,34 +262,11 @@ def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
     return np.concatenate(done), np.concatenate(owners)
 
 
-def _stencil_pairs(
-    spheres: Array, planes: Array, stencil: NDArray[np.int64], frame: _Frame
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Cells around pieces (n, 4) that are in reach: cell number, piece, lower bound on the centre's distance [m]."""
-    reach = frame.reach + frame.width * (_HALF_DIAGONAL + _SLACK)
-    own = np.floor((spheres[:, :3] - frame.corner) / frame.width).astype(int)
-    index = own[:, None] + stencil[:, None]
-    valid = (index >= 0) & (index < frame.shape)
-    center = frame.corner + (own + 0.5) * frame.width
-    away = (center - spheres[:, :3])[:, None] + frame.width * stencil[:, None]
-    square = np.where(valid, np.square(away), np.inf)
-    total = (square[:, :, None, None, 0] + square[:, None, :, None, 1] + square[:, None, None, :, 2]).ravel()
-    steps = np.stack(np.meshgrid(stencil, stencil, stencil, indexing="ij"), -1).reshape(-1, 3)
-    height = np.einsum("ij,ij->i", planes[:, :3], center) - planes[:, 3]
-    height = np.abs(height[:, None] + planes[:, :3] @ (frame.width * steps.T)).ravel()
-    farthest = np.repeat(np.square(reach + spheres[:, 3]), len(steps))
-    near = np.flatnonzero((total <= farthest) & (height <= reach))
-    piece, spot = np.divmod(near, len(steps))
-    gap = np.maximum(np.sqrt(total[near]) - spheres[piece, 3], height[near])
-    strides = np.array([frame.shape[1] * frame.shape[2], frame.shape[2], 1])
-    return (own @ strides)[piece] + (steps @ strides)[spot], piece, gap
-
-
-def _distance_bound(cell: NDArray[np.integer], distance: Array, frame: _Frame) -> Array:
+def _distance_bound(cell: NDArray[np.integer], distance: Array, frame: Frame) -> Array:
     """Near the mold from the listed triangles, elsewhere from the distance between cells."""
     from scipy import ndimage  # not needed where the lists are kept
 
-    half_diagonal = _HALF_DIAGONAL * frame.width * (1 + _SLACK)
+    half_diagonal = HALF_DIAGONAL * frame.width * (1 + _SLACK)
     nearest = np.full(int(np.prod(frame.shape)), np.inf)
     np.minimum.at(nearest, cell, distance)
     touched = (nearest <= half_diagonal).reshape(frame.shape)
