@@ -29,6 +29,14 @@ def counted_up(counts: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
+def ascending(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Each of some numbers (n,) once, ascending; NumPy's `unique` takes many times as long."""
+    found = np.sort(numbers)
+    first = np.ones(len(found), bool)
+    first[1:] = found[1:] != found[:-1]
+    return found[first]
+
+
 def distinct(rows: NDArray[Any]) -> Distinct:
     """The distinct ones of rows (n, c) of numbers."""
     order = np.lexsort(rows.T[::-1])

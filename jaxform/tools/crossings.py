@@ -22,6 +22,7 @@ Integers = NDArray[np.integer]
 
 _CHUNK = 1_000_000  # pairs looked at together, to bound the memory
 _SLACK = 1e-5  # of a radius, for rounding in a grid of float32
+_TOUCH = 1e-9  # of the mold's size, for rounding in heights above planes
 _STEEP = 1e-9  # of the mold's size: a path that changes its height over a triangle by less touches it
 
 
@@ -68,6 +69,8 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     low, high = low - margin, high + margin
     middle = pieces.mean(1)
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
+    normal, level = _planes(mold_corners)
+    touch = _TOUCH * float(np.max(box[1] - box[0], initial=0.0))
     # The mold is inside the grid: what is in reach from a place outside is also in reach from the nearest cell.
     index = np.clip(np.floor((middle - cells.corner) / cells.width), 0, cells.shape - 1).astype(np.int64)
     cell = np.asarray(np.ravel_multi_index(tuple(index.T), tuple(cells.shape)))
@@ -81,7 +84,17 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
             over = low[piece, axis] <= mold_high[triangle, axis]
             over &= high[piece, axis] >= mold_low[triangle, axis]
             piece, triangle = piece[over], triangle[over]
-        yield Pairs(owner[piece], triangle)
+        # Slivers as long as the mold have large boxes; a piece that its plane does not cut is not near.
+        height = np.einsum("ij,ij->i", normal[triangle], middle[piece]) - level[triangle]
+        cut = np.abs(height) <= radius[piece] + touch
+        yield Pairs(owner[piece[cut]], triangle[cut])
+
+
+def _planes(corners: Array) -> tuple[Array, Array]:
+    """Unit normals (n, 3) of triangles (n, 3, 3) [m], and the places of their planes along them (n,) [m]."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal, np.einsum("ij,ij->i", normal, corners[:, 0])
 
 
 def boxes_of(corners: Array) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
+from jaxform.mesh.rows import ascending
 from jaxform.tools.search import cut
 
 Array = NDArray[np.float64]
@@ -17,7 +18,8 @@ _AT_FIRST = 8  # pieces of triangles that are looked for near a point
 _FINEST = 200  # pieces of triangles along the mold's longest side
 _MOST_PIECES = 200_000, 2  # in all or for each triangle, whichever are more
 _ASKED, _MORE = 256, 4  # points, the farthest by a quick bound, that are measured first, and times as many then
-_CHUNK = 200_000  # pairs of point and triangle looked at together
+_POINTS = 4096  # that are looked up together
+_CHUNK = 50_000  # pairs of point and triangle looked at together
 
 
 class Surface(Protocol):
@@ -55,31 +57,69 @@ class Nearest(NamedTuple):
     at_rim: NDArray[np.bool_]
 
 
+class _Pieces(NamedTuple):
+    """Pieces of triangles that are about as large: their middles, the largest radius [m], the triangles of all."""
+
+    tree: Any
+    radius: float
+    owner: NDArray[np.int64]
+
+    def near(self, points: Array, limit: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pairs of a point (n, 3) and a piece that may be no farther from it than its limit (n,) [m]."""
+        reach = (limit + self.radius) * (1 + _TIE)
+        asked, wanted, pairs = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), []
+        while len(asked):
+            # So many of the nearest at once; the few points with more of them in reach are asked again.
+            away, piece = self.tree.query(points[asked], k=wanted, workers=-1)
+            away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
+            within = away <= reach[asked, None]
+            more = within[:, -1] & (wanted < len(self.owner))
+            row, column = np.nonzero(within & ~more[:, None])
+            pairs.append((asked[row], piece[row, column]))
+            asked, wanted = asked[more], min(4 * wanted, len(self.owner))
+        point, piece = zip(*pairs, strict=True) if pairs else ([asked], [asked])
+        return np.concatenate(point), np.concatenate(piece)
+
+
+def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_Pieces]:
+    """Pieces (n, 3, 3) [m] of triangles (n,) by their size: of the smaller ones fewer need be looked at."""
+    from scipy.spatial import KDTree  # takes a tenth of a second to import
+
+    middle = pieces.mean(1)
+    radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1)
+    kind = np.floor(np.log2(radius.max() / np.maximum(radius, 1e-3 * radius.max())) / 2).astype(int)
+    rows = [np.flatnonzero(kind == k) for k in np.unique(kind)]
+    return [_Pieces(KDTree(middle[row]), float(radius[row].max()), owner[row]) for row in rows]
+
+
 class Distances:
     """Distances from a mold, where they are no more than `farthest` [m]."""
 
     def __init__(self, mold: Surface, farthest: float) -> None:
-        from scipy.spatial import KDTree  # takes a tenth of a second to import
-
         triangles = np.asarray(mold.triangles)
         self.corners = np.asarray(mold.vertices, float)[triangles]
         self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
         self.farthest = farthest
         self.open_side, self.open_corner = _rims(triangles, len(mold.vertices))
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
-        pieces, self.owner = cut(
-            self.corners, _length(self.corners, max(min(longest, 0.5 * farthest), self.size / _FINEST))
-        )
-        middle = pieces.mean(1)
-        self.radius = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
-        self.tree = KDTree(middle)
+        shortest = max(min(longest, 0.5 * farthest), self.size / _FINEST)
+        self.groups = _groups(*cut(self.corners, _length(self.corners, shortest)))
 
     def about(self, points: Array) -> Array:
-        """Upper bounds (n,) [m] of the distances of points (n, 3): those from the triangle with the nearest middle."""
-        piece = np.asarray(self.tree.query(points, workers=-1)[1])
-        parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
-        found = [point_triangle_distance(points[part], self.corners[self.owner[piece[part]]]) for part in parts]
-        return np.concatenate(found)
+        """Upper bounds (n,) [m] of the distances of points (n, 3): those from triangles with near middles."""
+        return self._about(points)[0]
+
+    def _about(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Upper bounds (n,) [m] of distances, and the triangles (n,) that are so far away."""
+        least, triangle = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
+        for group in self.groups:
+            candidate = group.owner[np.asarray(group.tree.query(points, workers=-1)[1])]
+            parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
+            away = [point_triangle_distance(points[part], self.corners[candidate[part]]) for part in parts]
+            distance = np.concatenate(away)
+            triangle = np.where(distance < least, candidate, triangle)
+            least = np.minimum(least, distance)
+        return least, triangle
 
     def exact(self, points: Array) -> Array:
         """Distances (n,) [m] of points (n, 3).
@@ -89,7 +129,7 @@ class Distances:
         """
         if not len(points):
             return np.zeros(0)
-        point, triangle = self._pairs(points)
+        point, triangle = self._pairs(points, self.about(points))
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
         found = [self._examine(points[point[part]], triangle[part]) for part in parts]
         distance, at_rim = (np.concatenate(values) for values in zip(*found, strict=True))
@@ -115,9 +155,9 @@ class Distances:
         return best, found
 
     def nearest(self, points: Array) -> Nearest:
-        """The nearest places to points (n, 3) [m]; in the triangle with the nearest middle, where it is too far."""
-        triangle = self.owner[np.asarray(self.tree.query(points, workers=-1)[1])]
-        point, candidate = self._pairs(points)
+        """The nearest places to points (n, 3) [m]; in a triangle with a near middle, where it is too far."""
+        bound, triangle = self._about(points)
+        point, candidate = self._pairs(points, bound)
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
         found = [point_triangle_distance(points[point[part]], self.corners[candidate[part]]) for part in parts]
         order = np.lexsort((np.concatenate(found), point))
@@ -128,21 +168,15 @@ class Distances:
         distance, at_rim = (np.concatenate(values) for values in zip(*seen, strict=True))
         return Nearest(triangle, nearest_places(points, self.corners[triangle]), distance, at_rim)
 
-    def _pairs(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Points and the triangles that may be nearest to them."""
-        asked, wanted, count = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), len(self.corners)
-        keys = [asked[:0]]
-        while len(asked):
-            # So many of the nearest at once; the few points with more of them in reach are asked again.
-            away, piece = self.tree.query(points[asked], k=wanted, workers=-1)
-            away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
-            within = away <= away[:, :1] + self.radius * (1 + _TIE)
-            within &= away[:, :1] <= self.farthest + self.radius
-            key = asked[:, None] * count + self.owner[piece]
-            keys.append(key[within])
-            asked = asked[within[:, -1] & (wanted < len(self.owner))]
-            wanted = min(4 * wanted, len(self.owner))
-        key = np.unique(np.concatenate(keys))
+    def _pairs(self, points: Array, bound: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Points and the triangles that may be nearest to them, which are no farther than their bounds (n,) [m]."""
+        count, keys = len(self.corners), [np.zeros(0, np.int64)]
+        limit = np.minimum(bound, self.farthest) + _TIE * self.size
+        for group in self.groups:
+            for part in np.array_split(np.arange(len(points)), 1 + len(points) // _POINTS):
+                point, piece = group.near(points[part], limit[part])
+                keys.append(ascending(part[point] * count + group.owner[piece]))
+        key = ascending(np.concatenate(keys))
         return key // count, key % count
 
     def _examine(self, points: Array, triangle: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:

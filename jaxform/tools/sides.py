@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
+from jaxform.mesh.rows import ascending
 from jaxform.tools.crossings import crosses, intersect, near_pairs
 from jaxform.tools.search import SearchGrid
 
@@ -48,7 +49,7 @@ class Ways:
         for element, triangle in near_pairs(corners, mold_corners, grid):
             cut = intersect(corners[element], mold_corners[triangle])
             keys.append(element[cut] * len(mold_corners) + triangle[cut])
-        element, self._triangle = np.divmod(np.unique(np.concatenate(keys)), len(mold_corners))
+        element, self._triangle = np.divmod(ascending(np.concatenate(keys)), len(mold_corners))
         self.element, self._first, self._count = np.unique(element, return_index=True, return_counts=True)
         self.triangles, self._mold_corners = triangles[self.element], mold_corners
         self._corners = corners[self.element]
