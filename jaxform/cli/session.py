@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 _SELDOM = (100_000, 50, 50)
 """When to look for garbage: as usual, a short run would look through all that it imports, for a tenth of its time."""
+_MOMENT = 1.0  # s, after which it is said what takes so long
 guard = contextlib.ExitStack()
 """Of the compiled programs, while a command uses them."""
 
@@ -118,6 +119,21 @@ def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | 
 
 
 @contextlib.contextmanager
+def waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
+    """Says on standard error what is being waited for, where it takes longer than a moment."""
+    from threading import Timer
+
+    timer = Timer(_MOMENT, lambda: print(f"jaxform: {words} ...", file=sys.stderr, flush=True))
+    timer.daemon = True
+    if not arguments.quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextlib.contextmanager
 def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
     """Does something on another thread; much of a run, and of writing, is spent outside of Python."""
     from concurrent.futures import ThreadPoolExecutor
@@ -152,20 +168,23 @@ def write_part(
     picture: Begun,
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
     then: Callable[[], object] = lambda: None,
+    *,
+    there: bool = False,
 ) -> dict[str, Any]:
     """Writes files, what is to be written `then`, and the picture; warns of what was not told before.
 
-    The summary is amended on request.
+    The summary is amended on request. The part may be there already (`output.write_at_once`).
     """
     from jaxform.io import output
 
     folder, told = arguments.out, list(arguments.warned)
 
     def write() -> tuple[dict[str, Any], Exception | None]:
-        summary = output.write_result(scene, result, folder, told, amend)
+        with waiting(arguments, "measuring the part against the mold; its files are written"):
+            summary = output.write_result(scene, result, folder, told, amend, there=there)
         return summary, _failure(then) if picture.elsewhere else None
 
-    with meanwhile(write) as written:
+    with meanwhile(write) as written, waiting(arguments, "drawing the part"):
         picture.wait()
     summary, failure = written.result()
     if not picture.elsewhere:

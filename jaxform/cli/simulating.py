@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxform.cli import session
 from jaxform.core import disk
-from jaxform.core.errors import held_back, told_to
+from jaxform.core.errors import InputError, held_back, told_to
 
 if TYPE_CHECKING:
     from jaxform.core.store import Store
@@ -30,7 +31,8 @@ def simulate(arguments: argparse.Namespace) -> int:
 
         document = files.read_scene(arguments.source)
         reference = files.read_reference(document)
-        scene = files.build_unseen(document, store)
+        with session.waiting(arguments, "reading the mold and preparing its search grid"):
+            scene = files.build_unseen(document, store)
         session.open_folder(arguments.out, arguments.force)
         frames = Frames(arguments.out, document.model.output.frames)
         frames.begin(scene)
@@ -38,7 +40,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         look = session.meanwhile(lambda: _look_over(scene, document, arguments.warned))
         # What the run warns of comes after what the scene is warned of, whichever ends first.
         with held_back(), look as looked:
-            result = _run(scene, frames, not arguments.quiet, store)
+            result, there = _run(scene, frames, arguments, store)
             picture = session.picture(arguments, scene, result, reference, draw)
             store.remember(subject)
         looked.result()
@@ -46,9 +48,10 @@ def simulate(arguments: argparse.Namespace) -> int:
         def rest() -> None:
             rewriting.keep_scene(document, arguments.out)
             frames.finish(scene, result)
-            session.write_report(arguments.out)
+            with session.waiting(arguments, "writing the report"):
+                session.write_report(arguments.out)
 
-        summary = session.write_part(arguments, scene, result, picture, then=rest)
+        summary = session.write_part(arguments, scene, result, picture, then=rest, there=there)
     _tell(say, summary, arguments.out)
     return session.exit_status(result)
 
@@ -68,13 +71,27 @@ def _look_over(scene: Scene, document: Any, warned: list[str]) -> None:
     import scipy.spatial  # noqa: F401
 
 
-def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
-    """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed."""
+def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store) -> tuple[Result, bool]:
+    """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed.
+
+    Returns:
+        The result, and whether it is written, all but what must be measured.
+    """
+    from jaxform.io import output
     from jaxform.runs.host import Moment, run
 
-    interrupted = False
+    interrupted = there = False
 
-    with session.progress(show, scene.name) as bar:
+    with contextlib.ExitStack() as measuring, session.progress(not arguments.quiet, scene.name) as bar:
+
+        def on_end(result: Result) -> None:
+            nonlocal there
+            # What cannot be written now is told when all is.
+            with contextlib.suppress(OSError, InputError):
+                output.write_at_once(scene, result, arguments.out, arguments.warned)
+                there = True
+            words = "measuring the part against the mold; its files are written"
+            measuring.enter_context(session.waiting(arguments, words))
 
         def on_window(moment: Moment) -> bool:
             nonlocal interrupted
@@ -87,7 +104,8 @@ def _run(scene: Scene, frames: Any, show: bool, store: Store) -> Result:
             return interrupted
 
         watched = bar is not None or frames.count > 0
-        return run(scene, on_window=on_window if watched else None, store=store)
+        result = run(scene, on_window=on_window if watched else None, on_end=on_end, store=store)
+    return result, there
 
 
 def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:

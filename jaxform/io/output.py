@@ -17,7 +17,7 @@ from jaxform.core.writing import whole
 from jaxform.mesh import meshes
 from jaxform.model.scene import Parison, Scene
 from jaxform.results.result import Result, only_used
-from jaxform.results.summary import summarize, wrinkled
+from jaxform.results.summary import summarize, summarize_at_once, wrinkled
 from jaxform.runs.host import Moment
 from jaxform.tools.mold import Mold
 
@@ -28,8 +28,12 @@ def write_result(
     folder: str | Path,
     warned: Sequence[str] = (),
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+    *,
+    there: bool = False,
 ) -> dict[str, Any]:
     """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl and, with a mold, mold.vtu.
+
+    The files come first; what is measured then completes the summary, so that nothing is lost where it is stopped.
 
     Args:
         scene: What was simulated.
@@ -37,17 +41,26 @@ def write_result(
         folder: Where to write.
         warned: Warnings that were given before; they come first in the summary's.
         amend: Makes the summary that is written of that of the part; the same by default.
+        there: Whether `write_at_once` has written the files already.
 
     Returns:
         The summary.
     """
+    if not there:
+        write_at_once(scene, result, folder, warned, amend)
+    return _write_summary(Path(folder), summarize(result, scene), warned, amend)
+
+
+def write_at_once(
+    scene: Scene,
+    result: Result,
+    folder: str | Path,
+    warned: Sequence[str] = (),
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+) -> None:
+    """Writes the files of `write_result`, with a summary in which what must be measured is null, and a warning so."""
     folder = Path(folder)
-    summary = summarize(result, scene)
-    summary["warnings"] = [*warned, *summary["warnings"]]
-    if amend is not None:
-        summary = amend(summary)
-    summary["warnings"] = list(dict.fromkeys(summary["warnings"]))
-    write_json(folder / "summary.json", summary)
+    _write_summary(folder, summarize_at_once(result, scene), warned, amend)
     write_part(scene, result, folder / "final.vtu")
     shown, part = only_used(scene, result)
     with whole(folder / "formed.stl") as fresh:
@@ -57,6 +70,20 @@ def write_result(
     else:
         with whole(folder / "mold.vtu") as fresh:
             meshes.write_vtu(fresh, scene.mold.vertices_at(float(result.time)), np.asarray(scene.mold.triangles))
+
+
+def _write_summary(
+    folder: Path,
+    summary: dict[str, Any],
+    warned: Sequence[str],
+    amend: Callable[[dict[str, Any]], dict[str, Any]] | None,
+) -> dict[str, Any]:
+    """Writes the summary of a part, amended, with what was warned of before it first, and returns it."""
+    summary = summary | {"warnings": [*warned, *summary["warnings"]]}
+    if amend is not None:
+        summary = amend(summary)
+    summary["warnings"] = list(dict.fromkeys(summary["warnings"]))
+    write_json(folder / "summary.json", summary)
     return summary
 
 

@@ -51,14 +51,44 @@ def wall_statistics(result: Result) -> dict[str, float]:
     return {"min": float(wall.min()), "mean": mean, "max": float(wall.max()), "cv": spread / mean}
 
 
+PENDING = ("penetration_max", "penetration_place", "gap_max", "gap_place")
+"""Keys of a summary that is written before the part is measured against the mold: they are null there."""
+
+
 def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     """The contents of summary.json as plain numbers and words."""
+    result = with_filling(result, scene)
+    beyond, filling = penetrated(result, scene), result.filling or filling_of(result, scene)
+    measured = {
+        "penetration_max": beyond.elements,
+        "penetration_place": beyond.place.tolist(),
+        "gap_max": filling.gap.width,
+        "gap_place": filling.gap.place.tolist(),
+    }
+    warned = [
+        *warnings_of(result, scene),
+        *warnings_of_part(result, scene),
+        *warnings_of_mold(result, scene, beyond),
+        *warnings_of_filling(result, scene, filling),
+    ]
+    return _facts(result, scene) | measured | {"warnings": warned}
+
+
+def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
+    """The summary as far as it takes no time: the keys of `PENDING` are null, and a warning says so."""
+    unmeasured = (
+        "the command was stopped before the part was measured against the mold: penetration, gaps and folds are not "
+        "known; run it again for them"
+    )
+    return _facts(result, scene) | {"warnings": [*warnings_of(result, scene), unmeasured]}
+
+
+def _facts(result: Result, scene: Scene) -> dict[str, Any]:
+    """What is known of a part without measuring it against the mold."""
     area = formed_areas(result)
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
-    result = with_filling(result, scene)
-    beyond, filling = penetrated(result, scene), result.filling or filling_of(result, scene)
     slow = float(result.energy.quasi_static_error)
     return {
         "scene": scene.name,
@@ -80,19 +110,10 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         **_temperatures(result, scene),
         "mass": float(result.mass),
         "added_mass": float(result.added_mass),
-        "penetration_max": beyond.elements,
-        "penetration_place": beyond.place.tolist(),
-        "gap_max": filling.gap.width,
-        "gap_place": filling.gap.place.tolist(),
+        **dict.fromkeys(PENDING),
         # Under its older name as well.
         "energy": energy
         | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow, "haste": slow},
-        "warnings": [
-            *warnings_of(result, scene),
-            *warnings_of_part(result, scene),
-            *warnings_of_mold(result, scene, beyond),
-            *warnings_of_filling(result, scene, filling),
-        ],
     }
 
 

@@ -41,7 +41,13 @@ class Moment:
     result: Callable[[], Result]
 
 
-def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, store: Store | None = None) -> Result:
+def run(
+    scene: Scene,
+    *,
+    on_window: Callable[[Moment], object] | None = None,
+    on_end: Callable[[Result], object] | None = None,
+    store: Store | None = None,
+) -> Result:
     """Simulates a scene by the host's loop of the same windows; same numbers as `simulate`, no derivative.
 
     Its status says what is found after the run alone: that the sheet burst, and that the mold is not filled, unless
@@ -51,6 +57,8 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
         scene: The scene.
         on_window: Called after every window with a `Moment`; a true answer stops the run, and its status says so.
             Without it the whole loop runs at once.
+        on_end: Called with the result when the last step is taken, before the part is measured against the mold,
+            which can take seconds; its status is that of the steps.
         store: Where traced programs are kept between runs; nowhere by default.
 
     Raises:
@@ -103,13 +111,16 @@ def run(scene: Scene, *, on_window: Callable[[Moment], object] | None = None, st
     final = room.result(made(state, scene, first, taken, _LAST))
     # What the caller does in between, such as writing frames, is not the loop.
     seconds = Seconds(compiling, time.perf_counter() - ready - telling)
+    final = dataclasses.replace(final, seconds=seconds)
+    if on_end is not None:
+        on_end(final)
     if has_burst(final, own):
         final = dataclasses.replace(final, status=final.status | Status.BURST)
     if own.fill:
         final = with_filling(final, own)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2)
-    return dataclasses.replace(final, seconds=seconds)
+    return final
 
 
 def _moment(state: State, scene: Scene, result: Callable[[], Result]) -> Moment:

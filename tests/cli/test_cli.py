@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -138,6 +140,48 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     scene_file.write_text(re.sub(r"\[mold\].*?\[solver\]", "[solver]", SCENE, flags=re.DOTALL))
     assert command.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
     assert not (out / "frames.pvd").exists() and not (out / "mold.vtu").exists()
+
+
+@pytest.mark.parametrize("place", ["results.summary.penetrated", "runs.host.warnings_of_part"])
+def test_what_is_stopped_while_it_measures_keeps_its_part(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    """Ctrl-C in any measure after the last step: the files are there, and say what is not known."""
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    monkeypatch.setattr(f"jaxform.{place}", interrupt)
+    assert command.main(["simulate", str(_write(tmp_path)), "--out", str(out)]) == session.INTERRUPTED
+    assert "Traceback" not in capfd.readouterr().err
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["status"] == "ok" and summary["thickness"]["min"] > 0
+    assert all(summary[key] is None for key in ("penetration_max", "penetration_place", "gap_max", "gap_place"))
+    assert "stopped before" in summary["warnings"][-1]
+    assert len(meshio.read(out / "final.vtu").points) == summary["nodes_final"]
+    monkeypatch.undo()
+    assert command.main(["report", str(out)]) == 0
+    # What is run again knows all.
+    assert command.main(["simulate", str(_write(tmp_path)), "--out", str(out), "--force"]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["penetration_max"] is not None and summary["gap_max"] is not None
+    assert not any("stopped before" in sentence for sentence in summary["warnings"])
+
+
+def test_what_takes_longer_than_a_moment_is_named(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = threading.Event()
+    monkeypatch.setattr(session, "_MOMENT", 0.0)
+    monkeypatch.setattr("builtins.print", lambda *words, **_: (sys.stderr.write(str(words[0])), begun.set()))
+    with session.waiting(argparse.Namespace(quiet=False), "measuring the part"):
+        assert begun.wait(30)
+    assert "measuring the part ..." in capfd.readouterr().err
+    begun.clear()
+    with session.waiting(argparse.Namespace(quiet=True), "measuring the part"):
+        pass
+    assert not begun.is_set()
 
 
 def test_results_of_which_no_report_can_be_made_are_a_warning(
