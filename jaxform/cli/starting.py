@@ -14,7 +14,7 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError, warn_of
 
 if TYPE_CHECKING:
-    from jaxform.io.drafting import Draft
+    from jaxform.io.drafting import Draft, Wishes
 
 _LEAST, _MOST = 1e-9, 1e3  # m
 _LARGE = 3.0  # of a part in metres, which may be one of a few inches
@@ -26,6 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
     parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
     parser.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--drape", action="store_true", help="form the sheet over the mold, a buck")
+    kind.add_argument("--cavity", action="store_true", help="form the sheet into the mold; found by default")
+    parser.add_argument(
+        "--direction", metavar="SIDE", help="from which the sheet comes: +z, -x ... or X,Y,Z in the file's axes"
+    )
+    parser.add_argument(
+        "--process", choices=["vacuum", "pressure"], default="vacuum", help="a vacuum has 0.9 bar at most (default)"
+    )
     parser.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
@@ -39,8 +48,9 @@ def start(arguments: argparse.Namespace) -> int:
     from jaxform.io import drafting, firstscene
 
     paths = [disk.located(name) for name in arguments.mold]
+    wishes = _wishes(arguments)
     try:
-        made = drafting.draft(paths, arguments.scale, arguments.thickness)
+        made = drafting.draft(paths, wishes)
     except InputError as error:
         raise error.within(key="--mold") from None
     try:
@@ -63,6 +73,15 @@ def start(arguments: argparse.Namespace) -> int:
     return session.DONE
 
 
+def _wishes(arguments: argparse.Namespace) -> Wishes:
+    from jaxform.io.drafting import Wishes
+    from jaxform.tools import buck
+
+    direction = None if arguments.direction is None else buck.parse(arguments.direction)
+    drape = True if arguments.drape else False if arguments.cavity else None
+    return Wishes(arguments.scale, arguments.thickness, drape, direction, arguments.process)
+
+
 def _check_positive(key: str, value: float | None) -> None:
     if value is not None and not _LEAST < value < _MOST:
         raise InputError("is no possible number of metres", f"give {_LEAST:g} to {_MOST:g}", key, value)
@@ -70,16 +89,19 @@ def _check_positive(key: str, value: float | None) -> None:
 
 def _warn(made: Draft) -> None:
     """Of what was found and may be meant otherwise."""
-    from jaxform.io import drafting, firstscene
+    from jaxform.io import draping, firstscene, units
     from jaxform.tools import opening
 
     found, largest = made.found, float(made.size.max())
-    if made.guessed and drafting.METRES < largest <= _LARGE:
-        problem = f"its box is {largest:.4g} units long: taken for {made.units}"
+    if made.guessed and units.METRES < largest <= _LARGE:
+        problem = f"its box is {largest:.4g} units long: taken for {made.units.name}"
         warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
     if made.rest is not None:
         problem = f"looks cut in {firstscene.cut_in(made.rest, made.scale)}: {firstscene.IMAGES} completes it"
         warn_of(problem, "look at check.png, and write the scene by hand where the mold is meant so", key="--mold")
+    if made.drape is not None:
+        draping.warn(made.drape, made.scale)
+        return
     if found.depth > _DEEP * made.width:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
         warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")
@@ -92,24 +114,32 @@ def _warn(made: Draft) -> None:
 
 
 def _lines(made: Draft) -> Iterator[str]:
-    from jaxform.io import firstscene
+    from jaxform.io import draping, firstscene
 
-    found = made.found
     box = " x ".join(f"{side:.4g}" for side in made.size)
-    # Numbers of that size are inches as well as millimetres of a small part.
-    inches = made.guessed and made.units == "inches"
-    otherwise = "give --scale 0.001 where it is in millimetres" if inches else "--scale says otherwise"
-    yield f"the mold's box is {box} in its file's units, taken for {made.units} ({otherwise})"
-    x, y, z = found.view.turn.T[:, 2]
-    what = "a plug stands out of its base" if found.male else "its opening is found"
-    yield f"{what}; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
-    where = "on the flange" if made.planform.flange else "along the rim"
-    where = "around the plug" if found.male else where
-    kind = firstscene.kind(made)
-    yield f"sheet: {kind}, {1e3 * made.width:.3g} mm wide, clamped {where}; drawn {1e3 * found.depth:.3g} mm deep"
-    if made.covers.mesh is not None:
+    otherwise = made.units.others or "--scale says otherwise"
+    yield f"the mold's box is {box} in its file's units, taken for {made.units.name} ({otherwise})"
+    yield from _cavity_lines(made) if made.drape is None else draping.lines(made.drape)
+    if made.doubt:
+        yield f"it is {made.doubt}"
+    yield f"sheet: {firstscene.kind(made)}, {1e3 * made.width:.3g} mm wide, {_clamped(made)}"
+    if made.drape is None and made.covers.mesh is not None:
         yield f"{firstscene.COVERS} closes {firstscene.covered(made)}"
     yield (
         f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
         "the material is a placeholder"
     )
+    if made.limited:
+        yield f"{firstscene.vacuum(made)} (--process pressure)"
+
+
+def _cavity_lines(made: Draft) -> Iterator[str]:
+    x, y, z = made.found.view.turn.T[:, 2]
+    yield f"its opening is found; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
+
+
+def _clamped(made: Draft) -> str:
+    depth = 1e3 * made.found.depth
+    if made.drape is not None:
+        return f"clamped {1e3 * made.drape.site.margin:.3g} mm around the buck, which is {depth:.3g} mm high"
+    return f"clamped {'on the flange' if made.planform.flange else 'along the rim'}; drawn {depth:.3g} mm deep"

@@ -18,8 +18,14 @@ from jaxform.mesh.contours import Circle, Rectangle
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools.halves import Rest
 
-COVERS, IMAGES = "covers.stl", "images.stl"
-"""The files of what closes a mold, and of what completes one that is cut."""
+COVERS, IMAGES, PLATEN = "covers.stl", "images.stl", "platen.stl"
+"""The files of what closes a mold, of what completes one that is cut, and of the platen on which a buck stands."""
+
+_CONTENT = {
+    COVERS: "the covers of the mold's holes",
+    IMAGES: "the images that complete the mold",
+    PLATEN: "the platen on which the mold stands",
+}
 
 
 def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
@@ -34,8 +40,7 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     names, added = _names(folder, paths), _added(made)
     for name in added:
         if _is_one_of(folder / name, paths):
-            what = "the covers of the mold's holes" if name == COVERS else "the images that complete the mold"
-            problem = f"would be overwritten by {what}"
+            problem = f"would be overwritten by {_CONTENT[name]}"
             raise InputError(problem, "give it another name", "--mold", str(folder / name))
     for path, name in zip(paths, names, strict=True):
         if not _is_one_of(folder / name, [path]):
@@ -53,7 +58,8 @@ def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
 
 def _added(made: Draft) -> dict[str, Mesh]:
     """Meshes beside the mold's own, by the names of their files."""
-    meshes_of = {IMAGES: None if made.rest is None else made.rest.mesh, COVERS: made.covers.mesh}
+    closing = COVERS if made.drape is None else PLATEN
+    meshes_of = {IMAGES: None if made.rest is None else made.rest.mesh, closing: made.covers.mesh}
     return {name: mesh for name, mesh in meshes_of.items() if mesh is not None}
 
 
@@ -69,7 +75,7 @@ def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
         # A name on disk may be no text.
         plain, count = Path(path.name.encode("utf-8", "replace").decode()), 1
         name, others = plain.name, [other for other in paths if not other.samefile(path)]
-        while name in names or name in (COVERS, IMAGES) or _is_one_of(folder / name, others):
+        while name in names or name in _CONTENT or _is_one_of(folder / name, others):
             count += 1
             name = f"{plain.stem}-{count}{plain.suffix}"
         names.append(name)
@@ -101,8 +107,8 @@ def scene_text(made: Draft, names: Sequence[str]) -> str:
 def _parison(made: Draft) -> list[str]:
     shape = made.planform.shape
     where = "on the flange" if made.planform.flange else "along the rim"
-    if made.found.male:
-        where = "in the plane of the plug's top, over the edge of its base"
+    if made.drape is not None:
+        where = f"in a frame {_number(1e3 * made.drape.site.margin, 3)} mm around the buck, which is behind it"
     if isinstance(shape, Circle):
         own = ['shape = "disc"', f"radius = {_number(shape.radius)}"]
     elif isinstance(shape, Rectangle):
@@ -127,8 +133,8 @@ def _corners(polygon: NDArray[np.float64]) -> list[str]:
 def _material() -> list[str]:
     return [
         "",
-        "# A placeholder, some soft rubber: give the law and numbers of your material. In a slow process the wall",
-        "# depends on alpha, hardly on c.",
+        "# A placeholder, some hot thermoplastic: give the law and numbers of your material. In a slow process the",
+        "# wall depends on alpha, hardly on c.",
         "[material]",
         'model = "mooney-rivlin"',
         f"c = {_number(STIFFNESS)}",
@@ -138,25 +144,46 @@ def _material() -> list[str]:
 
 
 def _pressure(made: Draft) -> list[str]:
-    enough = "# Enough to fill corners down to an element"
-    if made.slit is not None:
-        enough = f"# Not enough to blow the sheet into {slits(made.slit)}"
+    begin = made.stroke_time
+    knots = [0.0, begin, begin + made.ramp] if begin else [0.0, made.ramp]
+    values = [0.0] * (len(knots) - 1) + [made.pressure]
     return [
         "",
-        f"{enough}: change it in proportion to c and thickness.",
+        *_filled(made),
         "# It rises so slowly that inertia hardly shows, and pushes towards +z, into the mold.",
         "[pressure]",
-        f"time = [0.0, {_number(made.ramp)}]",
-        f"value = [0.0, {_number(made.pressure)}]",
+        f"time = [{', '.join(map(_number, knots))}]",
+        f"value = [{', '.join(map(_number, values))}]",
         'interpolation = "cubic-ramp"',
     ]
+
+
+def _filled(made: Draft) -> list[str]:
+    """What the pressure fills, as comments."""
+    if made.limited:
+        return [f"# {vacuum(made).capitalize()}.", "# --process pressure has no such limit."]
+    if made.slit is not None:
+        return [
+            f"# Not enough to blow the sheet into {slits(made.slit)}: change it in proportion to c and thickness.",
+        ]
+    return ["# Enough to fill corners down to an element: change it in proportion to c and thickness."]
+
+
+def vacuum(made: Draft) -> str:
+    """What a vacuum fills, in words."""
+    radius, bar = 1e3 * made.corner(made.pressure), 1e-5 * made.pressure
+    fills = f"a vacuum of {bar:.2g} bar fills corners down to a radius of about {radius:.2g} mm"
+    return f"{fills}; down to an element takes {1e-5 * made.filling:.2g} bar"
 
 
 def _mold(made: Draft, names: Sequence[str]) -> list[str]:
     files, lines = [*names, *_added(made)], []
     if made.rest is not None:
         lines += [f"# The mold is cut in {cut_in(made.rest, made.scale)} of its file: {IMAGES} completes it."]
-    if made.covers.mesh is not None:
+    if made.drape is not None and made.covers.mesh is not None:
+        holes = f" and closes {covered(made)}" if made.covers.holes else ""
+        lines += [f"# {PLATEN} is the platen on which the buck stands, with vacuum at its surface{holes}."]
+    elif made.covers.mesh is not None:
         lines += [
             f"# {COVERS} closes what the sheet would be blown through ({covered(made)}).",
             "# Leave it out if it should be.",
@@ -165,7 +192,7 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
     box = " x ".join(_number(side, 4) for side in made.size)
     return [
         "",
-        f"# The file's box is {box}: taken for {made.units}. Turned and moved so that the opening is in z = 0.",
+        f"# The file's box is {box}: taken for {made.units.name}. {_pose(made)}",
         *lines,
         "[mold]",
         'shape = "file"',
@@ -173,6 +200,27 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
         f"scale = {_number(made.scale)}",
         f"rotate = [{', '.join(_number(angle, 12) for angle in made.rotate)}]",
         f"translate = [{', '.join(_number(shift, 10) for shift in made.translate)}]",
+        *_motion(made),
+    ]
+
+
+def _pose(made: Draft) -> str:
+    if made.drape is None:
+        return "Turned and moved so that the opening is in z = 0."
+    return "Turned and moved so that the top of the buck is behind z = 0."
+
+
+def _motion(made: Draft) -> list[str]:
+    """How a buck moves into the sheet; nothing for a cavity."""
+    if made.drape is None:
+        return []
+    return [
+        "",
+        "# Buck and platen move into the sheet until the platen is at the frame. Then the pressure rises.",
+        "[mold.motion]",
+        "direction = [0.0, 0.0, -1.0]",
+        f"time = [0.0, {_number(made.stroke_time)}]",
+        f"displacement = [0.0, {_number(made.drape.stroke(made.thickness), 6)}]",
     ]
 
 
@@ -213,7 +261,7 @@ def _solver(made: Draft) -> list[str]:
     return [
         "",
         "[solver]",
-        f"end_time = {_number(1.2 * made.ramp, 3)}",
+        f"end_time = {_number(made.stroke_time + 1.2 * made.ramp, 3)}",
         f"damping = {_number(made.damping)}",
         "quasi_static = true  # the run says so if inertia or damping shows in the wall",
     ]

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Integers = NDArray[np.integer]
 
-_SEAM = 1e-4  # of the mold's size: rims as near to each other as that are a seam, not holes
+SEAM = 1e-4
+"""Of the mold's size: rims as near to each other as that are a seam, not holes."""
 _CHORDS = 0.1  # of the edge's length, that a seam may be open besides
 _STEP = 4.0  # pixels, from one look under the sheet's edge to the next
 _SPECK = 5e-7  # of the square of the mold's size, an area: less is no hole
@@ -65,7 +66,7 @@ def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> li
     if not len(edges):
         return []
     count = np.bincount(part)
-    in_seams = np.bincount(part, _at_seams(turned, edges, _SEAM * size)) > 0.5 * count
+    in_seams = np.bincount(part, at_seams(turned, edges, SEAM * size)) > 0.5 * count
     nearest = np.full(len(count), np.inf)
     np.minimum.at(nearest, part, turned[edges][..., 2].min(1))
     made = []
@@ -73,13 +74,13 @@ def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> li
         rim = turned[edges[part == one]]
         if _sampled(found.view.inside, found.view, rim[:, 0, :2]).mean() < 0.5:
             continue
-        fan = _fan(rim)
-        if volumes.areas(fan.positions, fan.triangles).sum() > _SPECK * size**2:
-            made.append(fan)
+        cap = fan(rim)
+        if volumes.areas(cap.positions, cap.triangles).sum() > _SPECK * size**2:
+            made.append(cap)
     return made
 
 
-def _at_seams(turned: Array, edges: Integers, near: float) -> Mask:
+def at_seams(turned: Array, edges: Integers, near: float) -> Mask:
     """Along which rim edges (n,) another one runs, beside their middles."""
     from scipy.spatial import KDTree
 
@@ -104,7 +105,7 @@ def _at_seams(turned: Array, edges: Integers, near: float) -> Mask:
     return found
 
 
-def _fan(edges: Array) -> Mesh:
+def fan(edges: Array) -> Mesh:
     """Triangles from the middle of edges (n, 2, 3) [m] to each of them."""
     count = len(edges)
     points = np.concatenate([edges.reshape(-1, 3), edges.mean((0, 1))[None]])
@@ -169,5 +170,5 @@ def _patches(view: Heights, polygon: Array) -> list[Mesh]:
         corners = contours.hull(np.concatenate([rim, view.places(hole)]))
         nearest = np.argmin(np.linalg.norm(corners[:, None] - rim, axis=2), axis=1)
         points = np.insert(corners, 2, rise[nearest], axis=1)
-        made.append(_fan(np.stack([points, np.roll(points, -1, axis=0)], axis=1)))
+        made.append(fan(np.stack([points, np.roll(points, -1, axis=0)], axis=1)))
     return made

@@ -49,6 +49,13 @@ class Heights:
         places = self.places(np.ones_like(self.inside))
         return planform.inside(places, [polygon]).reshape(self.inside.shape)
 
+    def edge_level(self, tolerance: float) -> tuple[float, float]:
+        """The height [m] that most of the edge has, within a tolerance [m], and the share of the edge that has it."""
+        at_edge = np.sort(self.around()[self.edge])
+        many = np.searchsorted(at_edge, at_edge + 2 * tolerance, side="right") - np.arange(len(at_edge))
+        first = int(np.argmax(many))
+        return float(np.median(at_edge[first : first + many[first]])), float(many[first] / len(at_edge))
+
     def around(self) -> Array:
         """The smallest height (ny, nx) [m] in a few pixels around each."""
         return masks.least_around(self.height, _RIM)

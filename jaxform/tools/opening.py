@@ -26,9 +26,11 @@ FLAT = 0.002
 _COARSE = 120  # pixels, to choose from where to look
 RIM = 0.8
 """Of the edge of what is seen, what is at one height: that is a rim."""
-_HOLLOW = 5e-4  # of the cube of the mold's size, the volume of what is a cavity
+HOLLOW = 5e-4
+"""Of the cube of the mold's size, the volume of what is a cavity."""
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
-_LEAST_RIM = 0.3  # the same of what is looked at with a warning
+LEAST_RIM = 0.3
+"""The same share, of what is looked at with a warning."""
 _STEPS = (0.0, 0.25, 0.5, 0.75, 0.9)  # of the height of what stands out, where a rim of its own is looked for
 _NEARLY = 0.97  # of the best volume
 _FEW = 6  # directions of flat faces that are tried beside the axes
@@ -68,22 +70,27 @@ class Opening:
     depth: float
 
 
-def find(vertices: Array, triangles: Integers) -> Opening:
+def find(vertices: Array, triangles: Integers, *, male: bool | None = None, direction: Array | None = None) -> Opening:
     """The opening of a mold, or what stands out of its base.
 
     Args:
         vertices: Positions (n, 3) [m], welded.
         triangles: Vertex numbers (m, 3).
+        male: Whether what stands out is looked for; by default what holds more.
+        direction: Unit vector (3,) to the side from which the sheet comes; by default the best of many.
 
     Raises:
         InputError: The mold is neither hollow from any side nor does anything stand out of it.
     """
     size = meshes.size(vertices)
     surface = heights.surface(vertices, triangles)
-    best, male = _chosen(surface, size)
-    if max(best.hollow, best.raised) < _HOLLOW * size**3 or best.share < _LEAST_RIM:
+    sides = sides_of(surface, size, direction)
+    male = sides.male if male is None else male
+    best = sides.raised if male else sides.hollow
+    if max(best.hollow, best.raised) < HOLLOW * size**3 or best.share < LEAST_RIM:
         problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
-        raise InputError(problem, "write the scene by hand (docs/start.md has one to copy)")
+        remedy = "give --drape where the sheet is formed over the mold, or --direction for the side it comes from"
+        raise InputError(problem, remedy)
     view = heights.seen(surface, best.view.turn, FINE)
     look = _look(view, size)
     return _male(look, size) if male else _female(_deeper(look, size), size)
@@ -92,19 +99,36 @@ def find(vertices: Array, triangles: Integers) -> Opening:
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
     """Whether a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
     size = meshes.size(vertices)
-    best, _ = _chosen(heights.surface(vertices, triangles), size)
-    return best.share >= RIM and max(best.hollow, best.raised) >= _HOLLOW * size**3
+    sides = sides_of(heights.surface(vertices, triangles), size)
+    best = sides.raised if sides.male else sides.hollow
+    return best.share >= RIM and max(best.hollow, best.raised) >= HOLLOW * size**3
 
 
-def _chosen(surface: heights.Surface, size: float) -> tuple[_Look, bool]:
-    """From where to look, and whether at what stands out."""
-    turns = _turns(surface.vertices, surface.triangles)
+class Sides(NamedTuple):
+    """The look at the most hollow side, and at the one from which most stands out."""
+
+    hollow: _Look
+    raised: _Look
+
+    @property
+    def male(self) -> bool:
+        """Whether much more stands out than is hollow."""
+        return self.raised.raised > _FAVOUR * self.hollow.hollow
+
+
+def sides_of(surface: heights.Surface, size: float, direction: Array | None = None) -> Sides:
+    """The sides from which a mold may be formed.
+
+    Args:
+        surface: The mold's.
+        size: The mold's [m].
+        direction: Unit vector (3,) to the only side that counts; all by default.
+    """
+    turns = _turns(surface.vertices, surface.triangles) if direction is None else [turned_up(-direction)]
     outer = [_look(heights.seen(surface, turn, _COARSE), size) for turn in turns]
     inner = [_deeper(look, size) for look in outer]
     hollow = _first_best(_rimmed(inner), lambda look: look.hollow)
-    raised = _first_best(_rimmed(outer), lambda look: look.raised)
-    male = raised.raised > _FAVOUR * hollow.hollow
-    return (raised if male else hollow), male
+    return Sides(hollow, _first_best(_rimmed(outer), lambda look: look.raised))
 
 
 def _rimmed(looks: list[_Look]) -> list[_Look]:
@@ -164,26 +188,28 @@ def _without_specks(deep: Mask) -> Mask:
 def _look(view: Heights, size: float) -> _Look:
     """The rim's height is the one that most of the edge has."""
     tolerance = FLAT * size
-    at_edge = np.sort(view.around()[view.edge])
-    many = np.searchsorted(at_edge, at_edge + 2 * tolerance, side="right") - np.arange(len(at_edge))
-    first = int(np.argmax(many))
-    level = float(np.median(at_edge[first : first + many[first]]))
+    level, share = view.edge_level(tolerance)
     rise = view.height[view.inside & np.isfinite(view.height)] - level
     cell = view.pixel**2
     hollow, raised = float(rise[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
     # A rim with a few pins is one, and so is a base in which there are holes.
-    return _Look(view, level, many[first] / len(at_edge), max(0.0, hollow - 4 * raised) * cell, raised * cell)
+    return _Look(view, level, share, max(0.0, hollow - 4 * raised) * cell, raised * cell)
 
 
 def _turns(vertices: Array, triangles: Integers) -> list[Array]:
     """Rotations (3, 3) that turn each side from which a mold may be meant to be seen towards -z."""
     axes = np.concatenate([np.eye(3)[::-1], -np.eye(3)[::-1]])
     chosen: list[Array] = list(axes)
-    for direction in [*_flat(vertices, triangles), *_loops(vertices, triangles)]:
+    for direction in plane_normals(vertices, triangles):
         for signed in (direction, -direction):
             if max(float(signed @ other) for other in chosen) < 1 - 1e-6:
                 chosen.append(signed)
     return [turned_up(direction) for direction in chosen]
+
+
+def plane_normals(vertices: Array, triangles: Integers) -> list[Array]:
+    """Unit normals (3,) of flat faces with much area, and of the planes of long open rims."""
+    return [*_flat(vertices, triangles), *_loops(vertices, triangles)]
 
 
 def _flat(vertices: Array, triangles: Integers) -> list[Array]:

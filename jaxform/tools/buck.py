@@ -1,0 +1,191 @@
+"""How a male mold stands: from which side the sheet comes, the height of its base, what stands above. On the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import masks, meshes
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import heights, opening, scans
+from jaxform.tools.heights import Heights, Surface
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_COARSE = 120  # pixels of the longer side, to compare sides
+_ROUGH = 0.02  # of the mold's size: what counts as one height of a base that is not flat, as the back of a scan
+_STANDS = 0.5  # of what is seen, that the base must be
+_ALIKE = 0.97  # of the best score: as good
+_UPRIGHT = 0.35  # of the best score, from which the side that the file has upwards is chosen
+_WIDEST = 0.985  # of what is seen, that lies above the height at which a mold without a base is cut
+_GROUND = 0.1  # of what is seen, that a platen is at least
+_DIRECTIONS = ["+z", "+y", "+x", "-z", "-y", "-x"]
+
+
+@dataclass(frozen=True)
+class Buck:
+    """A male mold as it stands.
+
+    Attributes:
+        view: The mold as the sheet sees it: turned so that pressure pushes to +z.
+        direction: Unit vector (3,) from the base to the side from which the sheet comes, in the file's axes.
+        base: Height of the platen [m], after turning.
+        top: Height of what the sheet meets first [m], after turning; less than the base.
+        body: Pixels (ny, nx) of what stands above the base.
+        on_platen: Whether the mold has a platen around the body.
+        flat: Whether it has a base; else the platen is where it is widest.
+        others: Names of other sides from which the sheet may be meant to come.
+    """
+
+    view: Heights
+    direction: Array
+    base: float
+    top: float
+    body: Mask
+    on_platen: bool
+    flat: bool
+    others: list[str]
+
+    @property
+    def height(self) -> float:
+        """Of the body above the platen [m]."""
+        return self.base - self.top
+
+    @property
+    def volume(self) -> float:
+        """Of the body and what is hidden below it [m^3]."""
+        return float((self.base - self.view.height[self.body]).sum()) * self.view.pixel**2
+
+
+class _Stand(NamedTuple):
+    """A direction (3,) in which a mold may stand, the area of its base [m^2], and its share of what is seen."""
+
+    direction: Array
+    area: float
+    share: float
+
+    @property
+    def score(self) -> float:
+        return self.area * self.share**2
+
+
+def parse(text: str) -> Array:
+    """The unit vector (3,) that a text names: +x, -x, ..., +z, -z, or three numbers with commas.
+
+    Raises:
+        InputError: It is neither.
+    """
+    name = text.strip().lower()
+    if len(name.lstrip("+-")) == 1 and name.lstrip("+-") in "xyz":
+        unit = np.zeros(3)
+        unit["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
+        return unit
+    try:
+        vector = np.array([float(part) for part in name.split(",")])
+    except ValueError:
+        vector = np.zeros(0)
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not np.isfinite(length) or length == 0:
+        remedy = "give +x, -x, +y, -y, +z, -z or three numbers, such as --direction=0,0.5,1"
+        raise InputError("is no direction", remedy, "--direction", text)
+    return vector / length
+
+
+def named(direction: Array) -> str:
+    """A direction (3,) as --direction takes it."""
+    axis = int(np.argmax(np.abs(direction)))
+    if abs(direction[axis]) > 1 - 1e-6:
+        return f"{'-' if direction[axis] < 0 else '+'}{'xyz'[axis]}"
+    return ",".join(f"{float(x) + 0.0:.3g}" for x in np.round(direction, 3))
+
+
+def find(mold: Mesh, direction: Array | None = None) -> Buck:
+    """How a male mold stands.
+
+    Args:
+        mold: Welded.
+        direction: From which side the sheet comes (3,), in the file's axes; found by default.
+
+    Raises:
+        InputError: Nothing stands above a base.
+    """
+    surface, size = heights.surface(mold.positions, mold.triangles), meshes.size(mold.positions)
+    stands = [_stand(surface, one, size) for one in ([direction] if direction is not None else directions(mold))]
+    chosen, is_open = _chosen(stands), scans.rims_of(mold)
+    if direction is None and chosen.share < _STANDS and is_open is not None:
+        chosen = _stand(surface, scans.outward(mold, is_open), size)
+    others = [] if direction is not None else _others(stands, chosen)
+    return _placed(surface, chosen, size, others, is_open is not None)
+
+
+def directions(mold: Mesh) -> list[Array]:
+    """The directions (3,) in which a mold may stand: axes, then normals of flat faces and open rims, both ways."""
+    chosen = [parse(name) for name in _DIRECTIONS]
+    for one in opening.plane_normals(mold.positions, mold.triangles):
+        for signed in (one, -one):
+            if max(float(signed @ other) for other in chosen) < 1 - 1e-6:
+                chosen.append(signed)
+    return chosen
+
+
+def _stand(surface: Surface, direction: Array, size: float) -> _Stand:
+    below = heights.seen(surface, opening.turned_up(direction), _COARSE)
+    lowest = float(below.height.min())
+    seen = float(below.inside.sum())
+    area = 0.0
+    for tolerance in (opening.FLAT, _ROUGH):
+        area = float(masks.filled(below.height <= lowest + tolerance * size).sum())
+        if area >= _STANDS * seen:
+            break
+    return _Stand(direction, area * below.pixel**2, area / seen)
+
+
+def _chosen(stands: list[_Stand]) -> _Stand:
+    """The side with the largest base that hides least; of those alike the first; upright as in the file, if it can."""
+    good = [stand for stand in stands if stand.share >= _STANDS]
+    if not good:
+        # No base: lying, so that most of it is seen.
+        largest = max(stand.area / max(stand.share, 1e-9) for stand in stands)
+        return next(s for s in stands if s.area / max(s.share, 1e-9) >= 0.9 * largest)
+    best = max(stand.score for stand in good)
+    upright = [stand for stand in good if stand.direction[2] > 1 - 1e-9 and stand.share > 0.95]
+    if upright and upright[0].score >= _UPRIGHT * best:
+        return upright[0]
+    return next(stand for stand in good if stand.score >= _ALIKE * best)
+
+
+def _others(stands: list[_Stand], chosen: _Stand) -> list[str]:
+    """Names of other sides that are as good, or better but not upright."""
+    if chosen.share < _STANDS:
+        return []
+    least = _ALIKE * chosen.score
+    alike = [stand for stand in stands if stand.score >= least and stand is not chosen]
+    return [named(stand.direction) for stand in alike[:5]]
+
+
+def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_open: bool) -> Buck:
+    """The mold in the pose of a stand; an open surface ends above its base, whatever its rim is like."""
+    view = heights.seen(surface, opening.turned_up(-stand.direction), opening.FINE)
+    tolerance = opening.FLAT * size
+    level, share = view.edge_level(tolerance)
+    ground = np.abs(view.height - level) <= tolerance
+    body = view.inside & (view.height < level - tolerance)
+    on_platen = share >= opening.RIM and body.any() and ground.sum() >= _GROUND * view.inside.sum()
+    flat = is_open or stand.share >= _STANDS
+    base = float((surface.vertices @ view.turn[2]).max())
+    if on_platen:
+        base, flat = level, True
+    elif not flat:
+        base = float(np.quantile(view.height[np.isfinite(view.height)], _WIDEST))
+    top = float(view.height.min())
+    if base - top <= tolerance:
+        problem = f"nothing stands above a base when the sheet comes from {named(stand.direction)}"
+        remedy = "give another --direction, or --cavity where the sheet goes into a hollow"
+        raise InputError(problem, remedy)
+    body = view.inside & (view.height < base - tolerance)
+    return Buck(view, stand.direction, base, top, body, bool(on_platen), flat, others)

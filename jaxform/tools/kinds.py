@@ -1,0 +1,108 @@
+"""Whether a mold is a cavity, into which a sheet is formed, or a buck, over which it is draped. On the host."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import masks, meshes
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import buck, heights, opening, scans
+from jaxform.tools.buck import Buck
+from jaxform.tools.opening import Sides
+
+_RECESS, _CAVITY = 0.01, 0.1  # of a solid's volume, that a hollow is at most on a buck, and at least in a cavity
+_PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around is at least, to be a platen
+_PIXELS, _LEVELS = 120, 16  # of the looks at what holds water
+_BOTTOM = 0.1  # of what is seen, that the flat bottom of a cup is at least
+
+
+class Verdict(NamedTuple):
+    """What a mold is.
+
+    Attributes:
+        drape: Whether it is a buck.
+        doubt: What it may be as well, and how to ask for it; empty where it is clear.
+    """
+
+    drape: bool
+    doubt: str
+
+
+def judge(mold: Mesh) -> Verdict:
+    """What a welded mold is."""
+    size = meshes.size(mold.positions)
+    sides = opening.sides_of(heights.surface(mold.positions, mold.triangles), size)
+    rims = scans.rims_of(mold)
+    return _solid(mold, sides, size) if rims is None else _shell(mold, rims, sides, size)
+
+
+def _rimmed(sides: Sides, size: float) -> bool:
+    return sides.hollow.share >= opening.RIM and sides.hollow.hollow >= opening.HOLLOW * size**3
+
+
+def _solid(mold: Mesh, sides: Sides, size: float) -> Verdict:
+    share = _held(mold) / _volume(mold)
+    if share > _CAVITY:
+        return Verdict(False, "")
+    if share < _RECESS or (sides.male and sides.raised.share >= opening.RIM):
+        return Verdict(True, "")
+    if _rimmed(sides, size):
+        return Verdict(False, "a solid with a shallow hollow: --drape forms over it")
+    return Verdict(True, "a solid with a recess: --cavity forms into that")
+
+
+def _volume(mold: Mesh) -> float:
+    """Of a solid as a buck [m^3]; of its box where it is none."""
+    try:
+        return buck.find(mold).volume
+    except InputError:
+        return float(np.prod(np.ptp(mold.positions, axis=0)))
+
+
+def _held(mold: Mesh) -> float:
+    """The volume of water [m^3] that a mold holds on the side on which it holds most."""
+    surface = heights.surface(mold.positions, mold.triangles)
+    views = (heights.seen(surface, opening.turned_up(-side), _PIXELS) for side in buck.directions(mold))
+    return max(_held_on(view) for view in views)
+
+
+def _held_on(view: heights.Heights) -> float:
+    """The same on the side that is seen: what is surrounded at each height."""
+    high, low = float(view.height.min()), float(view.height[np.isfinite(view.height)].max())
+    levels = np.linspace(high, low, _LEVELS + 1)[1:]
+    above = [view.height <= level for level in levels]
+    pixels = sum(int((masks.filled(mask) & ~mask).sum()) for mask in above)
+    return pixels * view.pixel**2 * (low - high) / _LEVELS
+
+
+def _shell(mold: Mesh, rims: scans.Rims, sides: Sides, size: float) -> Verdict:
+    direction = scans.outward(mold, rims)
+    outward = scans.faces_outward(mold, direction)
+    if not _rimmed(sides, size):
+        # Without a rim at one height it is a scan, of the inside only where it faces inwards.
+        inside = outward is False and sides.hollow.share >= opening.LEAST_RIM
+        other = "--drape forms over its outside" if inside else "--cavity forms into its inside"
+        return Verdict(not inside, f"an open surface with an uneven rim: {other}")
+    if outward is False:
+        return Verdict(False, "")
+    stands = buck.find(mold, direction)
+    if stands.on_platen:
+        drape = bool(outward) and _is_platen(stands)
+        return Verdict(drape, "an open surface with a flange: " + _other(drape))
+    flat = np.abs(stands.view.height - stands.top) <= opening.FLAT * size
+    drape = bool(outward) and flat.sum() < _BOTTOM * stands.view.inside.sum()
+    return Verdict(drape, "an open surface with an even rim: " + _other(drape))
+
+
+def _other(drape: bool) -> str:
+    return "--cavity forms into its other side" if drape else "--drape forms over its other side"
+
+
+def _is_platen(stands: Buck) -> bool:
+    """Whether what is around a body is as wide as a platen is."""
+    ground, body = stands.view.inside & ~stands.body, masks.filled(stands.body)
+    reach = masks.distance(stands.view.inside)[stands.body].min() * stands.view.pixel
+    return bool(ground.sum() >= _PLATEN * body.sum() and reach >= _WIDE * stands.height)
