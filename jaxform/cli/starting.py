@@ -14,7 +14,7 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError, warn_of
 
 if TYPE_CHECKING:
-    from jaxform.io.drafting import Draft, Wishes
+    from jaxform.io.choices import Draft, Wishes
 
 _LEAST, _MOST = 1e-9, 1e3  # m
 _LARGE = 3.0  # of a part in metres, which may be one of a few inches
@@ -74,7 +74,7 @@ def start(arguments: argparse.Namespace) -> int:
 
 
 def _wishes(arguments: argparse.Namespace) -> Wishes:
-    from jaxform.io.drafting import Wishes
+    from jaxform.io.choices import Wishes
     from jaxform.tools import buck
 
     direction = None if arguments.direction is None else buck.parse(arguments.direction)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.io import draping
-from jaxform.io.draping import Drape
+from jaxform.io.choices import Draft, Wishes, rounded
 from jaxform.io.units import Units, guess_units
 from jaxform.mesh import contours, masks, meshes
 from jaxform.mesh.contours import Circle, Rectangle
@@ -25,164 +25,13 @@ from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
 
-STIFFNESS, ALPHA, DENSITY = 0.02e6, 0.1, 1000.0
-"""Of the placeholder material, a hot thermoplastic sheet: c [Pa], alpha, density [kg/m^3]."""
-VACUUM = 0.9e5
-"""The pressure difference [Pa] that a vacuum has at most."""
-PROCESSES = ("vacuum", "pressure")
-"""What pushes the sheet: a vacuum, of at most 0.9 bar, or compressed air."""
 _THICKNESS = 0.008  # of the sheet's width
 _ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
-_ACROSS, _FEWEST = 16, 6  # elements across the smallest pocket; with fewer the mesh is refined
-_CORNER = 0.5  # elements: the radius to which corners are filled, so that stiffer materials fill them too
-_RE_ENTRANT = (
-    1.3  # the same of an outline, over whose re-entrant edges a sheet folds, and blows up where it is not held
-)
+_ACROSS = 16  # elements across the smallest pocket
 _SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
 _LEVEL = 0.01  # of the cavity's depth: what is at one height, but for rounding
 _RESOLVED = 2.0  # pixels: half the width below which a part of the cavity is not seen as it is
 _SLIT, _SLIT_AREA = 4.0, 0.25  # a slit's depth in half widths at least, and at most of the cavity's area
-_SLOW = 40.0  # ramp, over half the sheet's width times sqrt(density / stiffness)
-_SHALLOW, _LONGEST = 1.0, 16.0  # by how much longer where the width is many times the depth
-_DAMPING = 2.0  # the same times the damping
-_STROKE, _PRESSING = 25.0, 40.0  # the same of the mold's motion, and of the ramp after it
-
-
-@dataclass(frozen=True)
-class Draft:
-    """The choices of a first scene.
-
-    Attributes:
-        scale: Metres per unit of the mold's file.
-        units: The same in words, and what else it may be.
-        guessed: Whether the scale was.
-        size: Box of the mold as it is in the file (3,).
-        rotate: Of the mold [degrees] (3,).
-        translate: Of the mold [m] (3,).
-        found: The opening.
-        planform: Of the sheet, where the mold is in the view.
-        polygon: Of the sheet (k, 2) [m] where the scene has it.
-        rest: What completes a mold that is cut in a half or a quarter, as its file has it [m]; None where it is whole.
-        covers: What closes the mold, as its file has it [m].
-        width: Of the sheet [m], the shorter way.
-        pocket: Half the width of the smallest pocket [m].
-        slit: The same of the widest slits, which are left open; None where there are none.
-        thickness: Of the sheet [m].
-        element_size: [m]
-        process: What pushes the sheet, one of `PROCESSES`.
-        drape: How the sheet is draped over a buck; None for a cavity.
-        doubt: What the mold may be as well; empty where that is clear.
-    """
-
-    scale: float
-    units: Units
-    guessed: bool
-    size: Array
-    rotate: Array
-    translate: Array
-    found: Opening
-    planform: Planform
-    polygon: Array
-    rest: Rest | None
-    covers: Covers
-    width: float
-    pocket: float
-    slit: float | None
-    thickness: float
-    element_size: float
-    process: str = PROCESSES[0]
-    drape: Drape | None = None
-    doubt: str = ""
-
-    @property
-    def pressure(self) -> float:
-        """The pressure [Pa]: what fills the corners, at most what a vacuum has where that pushes.
-
-        At most what a slit bears too, as thick as the sheet is at first: blown into one it goes in at one place,
-        spreads below what is still above it, and meets itself.
-        """
-        bearable = np.inf if self.slit is None else 2 * STIFFNESS * self.thickness / self.slit
-        return _rounded(min(self.filling, bearable, self._most))
-
-    @property
-    def filling(self) -> float:
-        """The pressure [Pa] that fills the corners down to about an element: 2 T / r of a radius r and a tension T."""
-        folds = isinstance(self.planform.shape, np.ndarray)
-        return 2 * self._tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size)
-
-    @property
-    def limited(self) -> bool:
-        """Whether a vacuum has less than the pressure that fills the corners."""
-        return self.pressure == self._most
-
-    def corner(self, pressure: float) -> float:
-        """The radius [m] down to which a pressure [Pa] fills corners."""
-        return 2 * self._tension / pressure
-
-    @property
-    def _most(self) -> float:
-        return VACUUM if self.process == PROCESSES[0] else np.inf
-
-    @property
-    def _tension(self) -> float:
-        """T = 2 c h (1 + alpha stretch^2) [N/m] of a Mooney-Rivlin sheet at large equal stretches.
-
-        These are taken twice as large as those of the sheet's area on average.
-        """
-        return 2 * STIFFNESS * self.thickness * (1 + ALPHA * 2 * self.draw)
-
-    @property
-    def draw(self) -> float:
-        """About how many times its area the sheet gets: bottom and walls of the cavity over its opening."""
-        return 1.0 + 2 * self.found.depth / self.pocket if self.drape is None else self.drape.draw
-
-    @property
-    def ramp(self) -> float:
-        """How long the pressure rises [s]."""
-        if self.drape is not None:
-            return _rounded(_PRESSING * self._time)
-        # A shallow mold is touched early, and until then the pressure has to rise as slowly.
-        shallow = min(_SHALLOW * 0.5 * self.width / max(self.found.depth, 1e-12), _LONGEST)
-        return _rounded(_SLOW * (1.0 + shallow) * self._time)
-
-    @property
-    def stroke_time(self) -> float:
-        """How long the mold moves before the pressure rises [s]; 0 where it rests."""
-        return 0.0 if self.drape is None else _rounded(_STROKE * self._time)
-
-    @property
-    def damping(self) -> float:
-        """Of the solver [1/s]."""
-        return _rounded(_DAMPING / self._time)
-
-    @property
-    def levels(self) -> int:
-        """How often elements near bends of the mold are bisected: 0 where the mesh is fine enough."""
-        # Two bisections halve an element's sides.
-        return 2 if self.element_size > 2 * self.pocket / _FEWEST else 0
-
-    @property
-    def _time(self) -> float:
-        return 0.5 * self.width * float(np.sqrt(DENSITY / STIFFNESS))
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What the user says of a first scene; None where it is to be found.
-
-    Attributes:
-        scale: Metres per unit of the files; by default guessed from the mold's size.
-        thickness: Of the sheet [m]; by default in proportion to its width.
-        drape: Whether the mold is a buck.
-        direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes.
-        process: One of `PROCESSES`.
-    """
-
-    scale: float | None = None
-    thickness: float | None = None
-    drape: bool | None = None
-    direction: Array | None = None
-    process: str = PROCESSES[0]
 
 
 def draft(paths: Sequence[Path], wishes: Wishes | None = None) -> Draft:
@@ -204,7 +53,7 @@ def draft(paths: Sequence[Path], wishes: Wishes | None = None) -> Draft:
     verdict = _verdict(read.mold, wishes)
     if verdict.drape:
         return replace(_draped(read), doubt=verdict.doubt)
-    return replace(_formed(read), doubt=verdict.doubt)
+    return replace(_formed(read, verdict.rest), doubt=verdict.doubt)
 
 
 class _Read(NamedTuple):
@@ -217,13 +66,15 @@ class _Read(NamedTuple):
 
 
 def _verdict(mold: Mesh, wishes: Wishes) -> kinds.Verdict:
-    return kinds.judge(mold) if wishes.drape is None else kinds.Verdict(wishes.drape, "")
+    if wishes.drape is not None:
+        rest = None if wishes.drape or wishes.direction is not None else halves.rest(mold)
+        return kinds.Verdict(wishes.drape, rest=rest)
+    return kinds.judge(mold)
 
 
-def _formed(read: _Read) -> Draft:
+def _formed(read: _Read, rest: Rest | None) -> Draft:
     """A first scene in which a sheet is formed into a cavity."""
     mold, wishes = read.mold, read.wishes
-    rest = halves.rest(mold) if wishes.direction is None else None
     if rest is not None:
         whole = meshes.merged([mold, rest.mesh])
         mold = rims.welded(whole.positions, whole.triangles)
@@ -249,7 +100,7 @@ def _formed(read: _Read) -> Draft:
         width=width,
         pocket=pocket,
         slit=pockets.slit,
-        thickness=wishes.thickness or _rounded(_THICKNESS * width),
+        thickness=wishes.thickness or rounded(_THICKNESS * width),
         element_size=_element_size(pocket, area),
         process=wishes.process,
     )
@@ -262,7 +113,7 @@ def _draped(read: _Read) -> Draft:
     planform = made.site.planform
     area = abs(contours.outlines.area(planform.polygon))
     width = _width(planform.polygon, area)
-    thickness = wishes.thickness or _rounded(_THICKNESS * width)
+    thickness = wishes.thickness or rounded(_THICKNESS * width)
     found = made.opening(thickness)
     rotate, translate, polygon = _placed(found, planform)
     return Draft(
@@ -290,7 +141,7 @@ def _draped(read: _Read) -> Draft:
 def _element_size(pocket: float, area: float) -> float:
     """[m], by half the width of what is narrowest [m] and the sheet's area [m^2]."""
     fine = max(2 * pocket / _ACROSS, triangle_side(area, _MOST))
-    return _rounded(min(fine, triangle_side(area, _ELEMENTS)))
+    return rounded(min(fine, triangle_side(area, _ELEMENTS)))
 
 
 def _placed(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
@@ -344,7 +195,3 @@ def _pockets(found: Opening) -> _Pockets:
         halves += wide[smallest][seen & ~slit[smallest]].tolist()
         slits += wide[smallest][seen & slit[smallest]].tolist()
     return _Pockets(min(halves), max(slits, default=None))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.2g}")

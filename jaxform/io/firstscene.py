@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.core.writing import whole
-from jaxform.io.drafting import ALPHA, DENSITY, STIFFNESS, Draft
+from jaxform.io.choices import ALPHA, DENSITY, STIFFNESS, Draft
 from jaxform.io.rewriting import inline
 from jaxform.mesh import meshes
 from jaxform.mesh.contours import Circle, Rectangle

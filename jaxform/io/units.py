@@ -48,6 +48,6 @@ def _guess(box: NDArray[np.float64]) -> Units:
         halves = box / _ROUND
         # A part of 12 x 8 x 5 is drawn in centimetres, one of 4.72 x 3.15 x 1.97 is drawn in inches or converted.
         if np.all(np.abs(halves - np.round(halves)) <= _OFF * np.maximum(halves, 1.0)):
-            return Units(0.01, "centimetres", f"give {_IN_INCHES}, {_IN_MM}")
-        return Units(0.0254, "inches", f"give {_IN_CM}, {_IN_MM}")
+            return Units(0.01, "centimetres", f"give {_IN_MM}, {_IN_INCHES}")
+        return Units(0.0254, "inches", f"give {_IN_MM}, {_IN_CM}")
     return Units(0.001, "millimetres", f"give {_IN_CM}" if size <= _CENTIMETRES else "")

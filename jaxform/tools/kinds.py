@@ -9,12 +9,14 @@ import numpy as np
 from jaxform.core.errors import InputError
 from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import buck, heights, opening, scans
+from jaxform.tools import buck, halves, heights, opening, scans
 from jaxform.tools.buck import Buck
+from jaxform.tools.halves import Rest
 from jaxform.tools.opening import Sides
 
 _RECESS, _CAVITY = 0.01, 0.1  # of a solid's volume, that a hollow is at most on a buck, and at least in a cavity
 _PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around is at least, to be a platen
+_LOWER = 0.01  # of what is seen, that may lie lower than a platen
 _PIXELS, _LEVELS = 120, 16  # of the looks at what holds water
 _BOTTOM = 0.1  # of what is seen, that the flat bottom of a cup is at least
 
@@ -25,10 +27,12 @@ class Verdict(NamedTuple):
     Attributes:
         drape: Whether it is a buck.
         doubt: What it may be as well, and how to ask for it; empty where it is clear.
+        rest: What completes a cavity that is cut in a half or a quarter.
     """
 
     drape: bool
-    doubt: str
+    doubt: str = ""
+    rest: Rest | None = None
 
 
 def judge(mold: Mesh) -> Verdict:
@@ -44,11 +48,12 @@ def _rimmed(sides: Sides, size: float) -> bool:
 
 
 def _solid(mold: Mesh, sides: Sides, size: float) -> Verdict:
-    share = _held(mold) / _volume(mold)
+    volume = _volume(mold)
+    share = _held(mold) / volume if volume else np.inf
     if share > _CAVITY:
-        return Verdict(False, "")
+        return Verdict(False)
     if share < _RECESS or (sides.male and sides.raised.share >= opening.RIM):
-        return Verdict(True, "")
+        return Verdict(True)
     if _rimmed(sides, size):
         return Verdict(False, "a solid with a shallow hollow: --drape forms over it")
     return Verdict(True, "a solid with a recess: --cavity forms into that")
@@ -82,18 +87,21 @@ def _shell(mold: Mesh, rims: scans.Rims, sides: Sides, size: float) -> Verdict:
     direction = scans.outward(mold, rims)
     outward = scans.faces_outward(mold, direction)
     if not _rimmed(sides, size):
+        rest = halves.rest(mold)
+        if rest is not None:
+            return Verdict(False, rest=rest)
         # Without a rim at one height it is a scan, of the inside only where it faces inwards.
         inside = outward is False and sides.hollow.share >= opening.LEAST_RIM
         other = "--drape forms over its outside" if inside else "--cavity forms into its inside"
         return Verdict(not inside, f"an open surface with an uneven rim: {other}")
     if outward is False:
-        return Verdict(False, "")
+        return Verdict(False)
     stands = buck.find(mold, direction)
     if stands.on_platen:
         drape = bool(outward) and _is_platen(stands)
         return Verdict(drape, "an open surface with a flange: " + _other(drape))
-    flat = np.abs(stands.view.height - stands.top) <= opening.FLAT * size
-    drape = bool(outward) and flat.sum() < _BOTTOM * stands.view.inside.sum()
+    flat = int((np.abs(stands.view.height - stands.top) <= opening.FLAT * size).sum())
+    drape = bool(outward) and flat < _BOTTOM * int(stands.view.inside.sum())
     return Verdict(drape, "an open surface with an even rim: " + _other(drape))
 
 
@@ -102,7 +110,11 @@ def _other(drape: bool) -> str:
 
 
 def _is_platen(stands: Buck) -> bool:
-    """Whether what is around a body is as wide as a platen is."""
-    ground, body = stands.view.inside & ~stands.body, masks.filled(stands.body)
-    reach = masks.distance(stands.view.inside)[stands.body].min() * stands.view.pixel
+    """Whether what is around a body is as wide as a platen is, and nothing lies lower."""
+    view = stands.view
+    lower = np.isfinite(view.height) & (view.height > stands.base + 2 * opening.FLAT * stands.height)
+    if lower.sum() > _LOWER * view.inside.sum():
+        return False
+    ground, body = view.inside & ~stands.body, masks.filled(stands.body)
+    reach = masks.distance(view.inside)[stands.body].min() * view.pixel
     return bool(ground.sum() >= _PLATEN * body.sum() and reach >= _WIDE * stands.height)
