@@ -19,11 +19,12 @@ Mask = NDArray[np.bool_]
 
 _COARSE = 120  # pixels of the longer side, to compare sides
 _ROUGH = 0.02  # of the mold's size: what counts as one height of a base that is not flat, as the back of a scan
-_STANDS = 0.5  # of what is seen, that the base must be
+_STANDS, _FOOT = 0.5, 0.1  # of what is seen, that the base should be, and that a flat one is at least
 _ALIKE = 0.97  # of the best score: as good
 _UPRIGHT = 0.35  # of the best score, from which the side that the file has upwards is chosen
 _WIDEST = 0.985  # of what is seen, that lies above the height at which a mold without a base is cut
 _GROUND = 0.1  # of what is seen, that a platen is at least
+_THICK = 0.4  # of the body's height, how thick a platen is at most
 _DIRECTIONS = ["+z", "+y", "+x", "-z", "-y", "-x"]
 
 
@@ -63,11 +64,15 @@ class Buck:
 
 
 class _Stand(NamedTuple):
-    """A direction (3,) in which a mold may stand, the area of its base [m^2], and its share of what is seen."""
+    """A direction (3,) in which a mold may stand, the area of its base [m^2], and what that is of what is seen.
+
+    The base may be rough; `foot` is the share of what is flat.
+    """
 
     direction: Array
     area: float
     share: float
+    foot: float
 
     @property
     def score(self) -> float:
@@ -135,19 +140,18 @@ def directions(mold: Mesh) -> list[Array]:
 
 def _stand(surface: Surface, direction: Array, size: float) -> _Stand:
     below = heights.seen(surface, opening.turned_up(direction), _COARSE)
-    lowest = float(below.height.min())
-    seen = float(below.inside.sum())
-    area = 0.0
-    for tolerance in (opening.FLAT, _ROUGH):
-        area = float(masks.filled(below.height <= lowest + tolerance * size).sum())
-        if area >= _STANDS * seen:
-            break
-    return _Stand(direction, area * below.pixel**2, area / seen)
+    lowest, seen = float(below.height.min()), float(below.inside.sum())
+    foot, rough = (
+        float(masks.filled(below.height <= lowest + tolerance * size).sum()) / seen
+        for tolerance in (opening.FLAT, _ROUGH)
+    )
+    share = foot if foot >= _STANDS else rough
+    return _Stand(direction, share * seen * below.pixel**2, share, foot)
 
 
 def _chosen(stands: list[_Stand]) -> _Stand:
     """The side with the largest base that hides least; of those alike the first; upright as in the file, if it can."""
-    good = [stand for stand in stands if stand.share >= _STANDS]
+    good = [stand for stand in stands if stand.share >= _STANDS] or [stand for stand in stands if stand.foot >= _FOOT]
     if not good:
         # No base: lying, so that most of it is seen.
         largest = max(stand.area / max(stand.share, 1e-9) for stand in stands)
@@ -175,9 +179,12 @@ def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_
     level, share = view.edge_level(tolerance)
     ground = np.abs(view.height - level) <= tolerance
     body = view.inside & (view.height < level - tolerance)
+    lowest = float((surface.vertices @ view.turn[2]).max())
     on_platen = share >= opening.RIM and body.any() and ground.sum() >= _GROUND * view.inside.sum()
-    flat = is_open or stand.share >= _STANDS
-    base = float((surface.vertices @ view.turn[2]).max())
+    # What is thick is the lower part of a stepped body.
+    on_platen = bool(on_platen) and lowest - level <= _THICK * (level - float(view.height.min()))
+    flat = is_open or stand.share >= _STANDS or stand.foot >= _FOOT
+    base = lowest
     if on_platen:
         base, flat = level, True
     elif not flat:
@@ -188,4 +195,4 @@ def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_
         remedy = "give another --direction, or --cavity where the sheet goes into a hollow"
         raise InputError(problem, remedy)
     body = view.inside & (view.height < base - tolerance)
-    return Buck(view, stand.direction, base, top, body, bool(on_platen), flat, others)
+    return Buck(view, stand.direction, base, top, body, on_platen, flat, others)

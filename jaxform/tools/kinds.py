@@ -19,6 +19,7 @@ _PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around
 _LOWER = 0.01  # of what is seen, that may lie lower than a platen
 _PIXELS, _LEVELS = 120, 16  # of the looks at what holds water
 _BOTTOM = 0.1  # of what is seen, that the flat bottom of a cup is at least
+_HANGS = -0.9  # of a direction's z, below which what bulges to there hangs
 
 
 class Verdict(NamedTuple):
@@ -100,8 +101,9 @@ def _shell(mold: Mesh, rims: scans.Rims, sides: Sides, size: float) -> Verdict:
     if stands.on_platen:
         drape = bool(outward) and _is_platen(stands)
         return Verdict(drape, "an open surface with a flange: " + _other(drape))
+    # An open bowl stands on its bottom, as a rule, and a buck on its rim; a cup has a flat bottom, a scan has none.
     flat = int((np.abs(stands.view.height - stands.top) <= opening.FLAT * size).sum())
-    drape = bool(outward) and flat < _BOTTOM * int(stands.view.inside.sum())
+    drape = bool(outward) and float(direction[2]) > _HANGS and flat < _BOTTOM * int(stands.view.inside.sum())
     return Verdict(drape, "an open surface with an even rim: " + _other(drape))
 
 

@@ -165,4 +165,5 @@ def _walls(edges: Array, base: float) -> Mesh:
     one = np.stack([number, number + count, number + 3 * count], axis=1)
     other = np.stack([number, number + 3 * count, number + 2 * count], axis=1)
     points = np.concatenate([begin, end, *below])
-    return Mesh(points, np.concatenate([one, other]).astype(np.int32))
+    # Where the rim is on the base there is nothing to close.
+    return meshes.drop_degenerate(meshes.weld(Mesh(points, np.concatenate([one, other]).astype(np.int32))))[0]
