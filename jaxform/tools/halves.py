@@ -12,6 +12,8 @@ from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import opening, rims
 
+_CUT = 0.1  # of the length of open rims, what lies in a plane in which the mold is cut
+
 
 class Plane(NamedTuple):
     """A plane across an axis, 0 to 2 for x to z, at a place [m] along it."""
@@ -38,6 +40,11 @@ def _closes(mold: Mesh) -> bool:
     return bool(length[np.abs(height - found.base) <= opening.FLAT * size].sum() >= opening.RIM * length.sum())
 
 
+def _length(edges: NDArray[np.floating]) -> float:
+    """Of edges (n, 2, k) [m] together."""
+    return float(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum())
+
+
 class _Lines:
     """Where the surface of a mold ends, and where it bends sharply."""
 
@@ -51,8 +58,8 @@ class _Lines:
 
         Few planes show this, and to try one takes a look from all sides at a mold twice as large.
         """
-        if len(self._in(plane, self._open)):
-            return True
+        if len(self._open):
+            return _length(self._in(plane, self._open)) >= _CUT * _length(self._open)
         edges = self._in(plane, self._sharp)
         if not len(edges):
             return False

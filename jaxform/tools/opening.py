@@ -33,6 +33,7 @@ LEAST_RIM = 0.3
 """The same share, of what is looked at with a warning."""
 _STEPS = (0.0, 0.25, 0.5, 0.75, 0.9)  # of the height of what stands out, where a rim of its own is looked for
 _NEARLY = 0.97  # of the best volume
+_FACE = 0.01  # of the area, that a flat face is at least: of a scan none is
 _FEW = 6  # directions of flat faces that are tried beside the axes
 _SPECK = 0.005  # of a cavity's area: less is a hole for a bolt
 
@@ -223,6 +224,8 @@ def _flat(vertices: Array, triangles: Integers) -> list[Array]:
     total = np.bincount(index, area, len(key))
     found = []
     for one in np.argsort(-total)[:_FEW]:
+        if total[one] < _FACE * area.sum():
+            break
         mean = (normal * np.sign(normal @ key[one])[:, None])[index == one].sum(0)
         found.append(mean / np.linalg.norm(mean))
     return found

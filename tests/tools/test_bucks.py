@@ -28,9 +28,7 @@ def drafted(top: float = 0.7, chamfer: float = 0.0) -> trimesh.Trimesh:
 
 def dome(segments: int = 24, rough: float = 0.0) -> Mesh:
     """An open half of an ellipsoid 0.1 x 0.08 x 0.05 that faces outwards, its rim rough by so much [m]."""
-    shape = molds.revolved(
-        profile=[[np.sin(a), np.cos(a)] for a in np.linspace(0, 0.5 * np.pi, 10)], segments=segments
-    )
+    shape = molds.revolved(profile=[[np.sin(a), np.cos(a)] for a in np.linspace(0, 0.5 * np.pi, 10)], segments=segments)
     points = shape.vertices * [0.05, 0.04, 0.05]
     at_rim = points[:, 2] < 1e-9
     angle = np.arctan2(points[:, 1], points[:, 0])
