@@ -40,7 +40,7 @@ def outwards(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Triangles (m, 3) of a surface round (0, 0, -1) that turn so that they face away from there."""
     corners = points[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    turned = np.sum(normal * (corners.mean(1) + [0, 0, 1]), axis=1) < 0
+    turned = np.sum(normal * (corners.mean(1) - np.array([0, 0, -1])), axis=1) < 0
     return np.where(turned[:, None], triangles[:, ::-1], triangles)
 
 
