@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from jaxform.mesh import contours, masks, meshes, topology, volumes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.rows import counted_up
-from jaxform.tools import heights
+from jaxform.tools import cells, heights
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import FINE, FLAT, Opening
+from jaxform.tools.patches import close_sides
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,11 +33,15 @@ class Covers(NamedTuple):
         mesh: The covers, where the mold's file has it; None where nothing is open.
         holes: How many holes are covered.
         gaps: The length [m] of the sheet's edge under which there was no rim.
+        sides: How many of the holes are in side walls, hidden from the sheet.
+        hidden: The volume behind the sheet that is not seen from it, over that which is.
     """
 
     mesh: Mesh | None
     holes: int
     gaps: float
+    sides: int = 0
+    hidden: float = 0.0
 
 
 def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
@@ -53,11 +58,15 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     curtain, length = _curtain(found, polygon, size)
     closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
     patches = _patches(heights.seen(heights.surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon)
-    parts = [*fans, *curtain, *patches]
+    closed = meshes.merged([closed, *patches])
+    behind = cells.cells(closed.positions[closed.triangles], polygon, found.level)
+    sides = [] if found.male else close_sides(behind, closed)
+    parts = [*fans, *curtain, *patches, *sides]
     if not parts:
-        return Covers(None, 0, 0.0)
+        return Covers(None, 0, 0.0, 0, behind.hidden)
     joined = meshes.merged(parts)
-    return Covers(Mesh(joined.positions @ found.view.turn, joined.triangles), len(fans) + len(patches), length)
+    mesh = Mesh(joined.positions @ found.view.turn, joined.triangles)
+    return Covers(mesh, len(fans) + len(patches) + len(sides), length, len(sides), behind.hidden)
 
 
 def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> list[Mesh]:

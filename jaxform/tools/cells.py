@@ -1,0 +1,131 @@
+"""The hollow behind a sheet in cubic cells: what is seen through its opening, what is hidden, what leaks. On the host.
+
+Heights seen along the push do not show a hole in a wall that is upright: a rim is above it. Cells do: air that is seen
+through the opening and has a neighbour from which a way leads out of the mold is at a hole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.mesh import planform, raster
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_COUNT = 200  # cells along the longest side
+_AROUND = 2  # cells of air around the mold, and half a cell more, so that no wall lies between two
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Cubic cells, counted along x, y and z.
+
+    Attributes:
+        low: Least corner of the first (3,) [m].
+        width: Of a cell [m].
+        wall: Those (nx, ny, nz) that a surface passes through.
+        seen: Those of air that are seen from the sheet along +z, up to the first wall.
+        outside: Those of other air from which a way leads out of the mold.
+    """
+
+    low: Array
+    width: float
+    wall: Mask
+    seen: Mask
+    outside: Mask
+
+    def within(self, box: tuple[slice, ...]) -> Cells:
+        """The cells in a box."""
+        low = self.low + self.width * np.array([side.start for side in box])
+        return Cells(low, self.width, self.wall[box], self.seen[box], self.outside[box])
+
+    @property
+    def leaks(self) -> Mask:
+        """Cells (nx, ny, nz) that are seen, beside which the outside is."""
+        return self.seen & beside(self.outside)
+
+    @property
+    def hidden(self) -> float:
+        """Volume of the air behind the sheet that is not seen, over that which is."""
+        part, count = parts(~self.wall & ~self.seen & ~self.outside)
+        met = np.zeros(count + 1, bool)
+        met[np.unique(part[beside(self.seen)])] = True
+        met[0] = False
+        return float(met[part].sum() / max(int(self.seen.sum()), 1))
+
+
+def cells(corners: Array, polygon: Array, level: float) -> Cells:
+    """The cells of what is behind a sheet.
+
+    Args:
+        corners: Of the mold's triangles (n, 3, 3) [m], turned so that the sheet is pushed to +z.
+        polygon: Of the sheet (k, 2) [m].
+        level: Height of the sheet [m].
+    """
+    used = corners.reshape(-1, 3)
+    extent = np.append(np.ptp(used[:, :2], axis=0), used[:, 2].max() - level)
+    width = float(extent.max()) / _COUNT
+    low = np.append(used[:, :2].min(0) - (_AROUND + 0.5) * width, level - 0.5 * width)
+    shape = np.ceil(extent / width).astype(int) + [2 * _AROUND + 2, 2 * _AROUND + 2, _AROUND + 2]
+    wall = _walls((corners - low) / width, shape)
+    columns, rows = (low[k] + width * (np.arange(shape[k]) + 0.5) for k in range(2))
+    places = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1).reshape(-1, 2)
+    sheet = planform.inside(places, [polygon]).reshape(shape[:2])
+    seen = sheet[..., None] & ~np.logical_or.accumulate(wall, axis=2)
+    # A flange may lie anywhere in the first layer: nothing passes between the sheet and it.
+    wall[..., 0] |= ~seen[..., 0]
+    return Cells(low, width, wall, seen, _outside(~wall & ~seen))
+
+
+def _walls(corners: Array, shape: NDArray[np.integer]) -> Mask:
+    """The cells (nx, ny, nz) that triangles (n, 3, 3) pass through, in cells, closed to ways through cells' sides."""
+    wall = np.zeros(shape, bool)
+    for axis in range(3):
+        one, other = (k for k in range(3) if k != axis)
+        wide, high = int(shape[one]), int(shape[other])
+        across = np.moveaxis(wall, (one, other, axis), (0, 1, 2))
+        for found in raster.hits(corners[..., [one, other]], wide, high):
+            depth = np.floor(found.of(corners[..., axis])).astype(int)
+            within = (depth >= 0) & (depth < shape[axis])
+            row, column = np.divmod(found.pixel[within], wide)
+            across[column, row, depth[within]] = True
+    return wall
+
+
+def _outside(air: Mask) -> Mask:
+    """The cells of air from which a way leads to the grid's sides or bottom."""
+    part, count = parts(air)
+    out = np.zeros(count + 1, bool)
+    for side in (part[0], part[-1], part[:, 0], part[:, -1], part[..., -1]):
+        out[np.unique(side)] = True
+    out[0] = False
+    return out[part]
+
+
+def parts(mask: Mask, corners: bool = False) -> tuple[NDArray[np.int64], int]:
+    """The number of the connected part that each cell is in, from 1, 0 outside; and how many there are.
+
+    Args:
+        mask: The cells.
+        corners: Whether cells that meet in an edge or a corner are connected.
+    """
+    from scipy import ndimage
+
+    found: Any = ndimage.label(mask, np.ones((3, 3, 3)) if corners else None)
+    return found[0], int(found[1])
+
+
+def beside(mask: Mask) -> Mask:
+    """The cells that share a side with one of a mask."""
+    near = np.zeros_like(mask)
+    for axis in range(3):
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        near[tuple(ahead)] |= mask[tuple(behind)]
+        near[tuple(behind)] |= mask[tuple(ahead)]
+    return near
