@@ -31,7 +31,11 @@ HOLLOW = 5e-4
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
 LEAST_RIM = 0.3
 """The same share, of what is looked at with a warning."""
-_STEPS = (0.0, 0.25, 0.5, 0.75, 0.9)  # of the height of what stands out, where a rim of its own is looked for
+_LEVELS = 25  # heights at which a rim is looked for at first
+_ABOVE = 0.03  # of the area within a rim, that may stand above it: a few pins
+_KEPT = 0.5  # of what a side seems to hold, that is within the rim at least
+_ALSO = 0.1  # of what one hollow holds, that another beside it holds at least
+_STEEP = 4.0  # times as deep as a place is away from the edge of its hollow: no sheet gets deeper
 _NEARLY = 0.97  # of the best volume
 _FACE = 0.01  # of the area, that a flat face is at least: of a scan none is
 _FEW = 6  # directions of flat faces that are tried beside the axes
@@ -94,7 +98,7 @@ def find(vertices: Array, triangles: Integers, *, male: bool | None = None, dire
         raise InputError(problem, remedy)
     view = heights.seen(surface, best.view.turn, FINE)
     look = _look(view, size)
-    return _male(look, size) if male else _female(_deeper(look, size), size)
+    return _male(look, size) if male else _female(_within_rim(look, size), size)
 
 
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
@@ -127,7 +131,7 @@ def sides_of(surface: heights.Surface, size: float, direction: Array | None = No
     """
     turns = _turns(surface.vertices, surface.triangles) if direction is None else [turned_up(-direction)]
     outer = [_look(heights.seen(surface, turn, _COARSE), size) for turn in turns]
-    inner = [_deeper(look, size) for look in outer]
+    inner = [_within_rim(look, size) for look in outer]
     hollow = _first_best(_rimmed(inner), lambda look: look.hollow)
     return Sides(hollow, _first_best(_rimmed(outer), lambda look: look.raised))
 
@@ -145,7 +149,7 @@ def _female(look: _Look, size: float) -> Opening:
     view = look.view
     flange = view.height[np.abs(view.height - look.level) <= FLAT * size]
     deep = view.inside & ~(view.height <= look.level + FLAT * size)
-    cavity = _without_specks(deep)
+    cavity = _without_specks(deep, view.height)
     bottom = view.height[cavity & np.isfinite(view.height)]
     depth = float(bottom.max() - look.level) if len(bottom) else 0.0
     # The sheet lies before all of the flange, which may be uneven.
@@ -158,41 +162,72 @@ def _male(look: _Look, size: float) -> Opening:
     return Opening(view, top, look.level, view.inside, True, look.share, look.level - top)
 
 
-def _deeper(look: _Look, size: float) -> _Look:
-    """The look within a rim of its own that a cavity has, above what surrounds it; else the look as it is.
+def _within_rim(look: _Look, size: float) -> _Look:
+    """The look within the rim of what holds most, without what is outside of that rim; else the look as it is.
 
-    Such a rim stands out, and what it encloses holds more than it does itself.
+    So handles, lips and skirts do not count, and a rim may stand above the flange that surrounds it.
     """
-    view, best = look.view, look
-    above = look.level - view.height[view.inside & (view.height < look.level - FLAT * size)]
-    if not len(above):
+    view, tolerance = look.view, FLAT * size
+    level = _brim(view, tolerance)
+    if level is None:
         return look
-    for share in _STEPS:
-        crest = masks.filled(view.inside & (view.height < look.level - max(share * above.max(), FLAT * size)))
-        part, count = masks.parts(crest)
-        if not count:
-            continue
-        largest = part == 1 + np.argmax(np.bincount(part.ravel())[1:])
-        own = _look(replace(view, inside=largest), size)
-        if own.share >= RIM and own.hollow > max(best.hollow, look.raised):
-            best = own
-    return best
+    own = _look(replace(view, inside=_enclosing(view, level + tolerance)), size)
+    above = own.view.inside & (view.height < own.level - tolerance)
+    if own.share < RIM or above.sum() > _ABOVE * own.view.inside.sum():
+        return look
+    as_high = abs(own.level - look.level) <= 2 * tolerance and own.hollow >= _KEPT * look.hollow
+    return own if as_high or own.hollow > max(look.hollow, look.raised / _FAVOUR) else look
 
 
-def _without_specks(deep: Mask) -> Mask:
+def _brim(view: Heights, tolerance: float) -> float | None:
+    """The height [m] up to which water stands in what holds most before it runs over; None where nothing holds any."""
+    seen = view.height[np.isfinite(view.height)]
+    levels = np.linspace(seen.min(), seen.max(), _LEVELS)
+    held = np.array([_held(view, level) for level in levels])
+    best = int(np.argmax(held))
+    if held[best] == 0:
+        return None
+    high, low = levels[max(best - 1, 0)], levels[best]
+    while low - high > 0.5 * tolerance:
+        middle = 0.5 * (low + high)
+        high, low = (high, middle) if _held(view, middle) >= held[best] else (middle, low)
+    return float(low)
+
+
+def _held(view: Heights, level: float) -> float:
+    """What is held [m pixels] of water that stands at a height [m]."""
+    ground = view.height <= level
+    held = masks.filled(ground) & ~ground & np.isfinite(view.height)
+    return float((view.height[held] - level).sum())
+
+
+def _enclosing(view: Heights, level: float) -> Mask:
+    """The pixels (ny, nx) of what is no deeper than a height [m], with the hollows within, where those are large."""
+    ground = view.height <= level
+    whole = masks.filled(ground)
+    part, count = masks.parts(whole)
+    held = whole & ~ground & np.isfinite(view.height)
+    volume = np.bincount(part[held], view.height[held] - level, count + 1)
+    return (volume >= _ALSO * volume.max())[part] & whole
+
+
+def _without_specks(deep: Mask, height: Array) -> Mask:
+    """Without holes through a flange: small ones, and those without a bottom beside hollows with one."""
     part, count = masks.parts(deep)
-    area = np.bincount(part.ravel(), minlength=count + 1)
-    area[0] = 0
-    return (area >= _SPECK * area.max())[part] & deep
+    area, bottom = (np.bincount(part[some], minlength=count + 1) for some in (deep, deep & np.isfinite(height)))
+    large = area >= _SPECK * area.max()
+    return (large & ((2 * bottom >= area) | (area == area.max())))[part] & deep
 
 
 def _look(view: Heights, size: float) -> _Look:
     """The rim's height is the one that most of the edge has."""
     tolerance = FLAT * size
     level, share = view.edge_level(tolerance)
-    rise = view.height[view.inside & np.isfinite(view.height)] - level
+    some = view.inside & np.isfinite(view.height)
+    deep = view.inside & (view.height > level + tolerance)
+    rise, reach = view.height[some] - level, _STEEP * view.pixel * masks.distance(deep)[some]
     cell = view.pixel**2
-    hollow, raised = float(rise[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
+    hollow, raised = float(np.minimum(rise, reach)[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
     # A rim with a few pins is one, and so is a base in which there are holes.
     return _Look(view, level, share, max(0.0, hollow - 4 * raised) * cell, raised * cell)
 
