@@ -69,7 +69,7 @@ def _merged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return mesh
 
 
-def blocks(x: Sequence[float], y: Sequence[float], z: Sequence[float], solid: NDArray[np.bool_]) -> trimesh.Trimesh:
+def blocks(x: ArrayLike, y: ArrayLike, z: ArrayLike, solid: NDArray[np.bool_]) -> trimesh.Trimesh:
     """The surface of the solid cells (nx, ny, nz) between planes at x (nx + 1,), y and z."""
     planes = [np.asarray(along, float) for along in (x, y, z)]
     padded, quads = np.pad(solid, 1), []
@@ -86,13 +86,14 @@ def blocks(x: Sequence[float], y: Sequence[float], z: Sequence[float], solid: ND
             quads.append(np.stack([planes[k][quad[..., k]] for k in range(3)], axis=2))
     corners = np.concatenate(quads)
     number = 4 * np.arange(len(corners))[:, None]
-    faces = np.concatenate([number + [0, 1, 2], number + [0, 2, 3]])
+    faces = np.concatenate([number + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
     return _merged(_mesh(corners.reshape(-1, 3), faces))
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> trimesh.Trimesh:
     """A box of 12 triangles."""
-    return blocks(*([a, b] for a, b in zip(low, high, strict=True)), np.ones((1, 1, 1), bool))
+    x, y, z = ([a, b] for a, b in zip(low, high, strict=True))
+    return blocks(x, y, z, np.ones((1, 1, 1), bool))
 
 
 def turned(profile: ArrayLike, segments: int, share: float = 1.0) -> trimesh.Trimesh:
@@ -156,8 +157,8 @@ def _frustum(low: Sequence[float], high: Sequence[float], height: float, chamfer
 
 def _divided(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
     """The mesh in triangles of about a size."""
-    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size, max_iter=30)
-    return _merged(_mesh(vertices, faces))
+    finer = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size, max_iter=30)
+    return _merged(_mesh(finer[0], finer[1]))
 
 
 def _noisy_dome(fine: float, full: int, closed: bool = False) -> trimesh.Trimesh:
@@ -167,7 +168,8 @@ def _noisy_dome(fine: float, full: int, closed: bool = False) -> trimesh.Trimesh
     x, y = 80 * s * np.cos(t), 110 * s * np.sin(t)
     z = 90 * np.sqrt(np.clip(1 - 0.95 * s**2, 0, None))
     z += 22 * np.exp(-((x / 14) ** 2 + ((y + 5) / 28) ** 2))
-    z -= 7 * (np.exp(-(((x - 32) / 16) ** 2 + ((y - 25) / 10) ** 2)) + np.exp(-(((x + 32) / 16) ** 2 + ((y - 25) / 10) ** 2)))
+    for side in (32, -32):
+        z -= 7 * np.exp(-(((x - side) / 16) ** 2 + ((y - 25) / 10) ** 2))
     noise = np.random.default_rng(0).normal(0.0, 0.15, z.shape)
     noise[0], noise[:, -1] = 0.0, noise[:, 0]
     points = np.stack([x, y, z + noise], axis=2)
@@ -236,9 +238,7 @@ def _mug(fine: float) -> trimesh.Trimesh:
 
 def _two_ears(fine: float) -> trimesh.Trimesh:
     bowl = _bowl(fine)
-    ears = [
-        tube_along(_arch([side * 52, 0, 34], 44, 26, [side, 0, 0], [0, 1, 0]), 4.0) for side in (1.0, -1.0)
-    ]
+    ears = [tube_along(_arch([side * 52, 0, 34], 44, 26, [side, 0, 0], [0, 1, 0]), 4.0) for side in (1.0, -1.0)]
     return _joined(bowl, *ears)
 
 
@@ -320,7 +320,7 @@ def _walled(half: Sequence[float], height: float, wall: float, holes: Sequence[t
         through = (middle[..., along] > begin) & (middle[..., along] < end)
         through &= (middle[..., up] > low) & (middle[..., up] < high)
         solid &= ~(through & (middle[..., 2] < wall if axis == 2 else middle[..., 2] > wall))
-    return blocks(*lines, solid)
+    return blocks(lines[0], lines[1], lines[2], solid)
 
 
 def _planes(low: float, high: float, wall: float) -> set[float]:

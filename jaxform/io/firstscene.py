@@ -239,10 +239,19 @@ def kind(made: Draft) -> str:
 def covered(made: Draft) -> str:
     """What the covers close, in words."""
     holes, gaps = made.covers.holes, made.covers.gaps
-    some = [f"{holes} hole{'s' if holes > 1 else ''}"] if holes else []
+    some = [f"{holes} hole{'s' if holes > 1 else ''}{_in_walls(made)}"] if holes else []
     if gaps:
         some.append(f"{_number(1e3 * gaps, 3)} mm of the sheet's edge with no rim under it")
     return " and ".join(some)
+
+
+def _in_walls(made: Draft) -> str:
+    holes, sides = made.covers.holes, made.covers.sides
+    if not sides:
+        return ""
+    return (
+        f", {sides} of them in side walls" if sides < holes else f" in {'side walls' if sides > 1 else 'a side wall'}"
+    )
 
 
 def _refinement(made: Draft) -> list[str]:

@@ -93,7 +93,8 @@ def feature_edges(
     """Edges (n, 2, 3) [m] of a surface at which it bends by more than the angle [degrees], or ends where rims count."""
     corners = vertices[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.where(length > 0, length, 1.0)
     sides = np.sort(_sides(triangles), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
     edge, count = _counted(sides)

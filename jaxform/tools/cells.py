@@ -71,18 +71,18 @@ def cells(corners: Array, polygon: Array, level: float) -> Cells:
     extent = np.append(np.ptp(used[:, :2], axis=0), used[:, 2].max() - level)
     width = float(extent.max()) / _COUNT
     low = np.append(used[:, :2].min(0) - (_AROUND + 0.5) * width, level - 0.5 * width)
-    shape = np.ceil(extent / width).astype(int) + [2 * _AROUND + 2, 2 * _AROUND + 2, _AROUND + 2]
-    wall = _walls((corners - low) / width, shape)
+    shape = np.ceil(extent / width).astype(np.int64) + _AROUND * np.array([2, 2, 1]) + 2
+    wall = walls((corners - low) / width, shape)
     columns, rows = (low[k] + width * (np.arange(shape[k]) + 0.5) for k in range(2))
-    places = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1).reshape(-1, 2)
-    sheet = planform.inside(places, [polygon]).reshape(shape[:2])
+    places = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1)
+    sheet = planform.inside(places.reshape(-1, 2), [polygon]).reshape(places.shape[:2])
     seen = sheet[..., None] & ~np.logical_or.accumulate(wall, axis=2)
     # A flange may lie anywhere in the first layer: nothing passes between the sheet and it.
     wall[..., 0] |= ~seen[..., 0]
     return Cells(low, width, wall, seen, _outside(~wall & ~seen))
 
 
-def _walls(corners: Array, shape: NDArray[np.integer]) -> Mask:
+def walls(corners: Array, shape: NDArray[np.integer]) -> Mask:
     """The cells (nx, ny, nz) that triangles (n, 3, 3) pass through, in cells, closed to ways through cells' sides."""
     wall = np.zeros(shape, bool)
     for axis in range(3):

@@ -81,12 +81,14 @@ class Rest(NamedTuple):
 
 
 def rest(mold: Mesh) -> Rest | None:
-    """What completes a mold that has no rim by itself, but one together with its images; None where there is none.
+    """What completes an open mold that has no rim by itself, but one together with its images; None where none does.
+
+    A closed solid is whole as it is.
 
     Args:
         mold: Welded; its box touches the planes [m].
     """
-    if opening.is_rimmed(mold.positions, mold.triangles):
+    if topology.is_closed(mold.triangles) or opening.is_rimmed(mold.positions, mold.triangles):
         return None
     used = mold.positions[np.unique(mold.triangles)]
     lines = _Lines(mold)

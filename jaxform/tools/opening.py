@@ -176,7 +176,8 @@ def _within_rim(look: _Look, size: float) -> _Look:
     if own.share < RIM or above.sum() > _ABOVE * own.view.inside.sum():
         return look
     as_high = abs(own.level - look.level) <= 2 * tolerance and own.hollow >= _KEPT * look.hollow
-    return own if as_high or own.hollow > max(look.hollow, look.raised / _FAVOUR) else look
+    more = look.hollow == 0 or own.hollow > max(look.hollow, look.raised / _FAVOUR)
+    return own if as_high or more else look
 
 
 def _brim(view: Heights, tolerance: float) -> float | None:

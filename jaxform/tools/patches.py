@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,7 +102,8 @@ def _spanned(points: Array, quads: Integers, free: Mask) -> Array:
     if not len(inner):
         return points
     outer = np.setdiff1d(np.arange(len(points)), inner)
-    rows = csgraph.laplacian(graph).tocsr()[inner]
+    laplacian: Any = csgraph.laplacian(graph)
+    rows = laplacian.tocsr()[inner]
     result = points.copy()
     result[inner] = splu(rows[:, inner].tocsc()).solve(-(rows[:, outer] @ points[outer]))
     return result

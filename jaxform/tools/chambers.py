@@ -1,0 +1,85 @@
+"""Hollows that are wider than the way into them, as bottles and cans have them. On the host."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools import cells
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_COUNT = 100  # cells along the longest side
+_AROUND = 4  # cells of air around the mold
+_NARROW = 0.7  # of the width of a hollow, that the way into it is at most, to be a neck
+_SHARE = 0.1  # of the mold's box, that such a hollow is at least
+_LEAST, _STEPS = 1.5, 16  # cells: half the narrowest way that is seen; and how many are looked at
+
+
+class Chamber(NamedTuple):
+    """A hollow behind a neck.
+
+    Attributes:
+        width: Of the hollow [m].
+        neck: Of the widest way into it [m].
+    """
+
+    width: float
+    neck: float
+
+
+def refuse_bottles(mold: Mesh) -> None:
+    """Raises an InputError where a mold [m] is a bottle, which is blown from a parison, not formed from a sheet."""
+    found = widest(mold.positions[mold.triangles])
+    if found is None:
+        return
+    widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
+    problem = f"is a bottle: its hollow is {widths}"
+    remedy = (
+        "`new` makes no scene for blow moulding; give --drape for a sheet over its outside, or one half of it, "
+        "cut along its axis, as a cavity"
+    )
+    raise InputError(problem, remedy)
+
+
+def widest(corners: Array) -> Chamber | None:
+    """The hollow behind a neck of a mold, or None where a ball that fits a hollow can be brought into it.
+
+    Args:
+        corners: Of the mold's triangles (n, 3, 3) [m].
+    """
+    from scipy import ndimage
+
+    used = corners.reshape(-1, 3)
+    extent = np.ptp(used, axis=0)
+    width = float(extent.max()) / _COUNT
+    shape = np.ceil(extent / width).astype(int) + 2 * _AROUND + 1
+    wall = cells.walls((corners - used.min(0)) / width + _AROUND + 0.5, shape)
+    air = _reached(~wall)
+    away: Any = ndimage.distance_transform_edt(~wall)
+    for half in np.geomspace(_LEAST, max(float(shape.min()) / 2, 2 * _LEAST), _STEPS):
+        wide = air & (away > half)
+        inner = wide & ~_reached(wide)
+        deepest = float(away[inner].max(initial=0.0))
+        if half > _NARROW * deepest:
+            continue
+        # What a ball of that size, which rolls outside, does not touch.
+        rolled: Any = ndimage.distance_transform_edt(~(wide & ~inner))
+        if (air & (rolled > half)).sum() >= _SHARE * np.prod(extent) / width**3:
+            return Chamber(2 * deepest * width, 2 * float(half) * width)
+    return None
+
+
+def _reached(air: Mask) -> Mask:
+    """The cells of air from which a way leads to the grid's border."""
+    part, count = cells.parts(air)
+    out = np.zeros(count + 1, bool)
+    for side in (part[0], part[-1], part[:, 0], part[:, -1], part[..., 0], part[..., -1]):
+        out[np.unique(side)] = True
+    out[0] = False
+    return out[part]
