@@ -1,6 +1,6 @@
 # Each target needs only make and a Python 3.12 or newer; .venv is made when it is missing or stale.
 
-.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad fuzz killed docs quick waiting
+.PHONY: validate stability bench beside contact refine design scenes paper notebooks pictures demo test lint lock clean environment flanges cad strangers fuzz killed docs quick waiting
 
 # Byte code is kept in .venv even where the environment tells Python to write none (many containers do): without it
 # every start of a command compiles JAX and matplotlib anew, for three seconds.
@@ -97,6 +97,12 @@ flanges: environment
 # lock: it is 90 MB and needs libraries of a desktop, so whoever runs this installs it (`pip install gmsh`).
 cad: environment
 	.venv/bin/python -m benchmarks.strangers.cad
+
+# Thirty-eight kinds of files as strangers have them (bucks, scans, cups, crates, bottles, tubes) through `jaxform new` and
+# `jaxform simulate`: what is refused, what is filled; about an hour. Some of them: `.venv/bin/python -m
+# benchmarks.strangers.files --few`.
+strangers: environment
+	.venv/bin/python -m benchmarks.strangers.files
 
 # Speed beside C++, NumPy and numba, cost of gradients, what each skip saves; about ten minutes.
 bench: environment

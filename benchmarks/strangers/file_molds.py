@@ -417,7 +417,7 @@ KINDS: dict[str, Kind] = {
     "cone buck": Kind(lambda f: _cone(_count(f, 96, 24)), suffix="obj"),
     "dome buck": Kind(lambda f: turned([[0, 0], *_quarter(50.0, _count(f, 60, 12))], _count(f, 160, 24)), suffix="ply"),
     "stepped buck": Kind(_stepped, unit="inch"),
-    "box on a platen": Kind(lambda f: _on_platen(box([-40, -30, 0], [40, 30, 35]), 90.0)),
+    "box on a platen": Kind(lambda f: _divided(_on_platen(box([-40, -30, 0], [40, 30, 35]), 90.0), 40.0 / f)),
     "cone on a platen": Kind(lambda f: _on_platen(_cone(_count(f, 96, 24)), 90.0)),
     "buck of unshared vertices": Kind(
         lambda f: _divided(_frustum([60, 40], [52, 32], 45.0), 20.0 / f), suffix="obj", damage=_unshared
