@@ -18,6 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 from jaxform.core import cachefolder, disk
 from jaxform.core.errors import InputError
+from jaxform.core.rules import by_own_rules
 
 _LEVEL = 2  # of optimization, of the 3 that XLA's CPU compiler has
 _CROWDED = 0.5  # of the mappings that Linux lets a process have
@@ -110,6 +111,7 @@ def compiled(function: Any, *arguments: Any) -> Any:
     return compiling_soon(function, *arguments)[1].result()
 
 
+@by_own_rules
 def compiled_here(function: Any, *arguments: Any) -> Any:
     """The same, on this thread."""
     return function.lower(*arguments).compile(compiler_options())

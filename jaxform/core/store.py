@@ -26,6 +26,7 @@ from jaxform.core import disk, executables
 from jaxform.core.compiling import compiled_here, compiling_soon, crowded, side_by_side
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import is_own
+from jaxform.core.rules import default_device
 
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
@@ -147,8 +148,10 @@ class Store:
         self._programs.clear()
 
     def _file(self, key: _Key) -> Path | None:
-        """Where a program is kept; None where it is in no file."""
-        return self._path(key.function.__name__, tuple(str(part) for part in key[1:])) if is_own(key.tree) else None
+        """Where a program is kept; None where it is in no file: files have those of the first device."""
+        if not is_own(key.tree) or ":" in key.backend:
+            return None
+        return self._path(key.function.__name__, tuple(str(part) for part in key[1:]))
 
     def soon(self, function: Any, *arguments: Any) -> Soon:
         """As `program`; it is compiled while others are traced and compiled."""
@@ -247,7 +250,13 @@ class _Key(NamedTuple):
 def _key(function: Any, arguments: Any) -> _Key:
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple((np.shape(leaf), getattr(leaf, "dtype", type(leaf))) for leaf in leaves)
-    return _Key(function, tree, kinds, jax.default_backend())
+    return _Key(function, tree, kinds, _where())
+
+
+def _where() -> str:
+    """The backend, and the device where that is not its first one."""
+    device, first = default_device(), jax.local_devices()[0]
+    return jax.default_backend() if device == first else f"{device.platform}:{device.id}"
 
 
 def _lately() -> str:

@@ -18,6 +18,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import check
+from jaxform.core.rules import by_own_rules
 from jaxform.core.store import Store
 from jaxform.io import catalog, fields, schema
 from jaxform.io.geometry import mold_of, profile_of, sheet_of, told_of
@@ -114,6 +115,7 @@ def read_study(name_or_path: str | Path) -> StudyDocument:
     return StudyDocument(source.file, folder, source.data, model, scene)
 
 
+@by_own_rules
 def build(document: SceneDocument, store: Store | None = None) -> Scene:
     """The scene of a document; host work.
 

@@ -23,6 +23,7 @@ from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
 from jaxform.core.pytree import pytree, static
+from jaxform.core.rules import by_own_rules
 from jaxform.kernels.sealed import lowered_apart, manual_axes, sealed, typed_as, varying
 
 
@@ -154,6 +155,7 @@ def _smooth_leaves(result: Any, smooth: Callable[[Any], Any]) -> tuple[list[Any]
     return [leaf for leaf, here in zip(jax.tree.leaves(result), flags, strict=True) if here], flags
 
 
+@by_own_rules
 def _value(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
     still = (False,) * len(leaves)
     return jax.tree.leaves(rule.value(still, *jax.tree.unflatten(structure, leaves))[0])
@@ -169,6 +171,7 @@ def _linearized(is_vjp: bool, moving: Sequence[bool], *primals: Any, **static: A
     return fallback_linearize_rule(_reversed_p, is_vjp, moving, *primals, **static, forward=not is_vjp)
 
 
+@by_own_rules
 def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any, forward: bool = False) -> tuple[Any, Any]:
     moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
     given = only(tangents, moving)
@@ -218,6 +221,7 @@ def _forward(rule: Rule, structure: Any, moving: tuple[bool, ...], primals: Any,
     return rule(*jax.tree.unflatten(structure, primals)), changes(list(primals), given)
 
 
+@by_own_rules
 def _transpose(
     cotangents: Any,
     *leaves: Any,
@@ -246,6 +250,7 @@ def _transpose(
     return [None] * (len(leaves) - len(given)) + only(found, moving)
 
 
+@by_own_rules
 def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
     """The same function of many arguments side by side, with its derivative."""
     size = next(leaf.shape[axis] for leaf, axis in zip(leaves, axes, strict=True) if axis is not None)
@@ -280,6 +285,7 @@ def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any
     return results, (0,) * len(results)
 
 
+@by_own_rules
 def _change(
     *leaves: Any, rule: Rule, forward: bool, structure: Any, moving: tuple[bool, ...], kept: Any, **_: Any
 ) -> list[Any]:
@@ -291,10 +297,12 @@ def _change(
     return _forward(rule, structure, moving, primals, list(given))[1]
 
 
+@by_own_rules
 def _change_batched(leaves: Any, axes: Any, **static: Any) -> tuple[Any, Any]:
     return jax.vmap(partial(_change, **static), axes)(*leaves), (0,) * len(static["shapes"])
 
 
+@by_own_rules
 def _change_jvp(primals: Any, tangents: Any, **static: Any) -> tuple[Any, Any]:
     """By the arguments and their tangents; what was kept follows from these."""
     first = static["kept"].num_leaves

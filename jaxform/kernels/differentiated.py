@@ -15,6 +15,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from jaxform.core.rules import by_own_rules
 from jaxform.kernels.sealed import sealed
 
 Pair = tuple[jax.Array, jax.Array]
@@ -60,13 +61,16 @@ class Differentiated:
         nodal, number = self._value_p.bind(*leaves, structure=structure, smooth=smooth)
         return nodal, number
 
+    @by_own_rules
     def _value_flat(self, *leaves: Any, structure: Any, smooth: int) -> Pair:
         return self._value(*jax.tree.unflatten(structure, leaves))
 
+    @by_own_rules
     def _tangent_flat(self, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]) -> Pair:
         (load, elements), given = _split(leaves, structure)
         return self._tangent(load, elements, _spread(load, present, given))
 
+    @by_own_rules
     def _second_flat(
         self, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...], bent: tuple[bool, ...]
     ) -> Pair:
@@ -103,6 +107,7 @@ class Differentiated:
             terms.append(self._tangent_p.bind(*own, *given, structure=structure, smooth=smooth, present=both))
         return value, terms[0] if len(terms) == 1 else [ad.add_jaxvals(*each) for each in zip(*terms, strict=True)]
 
+    @by_own_rules
     def _second_jvp(self, primals: Any, tangents: Any, **static: Any) -> tuple[Any, Any]:
         given, moving = _given(tangents)
 
@@ -111,6 +116,7 @@ class Differentiated:
 
         return jax.jvp(moved, tuple(_only(primals, moving)), tuple(given))
 
+    @by_own_rules
     def _tangent_transpose(
         self, cotangents: Any, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...]
     ) -> list[Any]:
@@ -124,6 +130,7 @@ class Differentiated:
         found = sealed(pulled, load, elements, _known(cotangents))
         return [None] * structure.num_leaves + _only(found, present)
 
+    @by_own_rules
     def _second_transpose(
         self, cotangents: Any, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...], bent: Any
     ) -> list[Any]:

@@ -21,12 +21,15 @@ from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 from jax.sharding import PartitionSpec
 
+from jaxform.core.rules import by_own_rules
+
 _TWICE = (
     "the gradient of a simulation has no reverse derivative: take second derivatives forward over reverse, by "
     "jax.hessian(f) or jax.jvp(jax.grad(f), ...)"
 )
 
 
+@by_own_rules
 def sealed(function: Callable[..., Any], *arguments: Any, name: Hashable = None) -> Any:
     """The function's result; forward derivatives pass through, reverse ones are refused.
 

@@ -17,6 +17,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.parameters import ranges_of
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import BITS, DESIGNABLE, RANGES, WORDS, Range, as_numbers, check, declared
+from jaxform.core.rules import by_own_rules
 from jaxform.loads import Loading
 from jaxform.materials import Law, Modes, Shift
 from jaxform.model.field import Field
@@ -24,6 +25,7 @@ from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 
 
+@by_own_rules
 def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
 
@@ -58,9 +60,13 @@ def _with_as_many_windows(scene: Scene, before: Scene) -> Scene:
 
 
 def check_scene(scene: Any) -> None:
-    """Raises InputError unless it is a scene."""
+    """Raises InputError unless it is a scene of the precision that JAX computes in."""
     if not isinstance(scene, Scene):
         raise InputError("is no scene", "use jaxform.load or jaxform.build_scene", "scene", scene)
+    own, now = scene.parison.positions.dtype, jnp.result_type(float)
+    if own != now:
+        problem = f"was built in {own}, and JAX computes in {now}: x64 was switched since"
+        raise InputError(problem, "load or build the scene anew, or switch jax_enable_x64 back", "scene")
 
 
 def _put(scene: Scene, path: str, values: Any) -> Scene:

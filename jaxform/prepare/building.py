@@ -12,6 +12,7 @@ import numpy as np
 from jaxform.contact.lists import PAIRS_PER_NODE
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real
+from jaxform.core.rules import by_own_rules
 from jaxform.core.store import Store
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
@@ -33,6 +34,7 @@ _FAR_NODES = 0.125  # of all, that may be listed with all that is within the far
 _MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
 
 
+@by_own_rules
 def build_scene(
     *,
     parison: Parison,

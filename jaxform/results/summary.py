@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxform.core.rules import by_own_rules
 from jaxform.core.words import place
 from jaxform.loads import Pressure
 from jaxform.materials.tension_field import taut
@@ -55,6 +56,7 @@ PENDING = ("penetration_max", "penetration_place", "gap_max", "gap_place")
 """Keys of a summary that is written before the part is measured against the mold: they are null there."""
 
 
+@by_own_rules
 def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     """The contents of summary.json as plain numbers and words."""
     result = with_filling(result, scene)
@@ -74,6 +76,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     return _facts(result, scene) | measured | {"warnings": warned}
 
 
+@by_own_rules
 def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
     """The summary as far as it takes no time: the keys of `PENDING` are null, and a warning says so."""
     unmeasured = (

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
 from jaxform.core.ranges import as_numbers
+from jaxform.core.rules import by_own_rules, on_device_of
 from jaxform.kernels.blocks import on_cpu
 from jaxform.model.replacing import replace
 from jaxform.model.scene import Scene
@@ -22,6 +23,7 @@ from jaxform.runs.loop import IN_MEMORY, whole_run
 from jaxform.runs.padding import on_rungs
 
 
+@by_own_rules
 def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:
     """Simulates many designs of a scene: the results stacked, a design per row of every array.
 
@@ -39,6 +41,12 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     rows = _rows(changes)
     if workers is not None and not (isinstance(workers, int) and workers > 0):
         raise InputError("must be a positive whole number", "leave it out for one per core", "workers", workers)
+    with on_device_of(scene.parison.positions) as placed:
+        return placed(_results(scene, rows, workers))
+
+
+def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> Result:
+    """Of the designs, stacked."""
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if not on_cpu():
         return _side_by_side(scene, {path: jnp.asarray(values) for path, values in rows.items()})

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.errors import InputWarning
-from jaxform.core.store import Store
+from jaxform.core.rules import by_own_rules, on_device_of
+from jaxform.core.store import PACKAGE, Store
 from jaxform.model.replacing import check_numbers, check_scene
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, Seconds
@@ -41,6 +42,7 @@ class Moment:
     result: Callable[[], Result]
 
 
+@by_own_rules
 def run(
     scene: Scene,
     *,
@@ -71,7 +73,16 @@ def run(
     """
     check_scene(scene)
     check_numbers(scene)
-    store = store or IN_MEMORY
+    with on_device_of(scene.parison.positions) as placed:
+        return placed(_run(scene, on_window, on_end, store or IN_MEMORY))
+
+
+def _run(
+    scene: Scene,
+    on_window: Callable[[Moment], object] | None,
+    on_end: Callable[[Result], object] | None,
+    store: Store,
+) -> Result:
     own, room = scene, roomed(scene, store)
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
@@ -119,7 +130,7 @@ def run(
     if own.fill:
         final = with_filling(final, own)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
-        warnings.warn(sentence, InputWarning, stacklevel=2)
+        warnings.warn(sentence, InputWarning, stacklevel=2, skip_file_prefixes=(str(PACKAGE),))
     return final
 
 

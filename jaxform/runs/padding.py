@@ -16,7 +16,9 @@ from jax.core import Tracer
 
 from jaxform.core.errors import InputError
 from jaxform.core.ranges import MOST_STEPS
+from jaxform.core.rules import by_own_rules, on_device_of
 from jaxform.kernels import sizes
+from jaxform.model.replacing import check_scene
 from jaxform.model.scene import Refinement, Scene
 from jaxform.model.tables import Assembly, Counts, Tables
 from jaxform.results.result import NODAL, OF_ELEMENTS, Result
@@ -103,6 +105,7 @@ class Padded(NamedTuple):
         return jax.device_put(dataclasses.replace(schedule, **rows, split_at=split))
 
 
+@by_own_rules
 def padded(scene: Scene) -> Scene:
     """A scene in arrays as long as the rungs of the ladder of sizes, for `jax.jit` of functions of scenes.
 
@@ -112,11 +115,13 @@ def padded(scene: Scene) -> Scene:
     with any scene, and give results without such room.
 
     Raises:
-        InputError: If the scene is traced.
+        InputError: If the scene is traced, or is none.
     """
+    check_scene(scene)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
-    return on_rungs(scene).scene
+    with on_device_of(scene.parison.positions) as placed:
+        return placed(on_rungs(scene).scene)
 
 
 def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:

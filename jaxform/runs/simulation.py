@@ -14,6 +14,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxform.adapt.refinement import refined, without_sides
 from jaxform.adjoint.strategies import Adjoint, adjoint_of
 from jaxform.core.errors import InputError
+from jaxform.core.rules import by_own_rules, on_device_of
 from jaxform.dynamics.initial import initial_state
 from jaxform.kernels.derivatives import Rule, apart, recomputed
 from jaxform.kernels.sealed import manual_axes
@@ -26,6 +27,7 @@ from jaxform.sheet.discretization import Discretization, discretize, present_dis
 from jaxform.sheet.state import Schedule, State, Status, Taken, carries, finished
 
 
+@by_own_rules
 def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint | None = None) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
@@ -53,9 +55,10 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
         scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=end_time))
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
         return _simulate(scene, schedule, adjoint_of(scene, adjoint))
-    room = on_rungs(scene)
-    given = None if schedule is None else room.schedule(schedule)
-    return room.result(_simulate(room.scene, given, adjoint_of(scene, adjoint)))
+    with on_device_of(scene.parison.positions) as placed:
+        room = on_rungs(scene)
+        given = None if schedule is None else room.schedule(schedule)
+        return placed(room.result(_simulate(room.scene, given, adjoint_of(scene, adjoint))))
 
 
 @jax.custom_jvp
