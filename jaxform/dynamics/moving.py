@@ -9,7 +9,7 @@ import jax
 from jaxform.contact.broad_phase import Seen
 from jaxform.contact.sticking import Met
 from jaxform.core.pytree import pytree
-from jaxform.materials import Recursion
+from jaxform.materials import Modes, Recursion
 from jaxform.mechanics.elements import Corners
 from jaxform.mechanics.nodes import Nodes
 from jaxform.sheet.active_set import ActiveSet
@@ -61,6 +61,7 @@ class Window:
         row: Of a schedule that is followed; None where none is.
         wary: Whether no look at the nodes is trusted, since the last window was not taken.
         recursion: How viscous modes go over a step; None where there are none.
+        losing: Viscous modes by which losses are counted; None where there are none.
         rim: Places of the ends of moving rims' edges (2, n_edge); None where there are none.
     """
 
@@ -72,6 +73,7 @@ class Window:
     row: Row | None
     wary: jax.Array
     recursion: Recursion | None
+    losing: Modes | None = None
     rim: jax.Array | None = None
 
 

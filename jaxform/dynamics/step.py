@@ -143,7 +143,7 @@ def _kept(moving: Moving, remembered: Remembered | None) -> jax.Array | None:
 def settled(moving: Moving, scene: Scene, now: Window) -> Moving:
     """A window's end: with the stress of viscous modes for what is remembered, and all that they lost."""
     memory, lost = _memory(moving, scene, now), moving.account.viscous_loss
-    modes = now.active.viscous(scene.material)
+    modes = now.losing
     if memory is None or modes is None or lost is None:
         return moving
     load = Load(moving.nodes.positions, now.active.thickness, now.length, scene.material.elastic, memory)
@@ -201,7 +201,7 @@ def _taken(
         work = jnp.where(moving.halted, 0.0, work)
     positions = moving.nodes.positions + length * jnp.stack(velocities)
     loss = total(losses) if losses is not None else 0.0
-    rest, modes = None, now.active.viscous(scene.material)
+    rest, modes = None, now.losing
     if modes is not None and now.recursion is not None:
         rest = remembered(load, now.active.packed.elements, modes, now.recursion)
     return _Taken(positions, jnp.stack(velocities), volume, loss, None, rest, work)
@@ -219,7 +219,7 @@ def _taken_in_blocks(
 ) -> _Taken:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
     elements = now.active.packed.elements
-    modes, rest = now.active.viscous(scene.material), None
+    modes, rest = now.losing, None
     if modes is None or now.recursion is None:
         corners, volume = corner_forces(load, elements, room)
     else:

@@ -117,6 +117,7 @@ def _stepped(
         row=row,
         wary=state.control.last_count == 0,
         recursion=None if modes is None else modes.recursion(length),
+        losing=None if modes is None else modes.with_losses(length),
         rim=rim_places(scene, state.mesh, active.packed),
     )
     timing = Timing(state.time, state.control.step_length, length)

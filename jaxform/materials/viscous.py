@@ -107,6 +107,16 @@ class Modes:
         numbers = {"modulus": self.modulus[:, None] * moduli[None], "time": self.time[:, None] * times[None]}
         return dataclasses.replace(self, **numbers)  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
+    def with_losses(self, step: jax.Array) -> Self:
+        """The same for `loss` over steps of a length [s]: modes too fast for such a step to show have an endless time.
+
+        A mode that relaxes in t loses t times the square of the strain rate. From its stress no more than the rounding
+        of that, over t, would come; of the power it is less than the share t over the step.
+        """
+        time = _beside(self.time, step)
+        fast = step > time * jnp.finfo(time.dtype).eps ** -0.5
+        return dataclasses.replace(self, time=jnp.where(fast, jnp.inf, time))  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
+
     def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
         """What the modes store (n,) [J/m^3], from the stress of each."""
         raise NotImplementedError
@@ -223,12 +233,18 @@ class Maxwell(Modes):
         return total
 
     def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
-        """G / (2 time) (tr c + tr c^-1 - 6)."""
+        """G / (2 time) (tr c + tr c^-1 - 6), from squares of c - 1: near equilibrium a difference would be rounding."""
         total = jnp.zeros_like(strained.determinant)
+        g11, g12, g22 = strained.metric
         for modulus, time, x in zip(self.modulus, self.time, stress, strict=True):
-            trace, determinant, across = _conformation(modulus, x, strained)
-            inverse = (trace * across + determinant) / (determinant * across)  # one division
-            total += 0.5 * modulus / time * (trace + across + inverse - 6.0)
+            one = 1.0 / modulus
+            a, b = one * (x[0] * g11 + x[1] * g12) - 1.0, one * (x[0] * g12 + x[1] * g22)
+            c, d = one * (x[1] * g11 + x[2] * g12), one * (x[1] * g12 + x[2] * g22) - 1.0
+            across = one * x[3] / strained.determinant - 1.0
+            trace, determinant = a + d, a * d - b * c
+            plane = a * a + d * d + 2.0 * b * c + trace * determinant
+            plane, beside = plane / (1.0 + trace + determinant), across * across / (1.0 + across)
+            total += 0.5 * modulus / time * (plane + beside)
         return total
 
     def stiffening(self, larger: jax.Array, smaller: jax.Array) -> jax.Array:
