@@ -26,6 +26,7 @@ from .materials import (
 )
 from .mesh.profiles import Profile
 from .model.field import Field, Surroundings, field
+from .model.part import Part, Trim, make_part
 from .model.replacing import replace
 from .model.scene import (
     Parison,
@@ -73,6 +74,7 @@ __all__ = [
     "NeoHookean",
     "Ogden",
     "Parison",
+    "Part",
     "PlaneLaw",
     "Pressure",
     "Profile",
@@ -85,6 +87,7 @@ __all__ = [
     "Status",
     "Stored",
     "Surroundings",
+    "Trim",
     "Wlf",
     "Yeoh",
     "build_scene",
@@ -100,6 +103,7 @@ __all__ = [
     "make_mold",
     "make_motion",
     "make_parison",
+    "make_part",
     "make_pressure",
     "make_refinement",
     "make_solver",

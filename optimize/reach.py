@@ -14,6 +14,7 @@ import numpy as np
 from jaxform import InputError, Result, Scene
 from jaxform.mesh import topology
 from jaxform.model.replacing import number_at
+from jaxform.results.part import only_part
 from optimize.designs import KEPT, Point, Study
 from optimize.endings import Ending
 from optimize.objectives import LeastMass, Objective, Target, Weighted
@@ -71,6 +72,7 @@ def _range(values: np.ndarray) -> str:
 
 def broken(study: Study, scene: Scene, result: Result, best: Point, ending: Ending) -> str:
     """Which limits a design's part does not keep, by how much, and what to do; empty where it keeps all."""
+    result = only_part(result, scene)
     # Where the mesh is refined, the part may be a little off the one that the search saw.
     allowed = KEPT if best.violation > KEPT else 2.0 * KEPT
     what, lower = [], []

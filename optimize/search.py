@@ -20,11 +20,12 @@ import numpy as np
 import jaxform
 from jaxform import Result, Scene
 from jaxform.core.compiling import compiled
+from jaxform.results.part import only_part
 from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
 from optimize.endings import Ending, SpentError, spent
 from optimize.journal import Answer, Journal
 from optimize.variables import Variable
-from optimize.walls import wall
+from optimize.walls import nodal_area, wall
 
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
@@ -122,6 +123,7 @@ class Search:
 
     def judged(self, scene: Scene, result: Result, limits: Limits | None) -> tuple[jax.Array, dict[str, jax.Array]]:
         """The value of a part, and what is reported of it; traced."""
+        result = only_part(result, scene)
         objective = value = self.study.objective(scene, result)
         report = {"objective": objective, "error": self.study.objective.error(scene, result)}
         if limits is not None:
@@ -133,6 +135,8 @@ class Search:
             report["multiplier"] = jnp.sum(weight * pressed)
         if self.study.objective.aims:
             there = result.active & (result.thickness > 0)
+            if scene.part is not None:
+                there &= nodal_area(result) > 0
             wanted = self.study.objective.wanted(result) / jnp.where(there, result.thickness, 1.0)
             report["ratio"] = jax.lax.stop_gradient(jnp.where(there, wanted, 1.0))
         return value, report | wall(scene, result)._asdict()
@@ -208,7 +212,8 @@ class Search:
         def deviations(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> tuple[jax.Array, Any]:
             scene = jaxform.replace(scene, self.changes(free))
             result = jaxform.simulate(scene, schedule=schedule)
-            return self.study.objective.deviations(scene, result), self.judged(scene, result, None)
+            deviations = self.study.objective.deviations(scene, only_part(result, scene))
+            return deviations, self.judged(scene, result, None)
 
         def columns(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> Any:
             def column(direction: jax.Array) -> Any:

@@ -13,6 +13,7 @@ import numpy as np
 
 import jaxform
 from jaxform import InputError, Result, Scene
+from jaxform.results.part import part_elements
 from optimize import idle, reach
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
@@ -139,6 +140,8 @@ def solve(
     first = formed(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
+    if not np.asarray(part_elements(first, study.scene)).any():
+        raise InputError("has no element of the formed sheet", "give places in the formed part, in m", "part")
     forward_seconds = _cost(study.scene)
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule

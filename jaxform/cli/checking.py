@@ -83,6 +83,8 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     seen = survey(scene)
     yield from _sheet_lines(document, scene, seen)
     yield from _mold_lines(scene, seen)
+    if document.model.part is not None:
+        yield f"part: {_short(document.model.part.model_dump(exclude_none=True))}; all numbers are of it alone"
     yield from _run_lines(scene, store)
     skipped = {
         "contact (no mold)": scene.mold is None,

@@ -23,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", required=True, choices=FORMATS, help="what it is written for")
     words = "a mesh of your own to carry the wall over to, in place of the formed one"
     parser.add_argument("--onto", metavar="MESH", type=Path, help=words)
+    words = "the whole sheet, with what the scene's [part] cuts off"
+    parser.add_argument("--whole-sheet", action="store_true", help=words)
     words = "metres per unit of length of MESH: 0.001 for millimetres (default 1)"
     parser.add_argument("--scale", metavar="METRES", type=float, help=words)
     words = "symmetry planes in which the part is completed: x, y or z, or the place as well, as x=0.15 (m)"
@@ -43,7 +45,7 @@ def export(arguments: argparse.Namespace) -> int:
     if arguments.scale is not None and arguments.onto is None:
         raise InputError("is there without a mesh", "give --onto as well", "--scale", arguments.scale)
     path = _path(arguments, export.FORMATS[arguments.to].ending)
-    wall = export.read_wall(arguments.folder)
+    wall = export.read_wall(arguments.folder, arguments.whole_sheet)
     for plane in arguments.mirror:
         wall = export.mirrored(wall, *_plane(plane, wall))
     said = []

@@ -21,7 +21,7 @@ from jaxform.core.ranges import check
 from jaxform.core.rules import by_own_rules
 from jaxform.core.store import Store
 from jaxform.io import catalog, fields, schema
-from jaxform.io.geometry import mold_of, profile_of, sheet_of, told_of
+from jaxform.io.geometry import mold_of, part_of, profile_of, sheet_of, told_of
 from jaxform.io.survey import warn_of_scene
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
@@ -164,6 +164,7 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
             mold=find_mold(),
             cooling=_cooling(document),
             fill=model.mold is None or model.mold.fill,
+            part=part_of(document, find_mold()),
             name=document.name,
             frames=model.output.frames,
             store=store,

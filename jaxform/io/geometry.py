@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,13 +13,16 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.store import Arrays, Store
 from jaxform.io import earlier, schema
-from jaxform.mesh import meshes, shapes
+from jaxform.mesh import meshes, rows, shapes
 from jaxform.mesh.profiles import Profile
+from jaxform.model.part import Part, make_part, named
 from jaxform.tools import molds, motion, rims
 from jaxform.tools.mold import Mold, make_mold
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
+
+_SAME = 1e-6  # of the mold's size: middles of triangles that are as near are those of one triangle
 
 
 @contextlib.contextmanager
@@ -102,6 +105,44 @@ def profile_of(table: schema.Profile, key: str) -> Profile:
     return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
 
 
+def _paths(table: schema.FileMold) -> list[str]:
+    return [table.path] if isinstance(table.path, str) else list(table.path)
+
+
+def _shape_of_files(document: SceneDocument, table: schema.FileMold, names: Sequence[str]) -> molds.MoldShape:
+    """A mold of files of these names, as its table places them."""
+    with told_of("", "mold.path"):
+        parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
+        mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
+        return molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
+
+
+def part_of(document: SceneDocument, mold: Mold | None) -> Part | None:
+    """Which of the formed sheet is the part, as the document's [part] says; None without one.
+
+    Raises:
+        InputError: It names a file that is none of the mold's, or the box has no inside.
+    """
+    table = document.model.part
+    if table is None:
+        return None
+    trim = None if table.trim is None else (table.trim.axis, table.trim.at, table.trim.keep)
+    walls = None if table.molds is None else _walls_of(document, table.molds, mold)
+    return make_part(box=table.box, trim=trim, walls=walls)
+
+
+def _walls_of(document: SceneDocument, wanted: Sequence[str], mold: Mold | None) -> Any:
+    """Which triangles of the mold (n_triangle,) are of the wanted files."""
+    table = document.model.mold
+    if mold is None or not isinstance(table, schema.FileMold):
+        raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
+    names = _paths(table)
+    chosen = _shape_of_files(document, table, [names[k] for k in named(names, wanted)])
+    # Their triangles are told by their middles: welding and what is left out leave these where they are.
+    middles = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)].mean(1)
+    return rows.near_any(middles, chosen.vertices[chosen.triangles].mean(1), _SAME * meshes.size(middles))
+
+
 def mold_of(document: SceneDocument, store: Store | None = None) -> Mold | None:
     """The mold of a document, or None."""
     table = document.model.mold
@@ -116,10 +157,6 @@ def mold_of(document: SceneDocument, store: Store | None = None) -> Mold | None:
         kept = (store or Store()).arrays("bottle", (numbers,), lambda: _arrays(molds.bottle_half(**numbers)))
         shape = molds.MoldShape(kept["vertices"], kept["triangles"])
     else:
-        with told_of("", "mold.path"):
-            names = [table.path] if isinstance(table.path, str) else table.path
-            parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
-            mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
-            shape = molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
+        shape = _shape_of_files(document, table, _paths(table))
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
     return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)

@@ -16,6 +16,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.writing import whole
 from jaxform.mesh import meshes
 from jaxform.model.scene import Parison, Scene
+from jaxform.results.part import part_elements
 from jaxform.results.result import Result, only_used
 from jaxform.results.summary import summarize, summarize_at_once, wrinkled
 from jaxform.runs.host import Moment
@@ -111,6 +112,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "stretch_1": stretches[:, 0],
         "stretch_2": stretches[:, 1],
         "level": np.asarray(result.level, np.int32),
+        **({} if scene.part is None else {"part": np.asarray(part_elements(result, scene), np.int32)}),
         **({"wrinkled": wrinkled(result)} if scene.material.tension_field else {}),
     }
     with whole(path) as fresh:

@@ -14,13 +14,14 @@ from jaxform.core.pytree import as_real
 from jaxform.core.words import coordinate
 from jaxform.io import canvas, views
 from jaxform.io.canvas import Diagram, Line, PartPicture
-from jaxform.io.scales import color_range, formed_elements, seen_apart
+from jaxform.io.scales import color_range, counted_elements, seen_apart
 from jaxform.io.surfaces import part_view
 from jaxform.io.views import MINIMUM
 from jaxform.model.replacing import number_at
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.explanation import explain
+from jaxform.results.part import counted
 from jaxform.results.result import Result, only_used
 from jaxform.results.review import thinnest
 from jaxform.results.summary import formed_areas, wall_statistics
@@ -50,9 +51,10 @@ def thickness_picture(
 def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | None = None) -> PartPicture:
     """What is in the picture of a formed part, as arrays; the arguments are those of `thickness_picture`."""
     scene, result = only_used(scene, result)
-    thin = thinnest(result, scene)
+    part = counted(result, scene)[0]
+    thin = thinnest(part, scene)
     view = part_view(scene, result, wall_scale([(scene, result)]), mark=thin["formed"])
-    return PartPicture(_title(scene, result), view, _wall(result), _diagram(scene, result, thin, reference))
+    return PartPicture(_title(scene, part), view, _wall(part), _diagram(scene, result, thin, reference))
 
 
 def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
@@ -106,7 +108,8 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         colors = views.draw(view, part_view(*part, scale))
         figure.text(place + 0.225, 0.955, _part_words(words, part), ha="center", fontsize=13)
     bar = figure.add_axes((0.925, 0.52, 0.012, 0.34))
-    canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", [_wall(before[1]), _wall(after[1])])
+    walls = [_wall(counted(result, scene)[0]) for scene, result in (before, after)]
+    canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", walls)
     same = np.array_equal(before[0].pressure.value, after[0].pressure.value)
     count = 2 if same else 3
     width = 0.93 / count
@@ -138,7 +141,7 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
         words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
         figure.text(0.95 * (k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
     bar = figure.add_axes((0.96, 0.25, 0.005, 0.45))
-    canvas.draw_bar(figure, colors, bar, "wall [mm]", [_wall(part) for _, part in parts])
+    canvas.draw_bar(figure, colors, bar, "wall [mm]", [_wall(counted(part, shown)[0]) for shown, part in parts])
     canvas.save(figure, path)
 
 
@@ -154,7 +157,7 @@ _STATISTICS = (("min", "minimum"), ("mean", "mean"), ("max", "maximum"))
 
 
 def _part_words(words: str, part: Part) -> str:
-    result = part[1]
+    result = counted(part[1], part[0])[0]
     wall = wall_statistics(result)
     return (
         f"{words}: variation {100 * wall['cv']:.3g} %, wall minimum {1e3 * wall['min']:.3g}, maximum "
@@ -168,15 +171,16 @@ def wall_scale(parts: Sequence[Part]) -> tuple[float, float]:
     walls, areas = [], []
     for scene, result in parts:
         start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
-        formed = formed_elements(start, end, np.asarray(result.triangles))
+        own = None if scene.part is None else np.asarray(counted(result, scene)[0].used)
+        formed = counted_elements(start, end, np.asarray(result.triangles), own)
         walls.append(np.asarray(result.element_thickness, float)[formed])
         areas.append(formed_areas(result)[formed])
     return color_range(1e3 * np.concatenate(walls), np.concatenate(areas))
 
 
 def _wall(result: Result) -> Array:
-    """Thickness of the elements (n_element,) [mm]."""
-    return 1e3 * np.asarray(result.element_thickness, float)
+    """Thickness of the elements that are used (n,) [mm]."""
+    return 1e3 * np.asarray(result.element_thickness, float)[np.asarray(result.used)]
 
 
 def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any] | None) -> Diagram:
@@ -264,7 +268,7 @@ def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> N
 
 
 def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> None:
-    through = thinnest(after[1], after[0])["initial"]
+    through = thinnest(counted(after[1], after[0])[0], after[0])["initial"]
     for (scene, result), color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
         for curve in sections.curves(scene, result, through)[:1]:
             shown = seen_apart(curve.arc, curve.thickness)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,17 @@ def formed_elements(start: Array, end: Array, triangles: NDArray[np.integer]) ->
     way = np.linalg.norm((end - start)[triangles].mean(1), axis=1)
     moved = way >= _MOVED * way.max(initial=0.0)
     return moved | (not moved.any())
+
+
+def counted_elements(
+    start: Array, end: Array, triangles: NDArray[np.integer], part: NDArray[Any] | None
+) -> NDArray[np.bool_]:
+    """As `formed_elements`, of the part alone where a mask of it (n,) is given; all of the part, where none moved."""
+    formed = formed_elements(start, end, triangles)
+    if part is None or not np.any(part):
+        return formed
+    own = np.asarray(part) != 0
+    return formed & own if (formed & own).any() else own
 
 
 def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float, float]:

@@ -12,8 +12,10 @@ from jaxform.io.views import TO_EYE, Surface, View
 from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.results import sections
+from jaxform.results.part import counted
 from jaxform.results.result import Result
 from jaxform.tools.search import cut
+from jaxform.tools.sides import normals_of_nodes
 
 Array = NDArray[np.float64]
 
@@ -21,13 +23,14 @@ SHEET = "#5b9bd5"
 _GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
 _MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
 _MOLD_PIECES = 20  # of its size, along a large triangle of the mold
+_FLAT = 1e-3  # of the sheet's size: one that is as flat has a side that faces the mold
 _TOO_LARGE = 2.5  # times as large as the part, a mold is left out
 
 
 def part_view(
     scene: Scene, result: Result, scale: tuple[float, float], *, edges: bool = False, mark: Any = None
 ) -> View:
-    """The part in colours of its wall, with the mold in grey behind it.
+    """The part in colours of its wall, what is cut off it in grey, with the mold in grey behind it.
 
     Args:
         scene: What was simulated.
@@ -38,11 +41,14 @@ def part_view(
     """
     corners = 1e3 * np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)]
     images = [1e3 * image for image in mirrored(scene, corners / 1e3, open_front=True)]
-    wall = np.tile(1e3 * np.asarray(result.element_thickness, float), len(images))
+    wall = 1e3 * np.asarray(result.element_thickness, float)
+    own = np.asarray(counted(result, scene)[0].used)
+    wall = np.tile(np.where(own, wall, np.nan), len(images))
     part = Surface(np.concatenate(images), wall, edges=edges)
     mold, outline = _mold(scene, part.faces)
     place = None if mark is None else 1e3 * np.asarray(mark)
-    return View([*mold, part], outline, _hangs(scene, result), scale, place)
+    turned = not sections.symmetry_planes(scene)
+    return View([*mold, part], outline, _hangs(scene, result), turned, scale, place)
 
 
 def sheet_view(scene: Scene) -> View:
@@ -78,9 +84,16 @@ def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Arra
 
 
 def _hangs(scene: Scene, result: Result) -> bool:
-    """Whether the part is drawn hanging, so that one looks into it: sheets that rose from a plane."""
-    rise = np.asarray(result.positions, float)[:, 2] - np.asarray(scene.parison.positions, float)[:, 2]
-    return bool(np.asarray(scene.parison.clamped).any() and rise.mean() > 0 and sections.symmetry_planes(scene))
+    """Whether the part is drawn with z down: as one sees it from where the sheet was, before the mold.
+
+    One looks into a cavity, and onto a buck. What is inflated freely stands up, but for sheets that are cut open.
+    """
+    start = np.asarray(scene.parison.positions, float)
+    rise = (np.asarray(result.positions, float) - start)[:, 2].mean()
+    if scene.mold is not None and np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max():
+        along = normals_of_nodes(start, np.asarray(scene.parison.triangles))[:, 2].sum() * scene.strongest_push()
+        return bool(along > 0 if along else rise < 0)
+    return bool(np.asarray(scene.parison.clamped).any() and rise > 0 and sections.symmetry_planes(scene))
 
 
 def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[Surface], Array | None]:

@@ -20,8 +20,10 @@ Array = NDArray[np.float64]
 TO_EYE = np.array([1.0, -1.0, 0.0])
 MINIMUM = "#d00000"
 _COLORS = "viridis"  # reads the same to all eyes, and in grey
+_CUT_OFF = 0.82  # grey of what is formed with the part, but cut off it
 _LIGHT = np.array([0.35, -0.5, 0.79])
 _FINER, _MANY = 2, 150_000  # pixels of the surfaces along one of the picture; triangles from which it is one
+_TALL, _FITS = 0.8, 4  # times as high as wide, a view is measured before it is drawn, so often at most
 _LINE, _LINED = 0.7, 5.0  # pixels: half an element's edge, and how high an element is whose edges are drawn
 
 
@@ -30,7 +32,7 @@ class Surface(NamedTuple):
 
     Attributes:
         faces: Triangles (n, 3, 3) [mm].
-        paint: Their colours (n, 3), or numbers (n,) that colours show.
+        paint: Their colours (n, 3), or numbers (n,) that colours show; NaN is grey.
         opaque: How opaque they are.
         edges: Whether their edges are drawn.
         open_at: Two axes and places [mm]: what lies between the eye and both planes is left out.
@@ -49,7 +51,8 @@ class View(NamedTuple):
     Attributes:
         surfaces: From behind to the front.
         outline: Lines (n, 2, 3) [mm] behind them, thin and grey; None where there are none.
-        hangs: Whether it hangs, so that one looks into it.
+        hangs: Whether z points down, so that one looks into what hangs, or onto what stands up towards -z.
+        turned: Whether y is reversed as well, so that it is no mirror image: of what has no symmetry planes.
         scale: Range of the numbers that colours show.
         mark: A place (3,) [mm] to mark as the minimum, or None.
     """
@@ -57,6 +60,7 @@ class View(NamedTuple):
     surfaces: list[Surface]
     outline: Array | None = None
     hangs: bool = False
+    turned: bool = False
     scale: tuple[float, float] = (0.0, 1.0)
     mark: Array | None = None
 
@@ -69,17 +73,18 @@ def draw(axes: Any, view: View) -> Any:
     colors = ScalarMappable(Normalize(*view.scale, clip=True), _COLORS)
     if view.outline is not None:
         _draw_outline(axes, view.outline)
-    _draw_surfaces(axes, [_painted(surface, colors) for surface in view.surfaces], view.hangs)
+    _draw_surfaces(axes, [_painted(surface, colors) for surface in view.surfaces], view.hangs, view.turned)
     if view.mark is not None:
         axes.plot(*view.mark[:, None], "o", color=MINIMUM, mec="white", mew=1.2, ms=8, zorder=5)
     return colors
 
 
 def _painted(surface: Surface, colors: Any) -> Surface:
-    """With colours for its numbers."""
+    """With colours for its numbers, and grey where there is none."""
     if surface.paint.ndim == 2:
         return surface
-    return surface._replace(paint=np.asarray(colors.to_rgba(surface.paint))[:, :3])
+    paint = np.asarray(colors.to_rgba(surface.paint))[:, :3]
+    return surface._replace(paint=np.where(np.isfinite(surface.paint)[:, None], paint, _CUT_OFF))
 
 
 def _draw_outline(axes: Any, lines: Array) -> None:
@@ -89,7 +94,7 @@ def _draw_outline(axes: Any, lines: Array) -> None:
     axes.add_collection3d(Line3DCollection(lines, colors="#00000040", linewidths=0.6, zorder=0.5), autolim=False)
 
 
-def _draw_surfaces(axes: Any, surfaces: list[Surface], hangs: bool) -> None:
+def _draw_surfaces(axes: Any, surfaces: list[Surface], hangs: bool, turned: bool) -> None:
     axes.computed_zorder = False
     for order, surface in enumerate(surfaces):
         axes.add_artist(_scenery(surface, zorder=float(order)))
@@ -100,12 +105,39 @@ def _draw_surfaces(axes: Any, surfaces: list[Surface], hangs: bool) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2] + 1e-9))
     if hangs:
         axes.set_zlim(high[2] + 1e-9, low[2])
+    if hangs and turned:
+        axes.set_ylim(high[1], low[1])
     axes.view_init(elev=36 if hangs else 24, azim=-45)
     axes.tick_params(labelsize=8)
     axes.locator_params(nbins=4)
     axes.set_xlabel("x [mm]", fontsize=9)
     axes.set_ylabel("y [mm]", fontsize=9)
     axes.set_zlabel("z [mm]", fontsize=9)
+    if size[2] > _TALL * size[:2].max():
+        _fit(axes, size)
+
+
+def _fit(axes: Any, size: Array) -> None:
+    """Makes a tall view smaller until its ticks and labels are in its place in the figure."""
+    scenery, place = [artist for artist in axes.artists if artist.get_visible()], axes.bbox
+    for artist in scenery:
+        artist.set_visible(False)
+    zoom = 1.0
+    for _ in range(_FITS):
+        axes.figure.draw_without_rendering()
+        extent = axes.get_tightbbox(axes.figure.canvas.get_renderer())
+        # Labels stay as large as they are, so a view shrinks a little more than its box.
+        beyond = max(
+            (extent.y1 - extent.y0) / place.height,
+            (extent.x1 - extent.x0) / place.width,
+            1.0 + 2 * max(place.y0 - extent.y0, extent.y1 - place.y1) / place.height,
+        )
+        if beyond <= 1.0:
+            break
+        zoom /= beyond
+        axes.set_box_aspect(size, zoom=zoom)
+    for artist in scenery:
+        artist.set_visible(True)
 
 
 def _scenery(surface: Surface, zorder: float) -> Any:

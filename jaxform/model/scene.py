@@ -22,6 +22,7 @@ from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import reference
 from jaxform.model.field import Field
+from jaxform.model.part import Part
 from jaxform.model.tables import Forest, Tables
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import Motion
@@ -143,6 +144,7 @@ class Scene:
         fields: Nodal fields of its own, by name.
         cooling: How the sheet cools; None where it keeps its temperature.
         fill: Whether the mold is to be filled: where it is not, the status of a run says so.
+        part: Which of the formed sheet is the part; None where all of it is.
     """
 
     parison: Parison
@@ -156,6 +158,7 @@ class Scene:
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
     cooling: Cooling | None = None
     fill: bool = static(default=True)
+    part: Part | None = None
 
     def __repr__(self) -> str:
         """The name, the size of the mesh and the kinds of the parts, in one line."""

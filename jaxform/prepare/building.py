@@ -18,6 +18,7 @@ from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, reference
 from jaxform.model.field import Field
+from jaxform.model.part import Part, check_part
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, pushes_of
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Box, Sheet, Tables
 from jaxform.prepare import parts, start
@@ -47,6 +48,7 @@ def build_scene(
     fields: Mapping[str, Field] | None = None,
     cooling: Cooling | None = None,
     fill: bool = True,
+    part: Part | None = None,
     name: str = "scene",
     frames: int = 0,
     store: Store | None = None,
@@ -65,6 +67,8 @@ def build_scene(
         fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
         cooling: How the sheet cools; None where it keeps its temperature.
         fill: Whether the mold is to be filled: where a fifth of its depth is left open, the status of a run says so.
+        part: Which of the formed sheet is the part, from `make_part`: what statistics, objectives and pictures count;
+            all of it by default.
         name: What the scene is called.
         frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
         store: Where the mold's search structure is kept between runs; nowhere by default.
@@ -74,6 +78,7 @@ def build_scene(
             the run would take more steps than anyone would wait for.
     """
     _warn_of_float32()
+    check_part(part, None if mold is None else len(mold.triangles))
     pressure, count = parts.loading(pressure), len(parison.positions)
     if refinement is not None and forest is None:
         forest, parison = planted(parison, refinement)
@@ -142,6 +147,7 @@ def build_scene(
         fields=carried,
         cooling=cooling,
         fill=bool(fill),
+        part=part,
     )
 
 

@@ -54,31 +54,41 @@ def filling_of(result: Result, scene: Scene) -> Filling:
     triangles, clamped = np.asarray(result.triangles)[np.asarray(result.used)], np.asarray(scene.parison.clamped)
     offset, push, mold, grid = mold_offset(result, scene), scene.strongest_push(), scene.mold, scene.tables.grid
     formed = positions - offset, triangles, np.asarray(result.wall), clamped, push, mold, grid
-    gap = widest_gap(*formed)
+    places = _places(scene, offset)
+    gap = widest_gap(*formed, places=places)
     if gap.element < 0 or not gap.width > _SMALL * float(grid.size):
         return Filling(_moved(gap, offset), 0.0, NO_GAP)
     start = np.asarray(scene.parison.positions, float)
     ahead = facing.facing(start[: scene.first_nodes], np.asarray(scene.parison.triangles), push, mold, grid)
-    depth = 0.0 if ahead is None else ahead.depth(places_of(mold))
-    depth = depth or _first_gap(scene, push)
+    depth = 0.0 if ahead is None else ahead.depth(places)
+    depth = depth or _first_gap(scene, push, places)
     left = NO_GAP
     if depth > 0.0 and gap.width >= OPEN * depth:
         held = clamped[triangles].any(1) | np.asarray(result.stuck)[triangles].all(1)
-        left = widest_gap(*formed, held=held, counts=None if ahead is None else ahead.meets)
+        left = widest_gap(*formed, held=held, counts=None if ahead is None else ahead.meets, places=places)
         left = left if left.width >= OPEN * depth else NO_GAP
     return Filling(_moved(gap, offset), depth, _moved(left, offset))
 
 
-def _first_gap(scene: Scene, push: float) -> float:
+def _places(scene: Scene, offset: Array) -> Array:
+    """The places (n, 3) [m] of the mold, as it starts, that the part is to reach in the end."""
+    assert scene.mold is not None
+    part = scene.part
+    if part is None:
+        return places_of(scene.mold)
+    places = places_of(scene.mold, None if part.walls is None else np.asarray(part.walls))
+    return places[np.asarray(part.holds(places + offset))]
+
+
+def _first_gap(scene: Scene, push: float, places: Array) -> float:
     """The widest gap [m] before the sheet as it was at first, of one that meets nothing straight along the push."""
     parison, lying = scene.parison, scene.tables.lying
     assert scene.mold is not None
     wall = np.zeros(len(parison.positions), int) if lying is None else np.asarray(lying)
     first, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     none = np.zeros(len(triangles), bool)
-    return widest_gap(
-        first, triangles, wall, np.asarray(parison.clamped), push, scene.mold, scene.tables.grid, held=none
-    ).width
+    start = first, triangles, wall, np.asarray(parison.clamped), push, scene.mold, scene.tables.grid
+    return widest_gap(*start, held=none, places=places).width
 
 
 def mold_offset(result: Result, scene: Scene) -> Array:

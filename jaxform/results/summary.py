@@ -16,6 +16,7 @@ from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy, unmoved
 from jaxform.results.explanation import explain
 from jaxform.results.filling import filling_of, mold_offset, warnings_of_filling
+from jaxform.results.part import counted
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import thinnest, warnings_of_part
 from jaxform.results.sections import symmetry_planes
@@ -67,13 +68,14 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         "gap_max": filling.gap.width,
         "gap_place": filling.gap.place.tolist(),
     }
+    facts = _facts(result, scene)
     warned = [
-        *warnings_of(result, scene),
+        *facts["warnings"],
         *warnings_of_part(result, scene),
         *warnings_of_mold(result, scene, beyond),
         *warnings_of_filling(result, scene, filling),
     ]
-    return _facts(result, scene) | measured | {"warnings": warned}
+    return facts | measured | {"warnings": warned}
 
 
 @by_own_rules
@@ -83,7 +85,8 @@ def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
         "the command was stopped before the part was measured against the mold: penetration, gaps and folds are not "
         "known; run it again for them"
     )
-    return _facts(result, scene) | {"warnings": [*warnings_of(result, scene), unmeasured]}
+    facts = _facts(result, scene)
+    return facts | {"warnings": [*facts["warnings"], unmeasured]}
 
 
 def _facts(result: Result, scene: Scene) -> dict[str, Any]:
@@ -92,6 +95,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
+    part, doubts = counted(result, scene)
     slow = float(result.energy.quasi_static_error)
     return {
         "scene": scene.name,
@@ -105,18 +109,20 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         "windows_shortened": int(result.shortened),
         "compile_seconds": seconds.compile,
         "run_seconds": seconds.run,
-        "thickness": wall_statistics(result),
-        "thinnest": thinnest(result, scene),
+        "thickness": wall_statistics(part),
+        "thinnest": thinnest(part, scene),
         "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         **_wrinkles(result, scene, area),
         **_temperatures(result, scene),
-        "mass": float(result.mass),
+        "mass": float(part.mass),
+        **({} if scene.part is None else {"sheet_mass": float(result.mass)}),
         "added_mass": float(result.added_mass),
         **dict.fromkeys(PENDING),
         # Under its older name as well.
         "energy": energy
         | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow, "haste": slow},
+        "warnings": [*doubts, *warnings_of(result, scene)],
     }
 
 

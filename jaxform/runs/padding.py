@@ -121,7 +121,7 @@ def padded(scene: Scene) -> Scene:
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
     with on_device_of(scene.parison.positions) as placed:
-        return placed(on_rungs(scene).scene)
+        return placed(dataclasses.replace(on_rungs(scene).scene, part=scene.part))
 
 
 def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:

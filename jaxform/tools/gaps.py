@@ -56,6 +56,7 @@ def widest_gap(
     *,
     held: NDArray[np.bool_] | None = None,
     counts: Callable[[Array], NDArray[np.bool_]] | None = None,
+    places: Array | None = None,
 ) -> Gap:
     """The widest gap between a sheet and the mold before it.
 
@@ -72,8 +73,10 @@ def widest_gap(
         grid: Its search structure; made here by default.
         held: Elements (n_element,) before which nothing counts; those with a clamped node by default.
         counts: Says which places of the mold (n, 3) [m] count (n,); all by default.
+        places: Of the mold (n, 3) [m] that are looked at; those of `places_of` by default.
     """
-    if not len(triangles):
+    places = places_of(mold) if places is None else places
+    if not len(triangles) or not len(places):
         return NO_GAP
     held = clamped[triangles].any(1) if held is None else held
     grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles)) if grid is None else grid
@@ -83,7 +86,6 @@ def widest_gap(
     distances = Distances(Triangulation(positions, triangles), _REACH * usual)
     back = _back(positions, triangles, wall, push, corners[walls])
     sight = _Sight(sheet, back[triangles], held, distances, mold, grid, counts)
-    places = places_of(mold)
     bound = distances.about(places)
     order, best = np.argsort(-bound, kind="stable"), NO_GAP
     first, count = 0, _ASKED
@@ -93,9 +95,10 @@ def widest_gap(
     return best
 
 
-def places_of(mold: Mold) -> Array:
-    """The places (n, 3) [m] of a mold that are looked at: its corners and the middles of its triangles."""
+def places_of(mold: Mold, chosen: NDArray[np.bool_] | None = None) -> Array:
+    """The places (n, 3) [m] of a mold that are looked at: corners and middles of its triangles, or of chosen ones."""
     walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
+    walls = walls if chosen is None else walls[chosen]
     places = np.concatenate([corners[np.unique(walls)], corners[walls].mean(1)])
     return places[:: 1 + len(places) // _MOST]
 

@@ -70,8 +70,12 @@ class Wall:
         return {name: nodes for name, nodes in {"RIM": rim[self.held[rim]], **found}.items() if len(nodes)}
 
 
-def read_wall(folder: Path) -> Wall:
-    """The wall that a run or a search left in a folder.
+def read_wall(folder: Path, whole: bool = False) -> Wall:
+    """The wall that a run or a search left in a folder: of the part, where the scene says which that is.
+
+    Args:
+        folder: Where the results are.
+        whole: Take the whole sheet instead.
 
     Raises:
         InputError: The folder has no results, or they are damaged.
@@ -84,6 +88,8 @@ def read_wall(folder: Path) -> Wall:
         raise InputError("has no final.vtu", _NO_RESULTS, value=str(folder))
     summary = earlier.read_summary(folder)
     mesh = meshes.read_mesh(path)
+    if not whole:
+        mesh = _part(mesh)
     try:
         nodal = _positive(mesh.fields, "thickness")
         # Older files, or those of others, may lack what the elements know.
@@ -104,6 +110,23 @@ def read_wall(folder: Path) -> Wall:
         mesh.fields.get("contact_time", np.zeros(len(mesh.positions))) == 0.0,
         earlier.symmetry_planes(summary),
         (f"wall of {summary.get('scene', 'a formed part')}, exported by jaxform {release.version()}",),
+    )
+
+
+def _part(mesh: Mesh) -> Mesh:
+    """The elements that are of the part, and their nodes; the mesh as it is where it does not tell, or none are."""
+    own = mesh.cell_fields.get("part", np.zeros(0)) != 0
+    if not own.any() or own.all():
+        return mesh
+    nodes, triangles = np.unique(mesh.triangles[own], return_inverse=True)
+    fields = {name: values[nodes] for name, values in mesh.fields.items()}
+    cells = {name: values[own] for name, values in mesh.cell_fields.items()}
+    return replace(
+        mesh,
+        positions=mesh.positions[nodes],
+        triangles=triangles.reshape(-1, 3).astype(mesh.triangles.dtype),
+        fields=fields,
+        cell_fields=cells,
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from jaxform.io import earlier
 from jaxform.io.report.packing import Parcel, by_first_use, spatial_order
 from jaxform.io.report.reading import Part, Results
-from jaxform.io.scales import color_range, formed_elements
+from jaxform.io.scales import color_range, counted_elements
 from jaxform.mesh.meshes import Mesh
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
         "end": end,
         "quantities": _quantities([part for part in (results.part, results.start) if part is not None]),
         "symmetry": symmetry_of(results),
-        "hangs": _hangs(results.part),
+        "hangs": _hangs(results.part, results.motion is not None),
         "mold": None if results.mold is None else _pack_mold(results.mold, symmetry_of(results), parcel),
     }
 
@@ -99,7 +99,10 @@ class _Parts:
         for quantity in _ELEMENT_QUANTITIES:
             if quantity.key != "level":
                 name = f"{prefix}.{quantity.key}"
-                self._parcel.add(name, part.cells[quantity.key], relative=quantity.relative, coarse=coarse)
+                values = part.cells[quantity.key]
+                if quantity.key == "thickness" and part.own is not None:
+                    values = np.where(part.own != 0, values, np.nan)  # drawn in grey
+                self._parcel.add(name, values, relative=quantity.relative, coarse=coarse)
         for name, values in nodal.items():
             self._parcel.add(f"{prefix}.{name}", values, coarse=coarse)
         self.described.append({"label": label, "time": time, "mesh": mesh, "mold": self._moved(time)})
@@ -175,16 +178,19 @@ def _values(part: Part, key: str, of: str) -> Array:
 
 def formed_areas(part: Part) -> tuple[Array, NDArray[np.bool_]]:
     """Areas (n,) [m^2] of the elements that were formed, and which of all these are."""
-    formed = formed_elements(part.reference, part.positions, part.triangles)
+    formed = counted_elements(part.reference, part.positions, part.triangles, part.own)
     a, b, c = np.moveaxis(part.positions[part.triangles[formed]], 1, 0)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1), formed
 
 
-def _hangs(part: Part) -> bool:
-    """Whether the part is drawn hanging, so that one looks into it: a sheet that rose from a plane."""
+def _hangs(part: Part, moved: bool) -> bool:
+    """Whether the part is drawn with z down: one looks into a sheet that rose from a plane, and onto a buck.
+
+    A buck moved, and pushed the sheet to where its head is.
+    """
     rise = part.positions[:, 2] - part.reference[:, 2]
     flat = np.ptp(part.reference[:, 2]) <= 1e-6 * np.ptp(part.reference, axis=0).max()
-    return bool(flat and rise.mean() > 0)
+    return bool(flat and (rise.mean() < 0 if moved else rise.mean() > 0))
 
 
 def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel) -> dict[str, Any]:

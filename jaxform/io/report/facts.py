@@ -55,6 +55,7 @@ class _Summary(_Table):
     symmetry_planes: dict[str, float] = {}
     contact_fraction: Number
     mass: Number
+    sheet_mass: Number = None
     penetration_max: Number = None
     penetration_place: Place | None = None
     gap_max: Number = None

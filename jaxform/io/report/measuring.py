@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.io.report.reading import Part
-from jaxform.io.scales import formed_elements
+from jaxform.io.scales import counted_elements
 from jaxform.mesh import topology
 from jaxform.results import sections
 
@@ -49,7 +49,7 @@ def measuring_points(part: Part, summary: Mapping[str, Any]) -> list[Point]:
     """
     thin, mean = summary["thinnest"], summary["thickness"]["mean"]
     walls = part.cells["thickness"]
-    formed = np.flatnonzero(formed_elements(part.reference, part.positions, part.triangles))
+    formed = np.flatnonzero(counted_elements(part.reference, part.positions, part.triangles, part.own))
     thickest = int(formed[np.argmax(walls[formed])])
     points = [
         Point("thinnest", "the thinnest element", thin["thickness"], thin["formed"], thin["initial"]),

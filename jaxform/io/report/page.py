@@ -98,6 +98,9 @@ def quality(results: Results) -> str:
         ("thickest wall", f"{number(wall['max'], 1e3)} mm"),
         ("mass", mass),
     ]
+    if summary.get("sheet_mass") is not None:
+        whole = 2**planes * summary["sheet_mass"]
+        rows.append(("&emsp;of the whole sheet, of which this is the part", f"{number(whole, 1e3)} g"))
     if results.mold is not None:
         rows.append(("formed area that touches the mold", f"{number(summary['contact_fraction'], 100)} %"))
     if summary.get("penetration_max"):

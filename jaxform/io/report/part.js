@@ -57,6 +57,7 @@ class Part {
     const walls = this.raw("thickness");
     let [below, all] = [0, 0];
     for (let k = 0; k < this.count; k++) {
+      if (!Number.isFinite(walls[k])) continue; // of what is cut off the part
       const [a, b, c] = [0, 1, 2].map((corner) => this.corner(this.positions, k, corner));
       const [u, v] = [b, c].map((end) => end.map((x, axis) => x - a[axis]));
       const area = Math.hypot(...cross(u, v));

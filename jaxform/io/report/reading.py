@@ -45,6 +45,11 @@ class Part(NamedTuple):
     nodal: dict[str, Array]
     cells: dict[str, Array]
 
+    @property
+    def own(self) -> Array | None:
+        """Which elements (n_element,) are not 0 and so of the part, as the scene's [part] says; None without one."""
+        return self.cells.get("part")
+
 
 @dataclass(frozen=True)
 class Results:

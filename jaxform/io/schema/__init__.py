@@ -28,6 +28,7 @@ from jaxform.io.schema.objectives import (
     Wanted,
 )
 from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Outline, Parison, Rectangle, Sphere
+from jaxform.io.schema.part import Part, Trim
 from jaxform.io.schema.quantities import (
     ElementSize,
     FieldReference,
@@ -73,6 +74,7 @@ __all__ = [
     "Outline",
     "Output",
     "Parison",
+    "Part",
     "Pressure",
     "PressureKnots",
     "Profile",
@@ -91,6 +93,7 @@ __all__ = [
     "Thickness",
     "ThicknessField",
     "ThicknessProfile",
+    "Trim",
     "Uniform",
     "Variable",
     "Viscous",

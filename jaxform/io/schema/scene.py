@@ -10,6 +10,7 @@ from jaxform.core.ranges import MOST_STEPS
 from jaxform.io.schema.material import Material
 from jaxform.io.schema.mold import Mold
 from jaxform.io.schema.parison import Parison
+from jaxform.io.schema.part import Part
 from jaxform.io.validation import Number, Table, within, wrong
 
 
@@ -121,6 +122,7 @@ class SceneFile(Table):
         material: Its law.
         pressure: The pressure history.
         mold: The mold; without it the sheet is inflated freely.
+        part: Which of the formed sheet is the part; without it, all of it.
         refinement: Where the mesh becomes finer; without it, nowhere.
         cooling: How the sheet cools; without it, it keeps its temperature.
         solver: Time integration.
@@ -133,6 +135,7 @@ class SceneFile(Table):
     material: Material
     pressure: Pressure
     mold: Mold | None = None
+    part: Part | None = None
     refinement: Refinement | None = None
     cooling: Cooling | None = None
     solver: Solver

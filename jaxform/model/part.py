@@ -1,0 +1,141 @@
+"""Which of the formed sheet is the part: what lies in a box, on one side of a plane, or on some of the mold.
+
+What a sheet is clamped in, platens, covers and flanges are formed with the part, but are cut off it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_real, pytree, static
+
+
+@pytree
+class Trim:
+    """A plane across an axis at which the part is cut off.
+
+    Attributes:
+        at: Where it is along the axis [m].
+        axis: 0, 1 or 2.
+        above: Whether what lies above it is the part.
+    """
+
+    at: jax.Array
+    axis: int = static()
+    above: bool = static()
+
+
+@pytree
+class Part:
+    """Which elements of the formed sheet are the part: those that all that is given holds for.
+
+    Attributes:
+        box: Lowest and highest corner (2, 3) [m] of what the middle of an element lies in; None for everywhere.
+        trim: The side of a plane on which the middle of an element lies; None for both.
+        walls: Triangles of the mold (n_triangle,) that the part touches: more of an element's nodes stick to these
+            than to others; None for all, and for what touches nothing.
+    """
+
+    box: jax.Array | None = None
+    trim: Trim | None = None
+    walls: jax.Array | None = None
+
+    def holds(self, places: Any) -> Any:
+        """Which places (n, 3) [m] are in the box and on the right side of the plane (n,); NumPy's or traced."""
+        inside = jnp.ones(places.shape[0], bool)
+        if self.box is not None:
+            inside &= jnp.all((places >= self.box[0]) & (places <= self.box[1]), axis=1)
+        if self.trim is not None:
+            along = places[:, self.trim.axis]
+            inside &= along >= self.trim.at if self.trim.above else along <= self.trim.at
+        return inside
+
+
+def make_part(
+    *,
+    box: ArrayLike | None = None,
+    trim: tuple[Literal["x", "y", "z"], float, Literal["above", "below"]] | None = None,
+    walls: ArrayLike | None = None,
+) -> Part:
+    """Which elements of the formed sheet are the part, for `build_scene`.
+
+    Args:
+        box: Lowest and highest corner (2, 3) [m], in formed positions.
+        trim: Axis, place along it [m], and which side is the part: ("z", 0.002, "above").
+        walls: Mask (n_triangle,) of the mold's triangles that the part touches.
+
+    Raises:
+        InputError: Nothing is given, a number is not finite, or a box has no inside.
+    """
+    if box is None and trim is None and walls is None:
+        raise InputError("says nothing", "give box, trim or walls", "part")
+    return Part(
+        None if box is None else as_real(_box(box)),
+        None if trim is None else _trim(*trim),
+        None if walls is None else jnp.asarray(np.asarray(walls, bool)),
+    )
+
+
+def _box(given: ArrayLike) -> np.ndarray:
+    try:
+        box = np.asarray(given, float)
+    except (TypeError, ValueError):
+        box = np.zeros(0)
+    if box.shape != (2, 3) or not np.isfinite(box).all():
+        raise InputError("is no box", "give [[x0, y0, z0], [x1, y1, z1]] in m", "part.box", given)
+    if not (box[0] < box[1]).all():
+        raise InputError("has no inside", "give the lowest corner first, then the highest", "part.box", given)
+    return box
+
+
+def _trim(axis: str, at: float, keep: str) -> Trim:
+    if axis not in ("x", "y", "z"):
+        raise InputError("is no axis", 'give "x", "y" or "z"', "part.trim.axis", axis)
+    if keep not in ("above", "below"):
+        raise InputError("is no side of a plane", 'give "above" or "below"', "part.trim.keep", keep)
+    if not np.isfinite(at):
+        raise InputError("is not finite", "give a place along the axis in m", "part.trim.at", at)
+    return Trim(as_real(at), "xyz".index(axis), keep == "above")
+
+
+def check_part(part: Part | None, triangle_count: int | None) -> None:
+    """Refuses a part that does not fit the mold, of so many triangles; None without a mold.
+
+    Raises:
+        InputError: It names triangles of a mold that is not there, or not as many as the mold has.
+    """
+    if part is None or part.walls is None:
+        return
+    if triangle_count is None:
+        raise InputError("there is no mold that the part could touch", "give a mold, or box or trim", "part.walls")
+    if part.walls.shape != (triangle_count,):
+        remedy = f"give one for each of the mold's {triangle_count} triangles"
+        raise InputError("is no mask of the mold's triangles", remedy, "part.walls", part.walls.shape)
+
+
+def named(paths: Sequence[str], wanted: Sequence[str]) -> list[int]:
+    """Which of the mold's files (their places in `paths`) are wanted, by path or else by file name.
+
+    Raises:
+        InputError: A name is none of them.
+    """
+    chosen: set[int] = set()
+    for name in wanted:
+        found = [k for k, path in enumerate(paths) if path == name]
+        found = found or [k for k, path in enumerate(paths) if _file_name(path) == _file_name(name)]
+        if not found:
+            known = ", ".join(paths) or "none"
+            raise InputError("is no file of the mold", f"its files: {known}", "part.molds", name)
+        chosen.update(found)
+    return sorted(chosen)
+
+
+def _file_name(path: str) -> str:
+    return path.replace("\\", "/").split("/")[-1]

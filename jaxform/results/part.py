@@ -1,0 +1,61 @@
+"""The part of a formed sheet: what statistics, objectives and pictures count, and what is cut off it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.model.scene import Scene
+from jaxform.results.result import Result
+
+
+def part_elements(result: Result, scene: Scene) -> Any:
+    """Which elements (n_element,) are the part, as the scene's `Part` says; all that are used without one.
+
+    Traced or not; piecewise constant in the design.
+    """
+    part, used = scene.part, jnp.asarray(result.used)
+    if part is None:
+        return used
+    triangles = jnp.asarray(result.triangles)
+    mine = used & part.holds(jnp.asarray(result.positions)[triangles].mean(1))
+    if part.walls is not None:
+        wall = jnp.asarray(result.wall)[triangles]
+        own = (wall != 0) & part.walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
+        mine &= 2 * own.sum(1) > (wall != 0).sum(1)
+    return mine
+
+
+def only_part(result: Result, scene: Scene) -> Result:
+    """The result in which the part alone counts: other elements have neither volume nor wall, and the mass is its own.
+
+    The same result where the scene has no `Part`. Pure, so it can be traced.
+    """
+    if scene.part is None:
+        return result
+    mine, density = part_elements(result, scene), jnp.asarray(scene.material.density)
+    volume = jnp.where(mine, result.element_volume, 0.0)
+    dense = density[jnp.asarray(result.triangles)].mean(1) if density.ndim else density
+    return dataclasses.replace(
+        result,
+        used=mine,
+        element_volume=volume,
+        element_thickness=jnp.where(mine, result.element_thickness, 0.0),
+        mass=jnp.sum(dense * volume),
+    )
+
+
+def counted(result: Result, scene: Scene) -> tuple[Result, list[str]]:
+    """As `only_part`, on the host; of a part without any element, the whole sheet, and a sentence that says so."""
+    if scene.part is None:
+        return result, []
+    part = only_part(result, scene)
+    if np.asarray(part.used).any():
+        return part, []
+    return result, [
+        "no element of the formed sheet is in [part], so all numbers are of the whole sheet; compare part.box, "
+        "part.trim and part.molds with where the sheet is (they are in formed positions, m)"
+    ]
