@@ -15,7 +15,7 @@ from PIL import Image
 import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
-from jaxform.io import plots, surfaces
+from jaxform.io import canvas, plots, surfaces, views
 from jaxform.mesh import raster, topology
 from jaxform.results import sections
 from jaxform.results.result import Result
@@ -210,3 +210,54 @@ def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -
     plots.design_picture(tmp_path / "design.png", before, after)
     plots.stages_picture(tmp_path / "stages.png", scene, [before[1], after[1]])
     assert _colors(tmp_path / "design.png") > 50 and _colors(tmp_path / "stages.png") > 50
+
+
+def _over_a_plate(direction: float, pressure: float, rise: float, depth: float = 0.1) -> tuple[jaxform.Scene, Result]:
+    """A square sheet whose middle rose, over a plate that moves along z, or rests, under a pressure."""
+    sheet = shapes.rectangle(size=(1.0, 1.0), elements=64)
+    corners = np.array([[x, y, 0.4 if direction <= 0 else -0.4] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))], float)
+    moves = None if direction == 0 else jaxform.make_motion([0.0, 0.0, direction], [0.0, 0.5], [0.0, depth])
+    scene = jaxform.build_scene(
+        parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        material=scenes.mooney(0.1),
+        pressure=jaxform.make_pressure([0.0], [pressure]),
+        solver=jaxform.make_solver(end_time=1.0),
+        mold=jaxform.make_mold(corners, np.array([[0, 1, 2], [0, 2, 3]]), motion=moves),
+    )
+    positions = np.array(scene.parison.positions, float)
+    positions[:, 2] = rise * np.clip(2.0 - 4.0 * np.abs(positions[:, :2] - 0.5).max(1), 0.0, 1.0)
+    return scene, dataclasses.replace(scenes.at_rest(scene), positions=jnp.asarray(positions))
+
+
+@pytest.mark.parametrize(
+    ("direction", "pressure", "rise", "down"),
+    [
+        (-1.0, 1.0, -0.3, True),  # a buck that moves to -z through a sheet which is pushed to +z: its head is up
+        (1.0, -1.0, 0.3, False),  # the same the other way round
+        (1.0, 0.0, 0.3, False),  # a plug alone
+        (-1.0, 0.0, -0.3, True),
+        (0.0, 1.0, 0.3, True),  # a cavity: one looks into it
+        (0.0, -1.0, -0.3, False),
+    ],
+)
+def test_bucks_and_cavities_are_seen_from_where_the_sheet_was(
+    direction: float, pressure: float, rise: float, down: bool
+) -> None:
+    view = plots.part_picture(*_over_a_plate(direction, pressure, rise)).view
+    # With z down and no symmetry, y is reversed too: no mirror image is shown.
+    assert view.hangs == down and view.turned
+
+
+@pytest.mark.parametrize("rise", [0.3, 3.0, 8.0])
+def test_labels_of_tall_parts_are_in_the_picture(rise: float) -> None:
+    view = plots.part_picture(*_over_a_plate(0.0, 1.0, rise)).view
+    figure = canvas.new_figure(16, 7, "")
+    axes = figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d")
+    views.draw(axes, view)
+    figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        extent = axis.get_tightbbox(renderer)
+        assert extent.y0 >= 0.0 and extent.y1 <= figure.bbox.y1 and 0.0 <= extent.x0 < extent.x1 <= 0.475 * 1600
+    # What is drawn is not lost by it.
+    assert all(artist.get_visible() for artist in axes.artists)

@@ -1,0 +1,260 @@
+"""The part of a formed sheet: what counts in statistics, objectives, files and exports, and what is cut off."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import meshio
+import numpy as np
+import pytest
+import trimesh
+
+import jaxform
+import optimize
+from jaxform.cli import command, session
+from jaxform.core.errors import InputError
+from jaxform.io import export, plots
+from jaxform.results.part import only_part, part_elements
+from jaxform.results.result import Result
+from jaxform.results.summary import formed_areas, summarize
+from optimize.search import Search
+from optimize.walls import wall
+from tests import scenes
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _own_cache() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "cache_folder", lambda: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def formed() -> tuple[jaxform.Scene, Result]:
+    """A cone of the cup's sheet with walls of known, different thickness."""
+    scene = scenes.cup()
+    first = scenes.at_rest(scene)
+    positions = np.array(scene.parison.positions, float)
+    positions[:, 2] = 0.5 * (1.0 - np.linalg.norm(positions[:, :2], axis=1))
+    count = len(np.asarray(first.triangles))
+    walls = jnp.asarray(0.01 * np.linspace(0.5, 1.0, count))
+    return scene, dataclasses.replace(first, positions=jnp.asarray(positions), element_thickness=walls)
+
+
+def _by_hand(scene: jaxform.Scene, result: Result, mine: np.ndarray) -> dict[str, float]:
+    area, walls = formed_areas(result)[mine], np.asarray(result.element_thickness)[mine]
+    mean = (area @ walls) / area.sum()
+    mass = float(np.asarray(result.element_volume)[mine].sum() * float(scene.material.density))
+    return {"min": walls.min(), "mean": mean, "max": walls.max(), "mass": mass}
+
+
+PARTS: dict[str, Any] = {
+    "trim": {"trim": ("z", 0.2, "above")},
+    "below": {"trim": ("x", 0.4, "below")},
+    "box": {"box": [[-1.0, 0.2, 0.1], [0.9, 1.0, 1.0]]},
+    "both": {"box": [[-1.0, -1.0, -1.0], [0.5, 1.0, 1.0]], "trim": ("z", 0.2, "above")},
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_summary_and_what_a_search_reports_are_of_the_part(formed: tuple[jaxform.Scene, Result], name: str) -> None:
+    plain, result = formed
+    scene = dataclasses.replace(plain, part=jaxform.make_part(**PARTS[name]))
+    middle = np.asarray(result.positions)[np.asarray(result.triangles)].mean(1)
+    given, mine = PARTS[name], np.ones(len(middle), bool)
+    if "box" in given:
+        low, high = np.asarray(given["box"])
+        mine &= ((middle >= low) & (middle <= high)).all(1)
+    if "trim" in given:
+        axis, at, keep = given["trim"]
+        along = middle[:, "xyz".index(axis)]
+        mine &= along >= at if keep == "above" else along <= at
+    assert 0 < mine.sum() < len(mine)
+    np.testing.assert_array_equal(part_elements(result, scene), mine)
+    np.testing.assert_array_equal(jax.jit(part_elements)(result, scene), mine)
+    hand, summary, whole = _by_hand(scene, result, mine), summarize(result, scene), summarize(result, plain)
+    for key in ("min", "mean", "max"):
+        assert summary["thickness"][key] == pytest.approx(hand[key], rel=1e-12)
+    assert summary["thinnest"]["thickness"] == pytest.approx(hand["min"])
+    assert summary["mass"] == pytest.approx(hand["mass"], rel=1e-12) and summary["sheet_mass"] == whole["mass"]
+    assert "sheet_mass" not in whole and whole["thickness"]["min"] == float(result.element_thickness.min())
+    reported = wall(scene, only_part(result, scene))
+    assert float(reported.least) == pytest.approx(hand["min"]) and float(reported.mass) == pytest.approx(hand["mass"])
+    assert float(reported.mean) == pytest.approx(hand["mean"])
+
+
+def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
+    formed: tuple[jaxform.Scene, Result],
+) -> None:
+    plain, result = formed
+    assert only_part(result, plain) is result
+    scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
+    mine = np.asarray(part_elements(result, scene))
+    area, walls = formed_areas(result)[mine], np.asarray(result.element_thickness)[mine]
+    spread = (area @ np.square(walls - area @ walls / area.sum())) / area.sum() / (area @ walls / area.sum()) ** 2
+
+    def judged(objective: optimize.Objective) -> tuple[float, dict[str, Any]]:
+        study = optimize.Study(scene, (), objective)
+        search = object.__new__(Search)
+        search.study = study
+        value, report = search.judged(scene, result, None)
+        return float(value), report
+
+    value, report = judged(optimize.Uniform())
+    assert value == pytest.approx(spread, rel=1e-12)
+    # What a fixed point changes is the part's: elsewhere the sheet stays as it is.
+    nodes = np.unique(np.asarray(result.triangles)[mine])
+    others = np.setdiff1d(np.arange(len(report["ratio"])), nodes)
+    assert len(others) and np.all(np.asarray(report["ratio"])[others] == 1.0)
+    least = optimize.LeastMass(scene, 0.0075)
+    assert judged(least)[0] == pytest.approx(_by_hand(scene, result, mine)["mass"] / least._first_mass)
+    excess, weight = least.constraints(scene, only_part(result, scene))
+    assert np.all(np.asarray(weight)[~mine] == 0.0) and float(jnp.sum(weight)) == pytest.approx(1.0)
+    np.testing.assert_allclose(np.asarray(excess)[mine], 1.0 - walls / 0.0075)
+
+
+def test_a_part_that_holds_nothing_is_warned_of_and_a_search_of_it_refused(
+    formed: tuple[jaxform.Scene, Result],
+) -> None:
+    plain, result = formed
+    scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.9, "above")))
+    summary = summarize(result, scene)
+    assert any("no element of the formed sheet is in [part]" in words for words in summary["warnings"])
+    assert summary["thickness"] == summarize(result, plain)["thickness"]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, "part: says nothing"),
+        ({"box": [[0, 0, 0], [1, 1, 0]]}, "part.box .* has no inside"),
+        ({"box": [0, 1]}, "part.box .* is no box"),
+        ({"trim": ("w", 0.0, "above")}, "part.trim.axis .* is no axis"),
+        ({"trim": ("z", np.nan, "above")}, "part.trim.at .* is not finite"),
+        ({"trim": ("z", 0.0, "over")}, "part.trim.keep .* is no side"),
+    ],
+)
+def test_parts_that_make_no_sense_are_refused(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words.replace(" .* ", r".*")):
+        jaxform.make_part(**given)
+
+
+def test_what_is_cut_off_is_grey(formed: tuple[jaxform.Scene, Result], tmp_path: Path) -> None:
+    plain, result = formed
+    scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
+    view = plots.part_picture(scene, result).view
+    count = len(np.asarray(result.triangles))
+    cut_off = ~np.asarray(part_elements(result, scene))
+    paint = view.surfaces[-1].paint
+    np.testing.assert_array_equal(np.isnan(paint), np.tile(cut_off, len(paint) // count))
+    assert np.isfinite(plots.part_picture(plain, result).view.surfaces[-1].paint).all()
+    plots.thickness_picture(tmp_path / "part.png", scene, result)
+
+
+def _folder(folder: Path) -> Path:
+    """A cup and the flange around it in two files, and a scene whose part is the cup."""
+    cup = trimesh.creation.cylinder(radius=0.06, height=0.02, sections=24)
+    inside = cup.faces[(cup.triangles[:, :, 2] < 0.009).any(1)]
+    vertices = cup.vertices * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.0101]
+    trimesh.Trimesh(vertices, inside).export(folder / "cup.stl")
+    trimesh.creation.annulus(r_min=0.0605, r_max=0.12, height=0.01, sections=24).apply_translation(
+        [0.0, 0.0, 0.0051]
+    ).export(folder / "flange.stl")
+    text = scenes.FILE[: scenes.FILE.index("[mold]")].replace("elements = 40", "elements = 150")
+    (folder / "scene.toml").write_text(
+        text
+        + """
+[mold]
+shape = "file"
+path = ["cup.stl", "flange.stl"]
+fill = false
+[part]
+molds = ["cup.stl"]
+[solver]
+end_time = 0.1
+damping = 100.0
+"""
+    )
+    return folder / "scene.toml"
+
+
+def test_the_command_writes_and_exports_what_touches_the_molds_that_are_named(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scene_file, out = _folder(tmp_path), tmp_path / "out"
+    scene = jaxform.load(scene_file)
+    assert scene.part is not None and scene.part.walls is not None and scene.mold is not None
+    walls, middles = np.asarray(scene.part.walls), np.asarray(scene.mold.vertices)[np.asarray(scene.mold.triangles)]
+    radius = np.linalg.norm(middles[..., :2], axis=2).max(1)
+    np.testing.assert_array_equal(walls, radius < 0.0602)
+    assert command.main(["check", str(scene_file)]) == 0
+    assert "part: {molds [cup.stl]}" in capfd.readouterr().out
+    assert command.main(["simulate", str(scene_file), "--out", str(out), "--quiet"]) == 0
+    mesh = meshio.read(out / "final.vtu")
+    mine = mesh.cell_data["part"][0] != 0
+    middle = mesh.points[mesh.cells[0].data].mean(1)
+    # All of the bottom, nothing of the flange.
+    inner, outer = np.linalg.norm(middle[:, :2], axis=1) < 0.045, np.linalg.norm(middle[:, :2], axis=1) > 0.065
+    assert inner.any() and outer.any() and mine[inner & (middle[:, 2] > 0.019)].all() and not mine[outer].any()
+    summary = json.loads((out / "summary.json").read_text())
+    thickness = mesh.cell_data["thickness"][0]
+    assert summary["thickness"]["min"] == pytest.approx(thickness[mine].min())
+    assert (
+        summary["thickness"]["max"] == pytest.approx(thickness[mine].max()) and summary["mass"] < summary["sheet_mass"]
+    )
+    assert len(export.read_wall(out).triangles) == mine.sum()
+    assert len(export.read_wall(out, whole=True).triangles) == len(mine)
+    wall_file = tmp_path / "wall.csv"
+    exported = ["export", str(out), "--to", "csv", "--out", str(wall_file), "--quiet"]
+    assert command.main(exported) == 0
+    rows = len(wall_file.read_text().splitlines())
+    assert command.main([*exported, "--whole-sheet", "--force"]) == 0
+    assert len(wall_file.read_text().splitlines()) > rows
+    # The scene that is kept beside the results has the same part.
+    again = jaxform.load(out / "simulated.toml")
+    assert again.part is not None
+    np.testing.assert_array_equal(again.part.walls, walls)
+    text = scene_file.read_text()
+    scenes.assert_refused(
+        tmp_path, text.replace('["cup.stl"]', '["mug.stl"]'), r"part\.molds.*no file of the mold.*cup\.stl"
+    )
+    scenes.assert_refused(tmp_path, text.replace('molds = ["cup.stl"]', ""), "part.*says nothing")
+
+
+STUDY = """
+scene = "scene.toml"
+[[variable]]
+kind = "thickness-profile"
+along = "radius"
+knots = 3
+bounds = [5.0e-4, 2.0e-3]
+[objective]
+kind = "uniform"
+[solver]
+method = "fixed-point"
+iterations = 2
+"""
+
+
+def test_a_search_is_over_the_part_and_its_columns_are_those_of_its_summary(tmp_path: Path) -> None:
+    text = scenes.FILE.replace("end_time = 0.05", "end_time = 0.03")
+    table = '[part]\ntrim = { axis = "z", at = 0.01, keep = "above" }\n[solver]'
+    (tmp_path / "scene.toml").write_text(text.replace("[solver]", table))
+    (tmp_path / "study.toml").write_text(STUDY)
+    out = tmp_path / "out"
+    assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(out), "--quiet"]) == 0
+    rows = list(csv.DictReader((out / "history.csv").read_text().splitlines()))
+    summary = json.loads((out / "summary.json").read_text())
+    best = min(rows, key=lambda row: float(row["objective"]))
+    for column, value in (("wall_min", summary["thickness"]["min"]), ("wall_cv", summary["thickness"]["cv"])):
+        assert float(best[column]) == pytest.approx(value, rel=1e-9)
+    assert float(best["mass"]) == pytest.approx(summary["mass"], rel=1e-9) and summary["mass"] < summary["sheet_mass"]
+    assert float(best["objective"]) == pytest.approx(summary["thickness"]["cv"] ** 2, rel=1e-9)
+    assert jaxform.load(out / "best.toml").part is not None
