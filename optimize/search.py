@@ -25,7 +25,7 @@ from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
 from optimize.endings import Ending, SpentError, spent
 from optimize.journal import Answer, Journal
 from optimize.variables import Variable
-from optimize.walls import nodal_area, wall
+from optimize.walls import formed, nodal_area, wall
 
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
@@ -33,11 +33,6 @@ _FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
 # windows, small ones rounding.
 _CHECK_SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
 _ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
-
-
-def formed(scene: Scene) -> Result:
-    """The part of a scene, whether or not it fills the mold: on the way of a search that is no failure."""
-    return jaxform.run(dataclasses.replace(scene, fill=False))
 
 
 @dataclass

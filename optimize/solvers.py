@@ -23,8 +23,9 @@ from optimize.journal import Answer, Journal
 from optimize.least_squares import least_squares
 from optimize.price import price
 from optimize.rounds import fall_back, rounds
-from optimize.search import Search, formed
+from optimize.search import Search
 from optimize.variables import SheetVariable
+from optimize.walls import formed
 
 __all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
 

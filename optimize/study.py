@@ -25,9 +25,9 @@ from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.heaters import HeaterZones
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
-from optimize.search import formed
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.variables import Scale, Variable
+from optimize.walls import formed
 
 _HOW_LONG = ("iterations", "max_simulations", "minutes", "rounds", "goal", "tolerance", "gradient_tolerance")
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+import jaxform
 from jaxform import Result, Scene
 from jaxform.mechanics import membrane
 
@@ -48,3 +50,8 @@ def wall(scene: Scene, result: Result) -> Wall:
     return Wall(
         jnp.min(jnp.where(result.used, thickness, jnp.inf)), mean, jnp.sqrt(variance) / mean, result.mass, result.status
     )
+
+
+def formed(scene: Scene) -> Result:
+    """The part of a scene, whether or not it fills the mold: on the way of a search that is no failure."""
+    return jaxform.run(dataclasses.replace(scene, fill=False))

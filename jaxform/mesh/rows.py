@@ -47,10 +47,3 @@ def distinct(rows: NDArray[Any]) -> Distinct:
     inverse[order] = np.cumsum(fresh) - 1
     begin = np.flatnonzero(fresh)
     return Distinct(ordered[begin], order[begin], inverse, np.diff(begin, append=len(rows)))
-
-
-def near_any(points: NDArray[np.float64], others: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
-    """Which points (n, k) are within a distance of one of some others (m, k)."""
-    from scipy.spatial import KDTree  # takes a tenth of a second to import
-
-    return np.asarray(KDTree(others).query(points, distance_upper_bound=tolerance)[0] <= tolerance)

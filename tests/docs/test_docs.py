@@ -48,7 +48,7 @@ def test_the_site_shows_formulas_notebooks_and_every_public_name(site: Path) -> 
     text = (site / "reference" / "python.html").read_text(encoding="utf-8")
     modules = {"molds", "plot", "scenes", "shapes"}
     # These are made by functions that are shown.
-    parts = {"Parison", "Pressure", "Refinement", "Scene", "Solver", "Mold", "Motion"}
+    parts = {"Parison", "Part", "Trim", "Pressure", "Refinement", "Scene", "Solver", "Mold", "Motion"}
     missing = [name for name in set(jaxform.__all__) - modules - parts if f'id="jaxform.{name}"' not in text]
     assert not missing
     text = (site / "reference" / "optimize.html").read_text(encoding="utf-8")

@@ -140,7 +140,7 @@ def test_colours_tell_the_formed_part_apart_not_its_flange() -> None:
     middle = radius[triangles].mean(1)
     wall = np.where(middle < 0.45, 3e-3 + 4e-3 * middle, 1e-2)
     result = dataclasses.replace(result, positions=jnp.asarray(formed), element_thickness=jnp.asarray(wall))
-    low, high = plots._scale([(scene, result)])
+    low, high = plots.wall_scale([(scene, result)])
     np.testing.assert_allclose(low, 1e3 * wall.min())
     assert high < 5.0
 
