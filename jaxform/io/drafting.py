@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 _THICKNESS = 0.008  # of the sheet's width
 _ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
+_DRAPED = 12000  # the same over a buck, at whose foot they are stretched
 _ACROSS = 16  # elements across the smallest pocket
 _SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
 _LEVEL = 0.01  # of the cavity's depth: what is at one height, but for rounding
@@ -102,7 +103,7 @@ def _formed(read: _Read, rest: Rest | None) -> Draft:
         pocket=pocket,
         slit=pockets.slit,
         thickness=wishes.thickness or rounded(_THICKNESS * width),
-        element_size=_element_size(pocket, area),
+        element_size=_element_size(pocket, area, _ELEMENTS),
         process=wishes.process,
     )
 
@@ -133,16 +134,16 @@ def _draped(read: _Read) -> Draft:
         pocket=made.narrowest,
         slit=None,
         thickness=thickness,
-        element_size=_element_size(made.narrowest, area),
+        element_size=_element_size(made.narrowest, area, _DRAPED),
         process=wishes.process,
         drape=made,
     )
 
 
-def _element_size(pocket: float, area: float) -> float:
-    """[m], by half the width of what is narrowest [m] and the sheet's area [m^2]."""
+def _element_size(pocket: float, area: float, elements: float) -> float:
+    """[m], by half the width of what is narrowest [m] and the sheet's area [m^2], of about so many elements."""
     fine = max(2 * pocket / _ACROSS, triangle_side(area, _MOST))
-    return rounded(min(fine, triangle_side(area, _ELEMENTS)))
+    return rounded(min(fine, triangle_side(area, elements)))
 
 
 def _placed(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
