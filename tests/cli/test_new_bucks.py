@@ -171,8 +171,8 @@ def test_units(box, name, others):
     assert found.name == name and all(f"--scale {other}" in found.others + " " for other in others)
 
 
-def test_the_docs_example_of_a_motion_drapes(tmp_path, monkeypatch):
-    """A block 50 mm high on a platen, both on z = 0 of their files: with the page's keys the sheet lies on the block."""
+def test_the_docs_example_of_a_motion_drapes(tmp_path):
+    """With the keys of the page the sheet lies on a block 50 mm high on a platen, both on z = 0 of their files."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "mold.md").read_text()
     keys = next(text.split("```")[0] for text in page.split("```toml\n")[1:] if "[mold.motion]" in text)
     block = drafted().apply_scale([0.4, 0.6, 1.25])
