@@ -158,7 +158,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
     windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
     yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
-    steps = end / step
+    steps = end / step + planning.tool_steps(scene.motion, scene.tables.grid, end, step)
     seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""

@@ -23,14 +23,13 @@ from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
 from jaxform.mechanics.nodes import highest_speed
 from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
-from jaxform.model.tables import MOST_COOLING, SHORT_WINDOW
+from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
 from jaxform.sheet.account import present_pressure
 from jaxform.sheet.active_set import ActiveSet, Room
 from jaxform.sheet.discretization import law_of
 from jaxform.sheet.state import PackedState, any_mode, can_move
 
 RUNGS_PER_OCTAVE = 16
-_RANGE_PER_STEP = 0.1  # of the search grid's reach
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
 _NOISE = 0.1  # of what a thorough search begins with: else it is blind for modes that the last one lacks
 _MARGIN = 0.98  # for a mode that was missed all the same: what it does not bear (docs/stability.md), the safety does
@@ -74,12 +73,15 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
     longest = scene.solver.safety * longest
     if scene.solver.damping is None:
         longest = _UNDAMPED * longest
+    end = scene.solver.end_time
     if scene.tables.grid is not None:
         # No node passes more of the range of its list in one step than can be watched.
-        range_per_step = _RANGE_PER_STEP * scene.tables.grid.farthest
+        range_per_step = RANGE_PER_STEP * scene.tables.grid.farthest
         speed = highest_speed(state.nodes.velocities, active.packed.elements.node_block_count)
         if scene.motion is not None:
-            speed += scene.motion.highest_speed()
+            # Up to where the mold becomes faster, and no further in this window.
+            fastest, until = scene.motion.speed_from(state.time)
+            speed, end = speed + fastest, jnp.minimum(end, until)
         longest = jnp.minimum(longest, range_per_step / jnp.maximum(speed, 1e-30))
     rung = jnp.exp2(jnp.floor(jnp.log2(longest) * RUNGS_PER_OCTAVE) / RUNGS_PER_OCTAVE)
     if scene.solver.damping is None:
@@ -87,7 +89,7 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
         held = (state.control.step_length <= rung) & (rung < _REGAIN * state.control.step_length)
         rung = jnp.where(held, state.control.step_length, rung)
     rung = rung * jnp.exp2(-state.control.retries)
-    rest = scene.solver.end_time - state.time
+    rest = end - state.time
     most = jnp.minimum(state.control.span, most_steps(rung, scene))
     if state.control.pace is not None:
         cooling = jnp.maximum(state.control.pace * rung, jnp.finfo(rung.dtype).tiny)

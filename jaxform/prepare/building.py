@@ -23,7 +23,7 @@ from jaxform.model.scene import Parison, Refinement, Scene, Solver, pushes_of
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Box, Sheet, Tables
 from jaxform.prepare import parts, start
 from jaxform.prepare.growing import bends, check_room, grown_forest, planted, with_room_for
-from jaxform.prepare.planning import longest_window, planned_windows, spare_windows, stiffens_steeply
+from jaxform.prepare.planning import longest_window, planned_windows, spare_windows, stiffens_steeply, tool_steps
 from jaxform.prepare.rims import moving_rim
 from jaxform.prepare.stretches import expected_stretch
 from jaxform.sheet.discretization import NEVER
@@ -117,7 +117,9 @@ def build_scene(
     if steep and refinement is not None:
         # Its windows do not become longer.
         planned *= LONG_WINDOW // SHORT_WINDOW
-    window_count, longest = planned + spare_windows(grid, change), longest_window(planned, frames, steep=steep)
+    moving = tool_steps(None if mold is None else mold.motion, grid, float(solver.end_time), np.inf)
+    window_count = planned + int(np.ceil(moving / SHORT_WINDOW)) + spare_windows(grid, change)
+    longest = longest_window(planned, frames, steep=steep)
     tables = Tables(
         sheet=sheet,
         assembly=_assembly(positions, triangles, refinement),

@@ -15,8 +15,9 @@ from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane, stiffness
 from jaxform.mechanics.response import Memory, overstress, strained
 from jaxform.model.scene import Scene, Solver
-from jaxform.model.tables import LONG_WINDOW, MOST_COOLING, SHORT_WINDOW
+from jaxform.model.tables import LONG_WINDOW, MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
 from jaxform.prepare.stretches import LARGEST_STRETCH
+from jaxform.tools.motion import FASTEST, Motion
 from jaxform.tools.search import SearchGrid
 
 _STEEP = 8.0  # times as many steps at the largest stretch as at first: such a law is planned for what it will meet
@@ -56,6 +57,15 @@ def spare_windows(grid: SearchGrid | None, cooling: float = 0.0) -> int:
     """For some that contact cuts short when nodes fly through the mold, some that are retried, and cooling [K]."""
     spare = 32 + int(np.ceil(cooling / MOST_COOLING))
     return spare if grid is None else spare + round(2 * float(grid.size) / float(grid.reach))
+
+
+def tool_steps(motion: Motion | None, grid: SearchGrid | None, end_time: float, step: float) -> float:
+    """How many steps of a run are due to a mold that moves, beyond those of a length [s] that it would take at rest."""
+    if motion is None or grid is None:
+        return 0.0
+    time = np.minimum(np.asarray(motion.time, float), end_time)
+    shortest = RANGE_PER_STEP * float(grid.farthest) / np.maximum(FASTEST * motion.mean_speeds(), 1e-300)
+    return float(np.sum(np.diff(time) * np.maximum(1.0 / shortest - 1.0 / step, 0.0)))
 
 
 def longest_window(planned: int, frames: int, *, steep: bool = False) -> int:

@@ -14,6 +14,9 @@ from jaxform.core.pytree import as_real, pytree
 from jaxform.core.ranges import as_numbers, check
 from jaxform.mechanics.membrane import Vector
 
+FASTEST = 3.0  # times the mean speed between two knots, at most: a cubic is no steeper
+_SLACK = 16  # roundings of a time
+
 
 @pytree
 class Motion:
@@ -49,7 +52,19 @@ class Motion:
 
     def highest_speed(self) -> jax.Array:
         """A bound on its speed [m/s]: between two knots a cubic is at most three times as steep as their line."""
-        return 3.0 * jnp.max(jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time)))
+        return FASTEST * jnp.max(jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time)))
+
+    def mean_speeds(self) -> np.ndarray:
+        """Of the stretches between knots (n_knot - 1,) [m/s]; on the host."""
+        return np.abs(np.diff(np.asarray(self.displacement, float)) / np.diff(np.asarray(self.time, float)))
+
+    def speed_from(self, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """A bound on its speed [m/s] from a time on, and until when [s] that holds: a knot from which it is faster."""
+        now = time * (1.0 + _SLACK * jnp.finfo(time.dtype).eps)  # a window that ends at a knot is there to rounding
+        bound = FASTEST * jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time))
+        begins, ends = self.time[:-1], self.time[1:]
+        here = jnp.sum(jnp.where((begins <= now) & (now < ends), bound, 0.0))
+        return here, jnp.min(jnp.where((begins > now) & (bound > here), begins, jnp.inf))
 
     def frame(self, begin: jax.Array, end: jax.Array) -> Frame:
         """That of a step from one time to another [s]."""

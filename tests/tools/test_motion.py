@@ -19,6 +19,7 @@ from jaxform.io import output
 from jaxform.io.output import Frames
 from jaxform.io.report import reading
 from jaxform.model.replacing import number_at
+from jaxform.prepare import planning
 from jaxform.results.result import Result, only_used
 
 RADIUS, THICKNESS, RISE = 0.1, 1e-3, 0.05
@@ -78,6 +79,36 @@ def test_a_motion_is_smooth_and_never_beyond_its_knots() -> None:
     np.testing.assert_allclose(speed[jnp.array([0, 100, 300, 500, 700, 800])], 0.0, atol=1e-9)
     fine = jax.vmap(jaxform.make_motion([0, 1, 0], [0.0, 1.0, 3.0], [0.0, 1.0, 3.0]).offset)(times)[:, 1]
     assert float(jnp.diff(fine).min()) >= 0.0
+
+
+def test_how_fast_a_mold_is_from_a_time_on() -> None:
+    """Three times the mean speed to the next knot, up to where it becomes faster; nothing where it rests."""
+    motion = jaxform.make_motion([0.0, 0.0, 1.0], [0.0, 1.0, 2.0, 4.0, 5.0], [0.0, 0.0, 3.0, 4.0, 4.0])
+    bounds = {0.5: (0.0, 1.0), 1.0 - 1e-15: (9.0, np.inf), 1.5: (9.0, np.inf), 2.0: (1.5, np.inf), 4.5: (0.0, np.inf)}
+    for time, expected in (bounds | {9.0: (0.0, np.inf)}).items():
+        assert tuple(map(float, motion.speed_from(jnp.asarray(time)))) == expected
+
+
+@pytest.mark.parametrize(
+    ("time", "displacement", "most"),
+    [("[0.0, 0.02]", "[0.0, 0.052]", 1.6), ("[0.0, 0.2, 0.205]", "[0.0, 0.0, 0.052]", 2.2)],
+    ids=["rests at the end", "waits first"],
+)
+def test_a_plug_shortens_the_steps_while_it_moves_alone(
+    tmp_path: Path, time: str, displacement: str, most: float
+) -> None:
+    """It did from begin to end. What it does is the same."""
+    scene = plug(tmp_path, time=time, displacement=displacement, value=str([0.0] * (time.count(",") + 1)))
+    result = jaxform.run(scene)
+    assert int(result.status) == 0 and float(result.energy.balance_error) < 0.01
+    assert np.any(np.asarray(result.wall) != 0)
+    assert scene.mold is not None
+    held = np.asarray(result.wall) != 0
+    np.testing.assert_allclose(np.asarray(result.positions)[held, 2].max(), RISE, atol=1e-9)
+    step, end = 1.6 * planning.first_step(scene), float(scene.solver.end_time)
+    moving = planning.tool_steps(scene.motion, scene.tables.grid, end, step)
+    # As `jaxform check` has it.
+    assert int(result.steps) < most * (end / step + moving)
 
 
 def _annulus(inner: float) -> np.ndarray:

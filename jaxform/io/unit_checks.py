@@ -1,0 +1,92 @@
+"""What in a scene's numbers is hardly meant: units of material, temperatures and motion. On the host."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxform.core.errors import warn_of
+from jaxform.materials import Cooling
+from jaxform.materials.shift import Wlf
+from jaxform.model.scene import Scene
+
+_WEAK_MODES = 1e-3  # of the model's stiffness, Prony terms altogether
+_KELVIN = 273.15
+_APART = 120.0  # K, between a sheet's temperature and the shift's reference: where one is in kelvin, they are
+_BELOW, _ABOVE = 60.0, 150.0  # K, by which a sheet may be below or above that reference in the same unit
+_LIKE_KELVIN = 253.15  # degC of air or mold: as hot is hardly any, and 253 K is as cold
+_IDLE_ENERGY = 500.0  # J/mol: plastics have 2e4 to 5e5
+_WAVE = 8.0  # times c over the density: the square of the speed of a wave along the sheet
+
+
+def warn_of_units(scene: Scene, file: str = "") -> None:
+    """Warns of numbers that are hardly meant, as far as they are of the material, of temperatures and of motion."""
+    _warn_of_modes(scene, file)
+    _warn_of_shift(scene, file)
+    if scene.cooling is not None and scene.parison.temperature is not None:
+        _warn_of_surroundings(scene.cooling, np.asarray(scene.parison.temperature, float), file)
+    _warn_of_motion(scene, file)
+
+
+def _warn_of_modes(scene: Scene, file: str) -> None:
+    modes = scene.material.viscous
+    if modes is None:
+        return
+    whole, own = float(scene.law.elastic.stiffness().mean()), float(modes.stiffness().mean())
+    if own < _WEAK_MODES * whole:
+        modulus = np.asarray(modes.modulus, float)
+        problem = f"the Prony terms are {own / whole:.1g} times as stiff as the model: modulus is in Pa"
+        remedy = "multiply relative moduli, as Abaqus and Ansys take them, by the shear modulus at once"
+        warn_of(problem, remedy, key="material.viscous.modulus", value=modulus.tolist(), file=file)
+
+
+def _warn_of_shift(scene: Scene, file: str) -> None:
+    shift, temperature = scene.material.shift, scene.parison.temperature
+    if shift is None or temperature is None:
+        return
+    reference, warmest = float(shift.reference), float(np.max(np.asarray(temperature)))
+    if warmest > max(reference + _APART, _KELVIN) and -_BELOW <= warmest - _KELVIN - reference <= _ABOVE:
+        problem = f"is {warmest - reference:.3g} K above the reference of the shift: is it in kelvin?"
+        remedy = f"give degC: {warmest - _KELVIN:.4g}"
+        warn_of(problem, remedy, key="parison.temperature", value=warmest, file=file)
+    elif reference > max(warmest + _APART, _KELVIN) and -_BELOW <= warmest + _KELVIN - reference <= _ABOVE:
+        problem = f"is {reference - warmest:.3g} K above the sheet's temperature: is it in kelvin?"
+        remedy = f"give degC: {reference - _KELVIN:.4g}"
+        warn_of(problem, remedy, key="material.shift.reference", value=reference, file=file)
+    energy = None if isinstance(shift, Wlf) else getattr(shift, "activation_energy", None)
+    if energy is not None and 0.0 < float(energy) < _IDLE_ENERGY:
+        problem, remedy = "changes next to nothing: it is in J/mol", f"give {1e3 * float(energy):.4g} where it is in kJ"
+        warn_of(problem, remedy, key="material.shift.activation_energy", value=float(energy), file=file)
+
+
+def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) -> None:
+    """Of air or a mold that are warmer than the sheet, and of those that look like kelvin."""
+    for name in ("air", "mold"):
+        value, key = float(getattr(cooling, f"{name}_temperature")), f"cooling.{name}_temperature"
+        if float(getattr(cooling, name)) == 0.0:
+            continue
+        hot, kelvin = value > temperature.min(), value > _LIKE_KELVIN
+        if not (hot or kelvin):
+            continue
+        problem = (
+            f"heats the sheet, which has {temperature.min():.4g} degC"
+            if hot
+            else f"is hot for {name}"
+            if name == "air"
+            else "is hot for a mold"
+        )
+        problem += ": is it in kelvin?" if kelvin else ""
+        remedy = f"give degC: {value - _KELVIN:.4g}" if kelvin else "see that this is meant"
+        warn_of(problem, remedy, key=key, value=value, file=file)
+
+
+def _warn_of_motion(scene: Scene, file: str) -> None:
+    """Of a mold that is faster than waves in the sheet."""
+    if scene.motion is None:
+        return
+    speed = scene.motion.mean_speeds().max()
+    wave = float(np.sqrt(_WAVE * scene.law.stiffness_at_once().mean() / scene.material.density.mean()))
+    if speed > wave:
+        problem = f"the mold moves at {speed:.3g} m/s, faster than waves in the sheet ({wave:.3g} m/s)"
+        remedy = "give s and m, or move it more slowly"
+        time = np.asarray(scene.motion.time, float).tolist()
+        warn_of(problem, remedy, key="mold.motion.time", value=time, file=file)

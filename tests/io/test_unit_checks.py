@@ -1,0 +1,88 @@
+"""Numbers that are hardly meant: relative Prony moduli, kelvin, kJ, air that heats, molds faster than waves."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxform
+from jaxform.cli.command import main
+from tests import scenes
+
+VISCOUS = '[material.viscous]\nkind = "{kind}"\nmodulus = {modulus}\ntime = [0.02, 0.2]\n'
+WLF = '[material.shift]\nkind = "wlf"\nreference = {reference}\nc1 = 17.44\nc2 = 51.6\n'
+ARRHENIUS = '[material.shift]\nkind = "{kind}"\nreference = {reference}\nactivation_energy = {energy}\n'
+COOLING = (
+    "[cooling]\nheat_capacity = 2000.0\nair = 20.0\nair_temperature = {air}\nmold = 500.0\nmold_temperature = {mold}\n"
+)
+PASCALS = VISCOUS.format(kind="maxwell", modulus=[5e4, 2e4])
+
+
+def _scene(further: str, temperature: float | None = None) -> str:
+    text = scenes.FILE.replace("[pressure]", further + "[pressure]")
+    given = "" if temperature is None else f"\ntemperature = {temperature}"
+    return text.replace("thickness = 1.0e-3", "thickness = 1.0e-3" + given)
+
+
+def _told(folder: Path, text: str) -> list[str]:
+    (folder / "scene.toml").write_text(text)
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        jaxform.load(folder / "scene.toml")
+    return [str(warning.message) for warning in heard]
+
+
+DOUBTFUL = {
+    "relative": (VISCOUS.format(kind="christensen", modulus=[0.4, 0.3]), None, "viscous.modulus = [0.4, 0.3]"),
+    "relative melt": (VISCOUS.format(kind="maxwell", modulus=[40.0, 9.0]), None, "modulus is in Pa"),
+    "kelvin": (PASCALS + WLF.format(reference=100.0), 393.0, "parison.temperature = 393.0: is 293 K above"),
+    "kelvin, warmer": (PASCALS + WLF.format(reference=140.0), 433.15, "give degC: 160"),
+    "kelvin of the reference": (
+        PASCALS + ARRHENIUS.format(kind="arrhenius", reference=413.0, energy=4e4), 150.0, "give degC: 139.9"),
+    "kJ": (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=140.0, energy=40.0), 150.0, "give 4e+04 where"),
+    "kJ of stiffness": (
+        ARRHENIUS.format(kind="arrhenius-stiffness", reference=140.0, energy=86.0), 150.0, "it is in J/mol"),
+    "hot air": (COOLING.format(air=298.0, mold=60.0), 150.0, "air_temperature = 298.0: heats the sheet"),
+    "hot mold": (COOLING.format(air=25.0, mold=333.0), 150.0, "give degC: 59.85"),
+    "a hot oven": (COOLING.format(air=180.0, mold=60.0), 150.0, "heats the sheet, which has 150 degC; see"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_numbers_in_other_units_are_told(tmp_path: Path, name: str) -> None:
+    further, temperature, words = DOUBTFUL[name]
+    (told,) = _told(tmp_path, _scene(further, temperature))
+    assert words in told
+
+
+@pytest.mark.parametrize(
+    ("further", "temperature"),
+    [
+        (PASCALS + WLF.format(reference=100.0), 160.0),
+        # PET at 280 degC above its glass transition, polycarbonate, PEEK.
+        (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=75.0, energy=6e4), 280.0),
+        (PASCALS + WLF.format(reference=150.0), 210.0),
+        (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=360.0, energy=6e4), 370.0),
+        (VISCOUS.format(kind="maxwell", modulus=[4e3, 1e3]) + COOLING.format(air=25.0, mold=140.0), 150.0),
+    ],
+)
+def test_usual_numbers_are_not(tmp_path: Path, further: str, temperature: float) -> None:
+    assert not _told(tmp_path, _scene(further, temperature))
+
+
+def test_a_mold_faster_than_waves_is_told(tmp_path: Path) -> None:
+    motion = "[mold.motion]\ndirection = [0.0, 0.0, 1.0]\ntime = [0.0, {time}]\ndisplacement = [0.0, 0.03]\n[solver]"
+    slow, slip = (_told(tmp_path, scenes.FILE.replace("[solver]", motion.format(time=time))) for time in (0.01, 1e-4))
+    assert not slow and len(slip) == 1 and "moves at 300 m/s, faster than waves in the sheet" in slip[0]
+
+
+def test_the_summary_has_such_warnings(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(_scene(DOUBTFUL["relative"][0]).replace("end_time = 0.05", "end_time = 0.001"))
+    main(["simulate", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--quiet"])
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"]
+    assert any("modulus is in Pa" in sentence for sentence in told)
+    assert np.sum(["modulus is in Pa" in sentence for sentence in told]) == 1
