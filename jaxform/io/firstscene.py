@@ -98,6 +98,7 @@ def scene_text(made: Draft, names: Sequence[str]) -> str:
             *_pressure(made),
             *_mold(made, names),
             *_refinement(made),
+            *_part(made, names),
             *_solver(made),
             "",
         ]
@@ -252,6 +253,23 @@ def _in_walls(made: Draft) -> str:
     return (
         f", {sides} of them in side walls" if sides < holes else f" in {'side walls' if sides > 1 else 'a side wall'}"
     )
+
+
+def _part(made: Draft, names: Sequence[str]) -> list[str]:
+    """Which of the sheet is the part: not what lies on flange, platen and covers."""
+    near = min(made.thickness, 0.1 * made.found.depth)
+    on, at, side = "the platen", -near, "below"
+    if made.drape is None:
+        on, at, side = "the flange", made.found.base - made.found.level + near, "above"
+    covered = made.drape is None and made.covers.mesh is not None
+    files = [*names, *([] if made.rest is None else [IMAGES])]
+    return [
+        "",
+        f"# What is not on {on}{' or the covers' if covered else ''}: of it are the statistics and the objective.",
+        "[part]",
+        f'trim = {{ axis = "z", at = {_number(at, 4)}, keep = "{side}" }}',
+        *([f"molds = {inline(files)}"] if covered else []),
+    ]
 
 
 def _refinement(made: Draft) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
@@ -51,12 +52,15 @@ def test_bucks_get_a_frame_a_platen_and_a_way(tmp_path, capfd, name):
     # It starts behind the sheet, and ends with its platen at the frame.
     top = 0.05 + (0.01 if name == "rough dome" else 0.0)
     assert 0 < walls[:, 2].min() < thickness
-    end = walls[:, 2] + float(scene.motion.offset(np.float64(1e3))[2])
+    end = walls[:, 2] + float(scene.motion.offset(jnp.asarray(1e3))[2])
     level = np.sort(end)[-1] if not own else 0.0
     assert 0 <= level < 0.2 * thickness and end.min() < -0.02 and top > 0
     # The pressure rises when the mold has arrived, and no more than a vacuum has.
     assert data["pressure"]["time"][1] == data["mold"]["motion"]["time"][1]
     assert 0 < data["pressure"]["value"][2] <= VACUUM
+    # The part is what stands above the platen, where it ends.
+    trim = data["part"]["trim"]
+    assert trim["keep"] == "below" and trim["axis"] == "z" and -2 * thickness < trim["at"] < 0
     # The frame is around the mold, and the platen before all of the sheet.
     sheet = np.asarray(scene.parison.positions)
     assert walls[:, :2].min() <= sheet[:, :2].min() and walls[:, :2].max() >= sheet[:, :2].max()
@@ -69,11 +73,11 @@ def test_the_draped_sheet_lies_on_the_buck_down_to_the_platen(tmp_path, name, el
     scene = coarse(tmp_path / "scene", elements)
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
-    summary = summarize(result, scene)
+    summary, wall = summarize(result, scene), np.asarray(result.thickness)
     nodes, clamped = np.asarray(result.positions), np.asarray(scene.parison.clamped)
     # The mold where it ends: its side wall and top are touched all over.
     assert scene.mold is not None and scene.motion is not None
-    walls = np.asarray(scene.mold.vertices) + np.asarray(scene.motion.offset(np.float64(1e3)))
+    walls = np.asarray(scene.mold.vertices) + np.asarray(scene.motion.offset(jnp.asarray(1e3)))
     triangles = np.asarray(scene.mold.triangles)
     size = np.sqrt(4 / np.sqrt(3) * np.prod(np.ptp(np.asarray(scene.parison.positions)[:, :2], axis=0)) / elements)
     assert summary["contact_fraction"] > 0.97 and summary["gap_max"] < 1.5 * size
@@ -84,8 +88,8 @@ def test_the_draped_sheet_lies_on_the_buck_down_to_the_platen(tmp_path, name, el
     heights = np.linspace(walls[:, 2].min(), walls[:, 2].max(), 6)
     on_wall = nodes[(nodes[:, 2] < walls[:, 2].max() - 1e-4) & ~clamped]
     assert (np.histogram(on_wall[:, 2], heights)[0] >= 8).all()
+    assert summary["thickness"]["max"] <= wall.max() * (1 + 1e-9)
     # The top keeps its thickness, since it is touched first; the wall is thinner.
-    wall = np.asarray(result.thickness)
     first = nodes[:, 2] < walls[:, 2].min() + 1e-6
     initial = np.asarray(scene.parison.thickness)[0]
     assert wall[first].max() > 0.95 * initial and wall[~clamped].min() < 0.8 * initial

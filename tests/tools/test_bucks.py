@@ -14,6 +14,13 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, kinds, molds, platen, rims, scans, undercut
 
 
+def united(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Several shells in one mesh."""
+    starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
+    faces = [solid.faces + start for solid, start in zip(solids, starts, strict=False)]
+    return trimesh.Trimesh(np.concatenate([solid.vertices for solid in solids]), np.concatenate(faces), process=False)
+
+
 def as_mesh(solid: trimesh.Trimesh) -> Mesh:
     return rims.welded(np.array(solid.vertices, float), np.array(solid.faces, np.int32))
 
@@ -51,7 +58,7 @@ def on_platen() -> trimesh.Trimesh:
     rings = [
         np.stack([r * np.cos(angle), r * np.sin(angle), np.full(48, z)], axis=1) for r, z in ((0.04, 0), (0.02, 0.06))
     ]
-    return trimesh.util.concatenate([slab, trimesh.convex.convex_hull(np.concatenate(rings))])
+    return united(slab, trimesh.convex.convex_hull(np.concatenate(rings)))
 
 
 def split_and_mixed(solid: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -70,7 +77,7 @@ BUCKS = {
     "dome": dome(),
     "rough dome": dome(rough=0.004),
     "split and mixed": as_mesh(split_and_mixed(drafted())),
-    "two": as_mesh(trimesh.util.concatenate([drafted(), drafted().apply_translation([0.2, 0, 0])])),
+    "two": as_mesh(united(drafted(), drafted().apply_translation([0.2, 0, 0]))),
     "open below": as_mesh(trimesh.Trimesh(drafted().vertices, drafted().faces[drafted().face_normals[:, 2] > -0.9])),
 }
 
@@ -151,7 +158,7 @@ def test_an_undercut_is_measured_sideways():
     """A mushroom whose hat reaches 0.02 over its stem, and the drafted block upside down."""
     stem = trimesh.creation.cylinder(0.03, 0.04, sections=64).apply_translation([0, 0, 0.02])
     hat = trimesh.creation.cylinder(0.05, 0.01, sections=64).apply_translation([0, 0, 0.045])
-    mold = as_mesh(trimesh.util.concatenate([stem, hat]))
+    mold = as_mesh(united(stem, hat))
     found = undercut.deepest(buck.find(mold, buck.parse("+z")), mold)
     assert found is not None
     np.testing.assert_allclose(found.depth, 0.02, atol=6e-4)
@@ -165,7 +172,7 @@ def test_an_undercut_is_measured_sideways():
 def test_a_void_inside_is_no_undercut():
     outer = drafted()
     inner = trimesh.creation.box([0.04, 0.03, 0.02]).apply_translation([0, 0, 0.02])
-    mold = as_mesh(trimesh.util.concatenate([outer, inner]))
+    mold = as_mesh(united(outer, inner))
     assert undercut.deepest(buck.find(mold), mold) is None
 
 
