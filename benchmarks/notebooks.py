@@ -16,8 +16,17 @@ import nbformat
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
-SMALL = "JAXFORM_SMALL"
-"""Environment variable under which the notebooks take few elements and few steps."""
+SMALL = {
+    "01_first_simulation": "elements, depths = 60, [0.155448]",
+    "02_parison_design": 'mesh = {"element_size": 0.012, "mold_element_size": 0.008}\nknots, iterations = 4, 1',
+    "03_pressure_schedule": "elements, knots, iterations = 60, 4, 1",
+    "04_accuracy_and_speed": "counts, levels = (60,), (2,)",
+    "05_own_mesh_with_optax": "elements, iterations = 60, 2",
+    "06_melt_schedule": "elements, iterations = 60, 1",
+    "07_monte_carlo": "elements, samples = 60, 4",
+    "08_own_material_model": "elements = 60",
+}
+"""Assignments to the parameters of each notebook for a quick check: few elements, few iterations."""
 _QUICKLY = "from jaxform.core import compiling as c; c._LEVEL = 0; import gc; gc.set_threshold(100_000, 50, 50)"
 
 
@@ -25,15 +34,28 @@ def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
     """The notebook with the outputs of a run in a kernel of its own; programs compiled twice are kept in a folder."""
     notebook = nbformat.read(path, as_version=4)
     changes = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    changes[SMALL] = "1" if small else ""
     changes["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # whatever the caller draws with
     if small:
         # Compiling is nearly all of it; less careful, it takes two thirds.
         changes["XLA_FLAGS"] = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
     options: dict[str, Any] = {"extra_arguments": [f"--IPKernelApp.exec_lines={_QUICKLY}"]} if small else {}
     with _environment(changes):
-        NotebookClient(notebook, timeout=3600, kernel_name="python3", record_timing=False, **options).execute()
-    return cleaned(notebook)
+        given = parametrize(notebook, SMALL[path.stem]) if small else notebook
+        NotebookClient(given, timeout=3600, kernel_name="python3", record_timing=False, **options).execute()
+    given.cells = [cell for cell in given.cells if cell.metadata.get("tags") != [INJECTED]]
+    return cleaned(given)
+
+
+PARAMETERS, INJECTED = "parameters", "injected-parameters"
+"""Tags of the cell that holds a notebook's parameters, and of one that is put behind it with others, as Papermill does."""
+
+
+def parametrize(notebook: Any, assignments: str) -> Any:
+    """The notebook with a cell of assignments behind the one that is tagged "parameters"."""
+    place = next(k for k, cell in enumerate(notebook.cells) if cell.metadata.get("tags") == [PARAMETERS])
+    cell = nbformat.v4.new_code_cell(assignments, metadata={"tags": [INJECTED]})
+    notebook.cells.insert(place + 1, cell)
+    return notebook
 
 
 class _environment:
@@ -58,7 +80,7 @@ def cleaned(notebook: Any) -> Any:
         "language_info": {"name": "python"},
     }
     for cell in notebook.cells:
-        cell.metadata = {}
+        cell.metadata = {"tags": [PARAMETERS]} if cell.metadata.get("tags") == [PARAMETERS] else {}
         if cell.cell_type == "code":
             cell.outputs = [out for out in cell.outputs if out.get("name") != "stderr"]
             for out in cell.outputs:

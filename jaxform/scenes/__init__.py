@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 from jax.core import Tracer
+from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.io import files, schema
@@ -29,7 +30,7 @@ from jaxform.model.scene import Scene
 Keys = Mapping[str, Any]
 """Keys and values of a table of a scene file."""
 
-__all__ = ["box_insert", "dish", "soap_bottle"]
+__all__ = ["box_insert", "dish", "exact_wall", "soap_bottle"]
 
 
 def dish(
@@ -191,6 +192,24 @@ def soap_bottle(
     document = files.read_scene("soap-bottle")
     data = _table(document, changes, material, pressure, end_time, damping, refinement)
     return _built("soap_bottle", document, data)
+
+
+def exact_wall(name: str = "dish") -> dict[str, NDArray[np.float64]]:
+    """The exact solution that stands beside a built-in scene, of an independent computation along the meridian.
+
+    Args:
+        name: Of the built-in scene.
+
+    Returns:
+        Arrays (n,): `initial_radius` [m], `arc` [m] from the axis in the formed part, `thickness_ratio` h/h0.
+
+    Raises:
+        InputError: If there is no such scene, or no exact solution of it.
+    """
+    found = files.read_reference(files.read_scene(name))
+    if found is None:
+        raise InputError("has no exact solution beside it", "take dish or dish-coarse", "name", name)
+    return found
 
 
 def _table(
