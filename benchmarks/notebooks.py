@@ -47,7 +47,7 @@ def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
 
 
 PARAMETERS, INJECTED = "parameters", "injected-parameters"
-"""Tags, as Papermill's, of the cell that holds a notebook's parameters, and of one that is put behind it with others."""
+"""Tags, as Papermill has them: of the cell with a notebook's parameters, and of one put behind it with others."""
 
 
 def parametrize(notebook: Any, assignments: str) -> Any:
