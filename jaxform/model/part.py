@@ -40,7 +40,7 @@ class Part:
         box: Lowest and highest corner (2, 3) [m] of what the middle of an element lies in; None for everywhere.
         trim: The side of a plane on which the middle of an element lies; None for both.
         walls: Triangles of the mold (n_triangle,) that the part touches: more of an element's nodes stick to these
-            than to others; None for all, and for what touches nothing.
+            than to others; what touches nothing belongs to what is next to it. None for all.
     """
 
     box: jax.Array | None = None

@@ -5,11 +5,15 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxform.mechanics import membrane
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
+
+_RINGS = 64  # of elements, over which what touches nothing takes after what does
 
 
 def part_elements(result: Result, scene: Scene) -> Any:
@@ -23,10 +27,28 @@ def part_elements(result: Result, scene: Scene) -> Any:
     triangles = jnp.asarray(result.triangles)
     mine = used & part.holds(jnp.asarray(result.positions)[triangles].mean(1))
     if part.walls is not None:
-        wall = jnp.asarray(result.wall)[triangles]
-        own = (wall != 0) & part.walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
-        mine &= 2 * own.sum(1) > (wall != 0).sum(1)
+        mine &= jnp.sum(_shares(result, scene, part.walls)[triangles], axis=1) > 0
     return mine
+
+
+def _shares(result: Result, scene: Scene, walls: Any) -> Any:
+    """To which part of the mold nodes belong (n_node,): 1 on its chosen triangles, -1 on others and where clamped.
+
+    Nodes that touch nothing, as in corners that are not filled, take the mean of those around them, again and again.
+    """
+    wall, used = jnp.asarray(result.wall), jnp.asarray(result.used)
+    own = walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
+    held = (wall != 0) | jnp.asarray(scene.parison.clamped)
+    first = jnp.where(wall != 0, jnp.where(own, 1.0, -1.0), jnp.where(held, -1.0, 0.0))
+    corners = jnp.asarray(result.triangles)
+    count = membrane.sum_to_nodes(jnp.where(used, 1.0, 0.0), corners.T, wall.size)
+
+    def spread(_: int, shares: Any) -> Any:
+        means = jnp.where(used, shares[corners].mean(1), 0.0)
+        around = membrane.sum_to_nodes(means, corners.T, wall.size) / jnp.maximum(count, 1.0)
+        return jnp.where(held, first, around)
+
+    return jax.lax.fori_loop(0, _RINGS, spread, first)
 
 
 def only_part(result: Result, scene: Scene) -> Result:

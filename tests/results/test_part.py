@@ -18,9 +18,10 @@ import trimesh
 
 import jaxform
 import optimize
+from jaxform import molds
 from jaxform.cli import command, session
 from jaxform.core.errors import InputError
-from jaxform.io import export, plots
+from jaxform.io import export, files, plots
 from jaxform.results.part import only_part, part_elements
 from jaxform.results.result import Result
 from jaxform.results.summary import formed_areas, summarize
@@ -228,6 +229,23 @@ def test_the_command_writes_and_exports_what_touches_the_molds_that_are_named(
     scenes.assert_refused(tmp_path, text.replace('molds = ["cup.stl"]', ""), "part.*says nothing")
 
 
+def test_what_touches_nothing_belongs_to_what_is_next_to_it(formed: tuple[jaxform.Scene, Result]) -> None:
+    """Nodes within a radius stick to the part's triangle, or to another; those further out are free up to the clamp."""
+    plain, result = formed
+    radius = np.linalg.norm(np.asarray(result.positions)[:, :2], axis=1)
+    triangles, sticks = np.asarray(result.triangles), radius < 0.51
+    assert plain.mold is not None
+    chosen = np.arange(len(plain.mold.triangles)) == 0
+    scene = dataclasses.replace(plain, part=jaxform.make_part(walls=chosen))
+    part, other = (
+        np.asarray(part_elements(dataclasses.replace(result, wall=jnp.asarray(np.where(sticks, wall, 0))), scene))
+        for wall in (-1, 2)
+    )
+    middle, free = radius[triangles].mean(1), ~sticks[triangles].any(1)
+    assert part[sticks[triangles].all(1)].all() and not part[middle > 0.85].any() and not other.any()
+    assert (part & free).any() and (~part & free).any()
+
+
 STUDY = """
 scene = "scene.toml"
 [[variable]]
@@ -258,3 +276,39 @@ def test_a_search_is_over_the_part_and_its_columns_are_those_of_its_summary(tmp_
     assert float(best["mass"]) == pytest.approx(summary["mass"], rel=1e-9) and summary["mass"] < summary["sheet_mass"]
     assert float(best["objective"]) == pytest.approx(summary["thickness"]["cv"] ** 2, rel=1e-9)
     assert jaxform.load(out / "best.toml").part is not None
+
+
+def _turned(folder: Path, profile: list[list[float]]) -> Path:
+    shape = molds.revolved(profile=profile, segments=24)
+    path = folder / "mold.stl"
+    trimesh.Trimesh(shape.vertices, shape.triangles).export(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("profile", "keep", "covered"),
+    [
+        ([[0.0, 0.03], [0.04, 0.03], [0.05, 0.0], [0.08, 0.0]], "above", False),  # a cup with a flange
+        ([[0.01, 0.03], [0.04, 0.03], [0.05, 0.0], [0.08, 0.0]], "above", True),  # with a hole in its bottom
+        ([], "below", False),  # a buck, closed, on its flat base
+    ],
+)
+def test_new_says_what_the_part_is(profile: list[list[float]], keep: str, covered: bool, tmp_path: Path) -> None:
+    if profile:
+        path = _turned(tmp_path, profile)
+    else:
+        path = tmp_path / "mold.stl"
+        trimesh.creation.cylinder(radius=0.03, height=0.04, sections=24).export(path)
+    out, kind = tmp_path / "first", ["--cavity" if profile else "--drape"]
+    assert command.main(["new", str(out), "--mold", str(path), "--scale", "1.0", "--quiet", *kind]) == 0
+    document = files.read_scene(out / "scene.toml")
+    table, size = document.model.part, document.model.parison.element_size
+    assert table is not None and table.trim is not None and table.trim.axis == "z" and table.trim.keep == keep
+    # Just into the opening, or up the buck.
+    assert isinstance(size, float)
+    assert table.trim.at == pytest.approx((1 if keep == "above" else -1) * 0.5 * size, rel=1e-4)
+    assert table.molds == (["mold.stl"] if covered else None)
+    part = files.build(document).part
+    assert part is not None and (part.walls is not None) == covered
+    if part.walls is not None:
+        assert 0 < int(part.walls.sum()) < len(part.walls)

@@ -35,7 +35,7 @@ class Part(Table):
             formed positions.
         trim: A plane at which the part is cut off.
         molds: Files of `mold.path`, by name, that the part touches: more of an element's nodes stick to these than to
-            others.
+            others; what touches nothing belongs to what is next to it, and clamped nodes to no file.
     """
 
     box: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
