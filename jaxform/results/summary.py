@@ -73,6 +73,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         *facts["warnings"],
         *warnings_of_part(result, scene),
         *warnings_of_mold(result, scene, beyond),
+        *_unmeasured(beyond),
         *warnings_of_filling(result, scene, filling),
     ]
     return facts | measured | {"warnings": warned}
@@ -184,6 +185,16 @@ def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[
         f"the sheet is beyond the mold, deepest at {place(beyond.place)} with {beyond.elements:.3g} m: it hangs over "
         "the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
         "elements smaller"
+    ]
+
+
+def _unmeasured(beyond: Penetration) -> list[str]:
+    """A sentence where elements are so large that they are not compared with the mold."""
+    if not beyond.unmeasured:
+        return []
+    return [
+        f"{beyond.unmeasured} elements became so large that they were not compared with the mold: penetration_max is "
+        "that of the others; the sheet burst, or its elements are too few for the mold"
     ]
 
 

@@ -11,6 +11,9 @@ from jaxform.tools.crossings import every, intersect
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
+_FIRST = 300  # elements that are looked at first
+_MOST_PAIRS = 600_000  # of these and others, from which the rest is not looked at
+
 
 def through_itself(positions: Array, triangles: Integers, asked: Integers) -> NDArray[np.int64]:
     """Which of some elements another one cuts that shares no node with them, in order.
@@ -18,18 +21,29 @@ def through_itself(positions: Array, triangles: Integers, asked: Integers) -> ND
     Args:
         positions: Of the nodes (n_node, 3) [m].
         triangles: Their elements (n_element, 3).
-        asked: Numbers of those elements (n,).
+        asked: Numbers of those elements (n,), the most doubtful first: where they meet very many others, these alone
+            are looked at.
     """
     asked, corners = np.asarray(asked, np.int64), positions[triangles]
     if not len(asked) or _faces_one_way(corners):
         return asked[:0]
-    found = []
+    found, pairs = _cut_by_others(corners, triangles, asked[:_FIRST])
+    # Of a sheet that burst, each element meets a thousand others: then the first ones say enough.
+    if len(asked) > _FIRST and pairs <= _MOST_PAIRS:
+        found = np.union1d(found, _cut_by_others(corners, triangles, asked[_FIRST:])[0])
+    return found
+
+
+def _cut_by_others(corners: Array, triangles: Integers, asked: Integers) -> tuple[NDArray[np.int64], int]:
+    """Which elements (n,), of all with corners (n_element, 3, 3) [m], others cut, and how many were compared."""
+    found, pairs = [], 0
     for place, other in overlapping(corners[asked], corners):
+        pairs += len(place)
         one = asked[place]
         apart = every((triangles[one][:, :, None] != triangles[other][:, None, :]).reshape(-1, 9))
         one, other = one[apart], other[apart]
         found.append(one[intersect(corners[one], corners[other])])
-    return np.unique(np.concatenate(found))
+    return np.unique(np.concatenate([asked[:0], *found])), pairs
 
 
 def _faces_one_way(corners: Array) -> bool:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.tools.crossings import boxes_of
 from jaxform.tools.distances import Distances, point_triangle_distance
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
@@ -31,16 +32,21 @@ _RESTING_LIFT = 5e-5  # the same of what began on the mold, to within the roundi
 _TRUST_IN_RESTING = 0.3  # what its word counts: a clamped rim may well be a little outside of a mold that is a polygon
 _RESTING = 1e-4  # of the sheet's size: what moved by less is where it began
 _DIVISIONS = 6  # of an element's sides
+_MOST_PIECES, _PIECES_EACH = 8_000_000, 20  # as long as the grid's reach, that elements are compared in
 _DIVIDED = 256  # elements, the deepest by a quick bound, that are measured first
 _MOST_DIVIDED = 8192  # elements, the deepest by their middles, that are measured all over
 
 
 class Penetration(NamedTuple):
-    """How far a sheet is beyond the mold [m]: its nodes, its elements, and where these are deepest (3,) [m]."""
+    """How far a sheet is beyond the mold [m]: its nodes, its elements, and where these are deepest (3,) [m].
+
+    Of a sheet that burst, how many elements are so large that they were not measured.
+    """
 
     nodes: float
     elements: float
     place: Array
+    unmeasured: int = 0
 
 
 def penetration(
@@ -72,17 +78,33 @@ def penetration(
     landed = (wall != 0) & ~rests
     lift, below = _lift(positions, wall, landed, mold_corners, size)
     lifted = positions + lift + _RESTING_LIFT * size * resting
-    ways = Ways(triangles, lifted[triangles], mold_corners, grid)
+    measured = _affordable(lifted[triangles], mold_corners, float(grid.reach))
+    ways = Ways(triangles[measured], lifted[triangles[measured]], mold_corners, grid)
+    unmeasured = len(triangles) - len(measured)
     if not len(ways.element):
-        return Penetration(below, 0.0, np.zeros(3))
+        return Penetration(below, 0.0, np.zeros(3), unmeasured)
     trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
     beyond = beyond_mold(triangles, ways, landed, trust)
     corners = positions[triangles]
     distances = Distances(mold, float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max()))
     deepest, _ = distances.farthest_of(positions[beyond & ~rests])
-    return Penetration(
-        max(deepest, below), *_deepest(corners[ways.element], ways, np.where(beyond, -trust, trust), distances)
-    )
+    deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
+    return Penetration(max(deepest, below), *deepest_element, unmeasured)
+
+
+def _affordable(corners: Array, mold_corners: Array, reach: float) -> NDArray[np.int64]:
+    """The elements, with corners (n, 3, 3) [m], that are compared with the mold, in order: the smallest of a sheet.
+
+    All, but of a sheet that burst: its elements are as large as the mold, and each cuts thousands of triangles.
+    """
+    low, high = boxes_of(mold_corners)
+    lowest, highest = boxes_of(corners)
+    extent = np.clip(highest, low.min(0), high.max(0)) - np.clip(lowest, low.min(0), high.max(0))
+    longest, middle, _ = np.sort(extent, axis=1)[:, ::-1].T
+    pieces = (1 + 2 * longest / reach) * (1 + 2 * middle / reach)
+    order = np.argsort(pieces, kind="stable")
+    most = max(_MOST_PIECES, _PIECES_EACH * len(corners))
+    return np.sort(order[np.cumsum(pieces[order]) <= most])
 
 
 def resting_directions(start: Array, end: Array, triangles: Integers, pressure: float) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 import jaxform
 from jaxform.contact.cells import cell_of
 from jaxform.mesh import shapes
-from jaxform.tools import distances, molds, reach
+from jaxform.tools import distances, folding, molds, reach
 from jaxform.tools.molds import MoldShape
 from jaxform.tools.penetration import penetration
 from jaxform.tools.search import CLASSES, build_grid
@@ -96,3 +96,24 @@ def test_pieces_that_distances_are_looked_up_in_are_bounded_and_the_farthest_is_
     best, which = surface.farthest_of(points)
     assert best == every.max() > 5e-4 and every[which] == best
     assert surface.farthest_of(points[:0]) == (0.0, -1)
+
+
+def test_of_a_sheet_that_burst_the_largest_elements_are_not_compared_and_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sheet = shapes.disc(radius=0.1, elements=400)
+    triangles, flat = np.asarray(sheet.triangles), np.array(sheet.positions)
+    dome = molds.divided(molds.revolved(profile=[[0.0, 0.05], [0.07, 0.05], [0.1, 0.0]], segments=24), 8)
+    mold = jaxform.make_mold(dome.vertices, dome.triangles)
+    none = np.zeros(len(flat), np.int64)
+    burst = flat + np.random.default_rng(0).normal(scale=0.1, size=flat.shape)
+    assert penetration(burst, triangles, none, mold).unmeasured == 0
+    monkeypatch.setattr("jaxform.tools.penetration._MOST_PIECES", 20_000)
+    assert penetration(flat, triangles, none, mold).unmeasured == 0
+    found = penetration(burst, triangles, none, mold)
+    assert 0 < found.unmeasured < len(triangles)
+    asked = np.arange(len(triangles))
+    every = folding.through_itself(burst, triangles, asked)
+    assert len(every) > 350
+    monkeypatch.setattr(folding, "_MOST_PAIRS", 1000)
+    np.testing.assert_array_equal(folding.through_itself(burst, triangles, asked), every[every < 300])
