@@ -63,8 +63,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     result = with_filling(result, scene)
     beyond, filling = penetrated(result, scene), result.filling or filling_of(result, scene)
     measured = {
-        "penetration_max": beyond.elements,
-        "penetration_place": beyond.place.tolist(),
+        "penetration_max": beyond.deepest,
+        "penetration_place": beyond.deepest_place.tolist(),
         "gap_max": filling.gap.width,
         "gap_place": filling.gap.place.tolist(),
     }
@@ -73,6 +73,7 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         *facts["warnings"],
         *warnings_of_part(result, scene),
         *warnings_of_mold(result, scene, beyond),
+        *_passed_through(beyond),
         *_unmeasured(beyond),
         *warnings_of_filling(result, scene, filling),
     ]
@@ -188,6 +189,20 @@ def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[
     ]
 
 
+def _passed_through(beyond: Penetration) -> list[str]:
+    """A sentence where the sheet passed through ribs or pins of the mold between its nodes."""
+    ribs = beyond.ribs
+    if not ribs.count:
+        return []
+    where = "in 1 place" if ribs.count == 1 else f"in about {ribs.count} places"
+    return [
+        f"the sheet passed through a rib or pin of the mold {where}, which stands {ribs.height:.3g} m above it at "
+        f"{place(ribs.place)} and is {ribs.width:.2g} m wide there: only nodes meet the mold, none met it; the wall "
+        "is as if it were not there; make parison.element_size smaller than it is wide, or add [refinement] with "
+        "a larger max_level"
+    ]
+
+
 def _unmeasured(beyond: Penetration) -> list[str]:
     """A sentence where elements are so large that they are not compared with the mold."""
     if not beyond.unmeasured:
@@ -227,7 +242,8 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     offset = mold_offset(result, scene)
     wall, grid = np.asarray(result.wall), scene.tables.grid
     found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
-    return found._replace(place=found.place + offset)
+    ribs = found.ribs._replace(place=found.ribs.place + offset)
+    return found._replace(place=found.place + offset, ribs=ribs)
 
 
 def with_filling(result: Result, scene: Scene) -> Result:

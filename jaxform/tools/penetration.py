@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from jaxform.tools.crossings import boxes_of
 from jaxform.tools.distances import Distances, point_triangle_distance
 from jaxform.tools.mold import Mold
+from jaxform.tools.ribs import NO_RIBS, Ribs, ribs_in
 from jaxform.tools.search import SearchGrid, build_grid
 from jaxform.tools.sides import Ways, beyond_mold, normals_of_nodes, off_the_mold
 
@@ -40,13 +41,25 @@ _MOST_DIVIDED = 8192  # elements, the deepest by their middles, that are measure
 class Penetration(NamedTuple):
     """How far a sheet is beyond the mold [m]: its nodes, its elements, and where these are deepest (3,) [m].
 
-    Of a sheet that burst, how many elements are so large that they were not measured.
+    Of a sheet that burst, how many elements are so large that they were not measured; and the ribs of the mold that
+    it passed through, which may be far higher than its elements are deep in them.
     """
 
     nodes: float
     elements: float
     place: Array
     unmeasured: int = 0
+    ribs: Ribs = NO_RIBS
+
+    @property
+    def deepest(self) -> float:
+        """How far the sheet is beyond the mold [m], the height of ribs that it passed through included."""
+        return max(self.elements, self.ribs.height)
+
+    @property
+    def deepest_place(self) -> Array:
+        """Where that is (3,) [m]."""
+        return self.ribs.place if self.ribs.height > self.elements else self.place
 
 
 def penetration(
@@ -89,7 +102,9 @@ def penetration(
     distances = Distances(mold, float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max()))
     deepest, _ = distances.farthest_of(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
-    return Penetration(max(deepest, below), *deepest_element, unmeasured)
+    away = resting + lift / (_LIFT * size)
+    ribs = ribs_in(lifted, away, landed | rests, ways, mold_corners, grid)
+    return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
 
 
 def _affordable(corners: Array, mold_corners: Array, reach: float) -> NDArray[np.int64]:

@@ -57,6 +57,10 @@ class Ways:
         inside /= inside.sum(2, keepdims=True)
         self._begin = self._corners + _APART * (np.einsum("esc,eck->esk", inside, self._corners) - self._corners)
 
+    def pairs(self) -> tuple[Integers, Integers]:
+        """All pairs of a cut element, as in `element`, and a triangle of the mold that cuts it, element by element."""
+        return np.repeat(np.arange(len(self.element)), self._count), self._triangle
+
     def odd(self, row: Integers, shares: Array) -> NDArray[np.bool_]:
         """Whether ways cross the mold an odd number of times.
 
