@@ -1,7 +1,12 @@
-"""First-order searches: optax's L-BFGS with a line search that sees every simulation, and optax's Adam.
+"""First-order searches within bounds: optax's L-BFGS with a line search that sees every simulation, and optax's Adam.
 
 The loop is the host's, so that every simulation is a row of the history and can be shown, kept and stopped. After a
 failed simulation the line search shortens its step, and Adam goes back to the best design and halves its rate.
+
+SciPy's L-BFGS-B was tried in its place, with the same bounds and numbers: from a start on the bounds it came to a wall
+variation of 2.1 % after the time of 42 simulations, this one after 20, from a start in the middle to 1.34 % after 54
+(and ended with an abnormal line search), this one after 31; and it knows neither failed simulations nor a mesh whose
+decisions are renewed on the way.
 """
 
 from __future__ import annotations
@@ -13,43 +18,66 @@ import numpy as np
 import optax
 
 from optimize.designs import Point, Study
-from optimize.endings import NO_STEP, STOPPED, Ending, done
+from optimize.endings import NO_STEP, STOPPED, Ending, done, idle, nothing
 from optimize.search import Search
 
 _SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
-_TRIALS = 12
+_TRIALS = 8
 _INSIDE = (0.1, 0.8)  # of an interval, where the next trial is
 _MEMORY = 10
-_FIRST_STEP = 1.0  # in the unbounded numbers, of the largest of them
+_FIRST_STEP, _LEAST_FIRST_STEP = 1.0, 0.2  # of the number with the largest slope, of 4 between its bounds
 
 
 def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
-    """Optax's L-BFGS direction with a weak Wolfe line search; the last point and why it ended."""
-    transform = optax.scale_by_lbfgs(memory_size=_MEMORY)
-    first, values, fresh = point, [point.value], search.memory is None
-    # What an earlier round learnt of the curvature holds for other multipliers, nearly.
-    state = transform.init(jnp.asarray(point.free)) if search.memory is None else search.memory
+    """Optax's L-BFGS direction with a weak Wolfe line search; the last point and why it ended.
+
+    Numbers at a bound that the slope presses on are held; the line search is along the way that the bounds bend.
+    """
+    first, values, again, stuck = point, [point.value], True, False
     while True:
-        ending = search.begin() or done(study, point, values, first)
+        ending = search.begin() or done(study, point, values, first) or (idle(point, first) if stuck else None)
+        if ending and ending.by == "no-progress" and again:
+            # Once more, without what was learnt of the curvature.
+            again, stuck, values, search.memory, ending = False, False, [point.value], None, None
         if ending:
             return point, ending
-        update, state = transform.update(jnp.asarray(point.gradient), state, jnp.asarray(point.free))
-        direction = -np.asarray(update)
-        if direction @ point.gradient >= 0:
-            state, fresh = transform.init(jnp.asarray(point.free)), True
-            direction = -point.gradient
-        if fresh:
-            # Nothing is known of the curvature.
-            fresh = False
-            direction = direction * min(1.0, _FIRST_STEP / np.abs(direction).max())
-        search.memory = state
-        step = _line_search(search, point, direction)
+        step, whole = _line_search(search, point, _direction(search, point))
         if search.stopped:
             return step or point, STOPPED
         if step is None:
             return point, NO_STEP
         values.append(step.value)
+        stuck = not whole and nothing(study, point.value, step.value)
         point = search.refreshed(step)
+
+
+def _direction(search: Search, point: Point) -> np.ndarray:
+    """Optax's direction (n,), 0 for numbers that are held; it brings the search's memory up to date.
+
+    What an earlier round learnt of the curvature holds for other multipliers, nearly.
+    """
+    transform, fresh = optax.scale_by_lbfgs(memory_size=_MEMORY), search.memory is None
+    free = jnp.asarray(point.free)
+    state = transform.init(free) if fresh else search.memory
+    update, search.memory = transform.update(jnp.asarray(point.gradient), state, free)
+    direction = np.where(point.slope == 0.0, 0.0, -np.asarray(update))
+    if direction @ point.slope >= 0:
+        search.memory, fresh = transform.init(free), True
+        direction = -point.slope
+    if not fresh:
+        return direction
+    return _first_size(search, point) / max(np.abs(direction).max(), 1e-300) * direction
+
+
+def _first_size(search: Search, point: Point) -> float:
+    """How far the number with the largest slope goes first, where nothing is known of the curvature.
+
+    A sum of squares is least at 0 at best: by a parabola with its value and slope that is so far away.
+    """
+    steepest = float(np.abs(point.slope).max())
+    if search.study.objective.squares and search.limits is None:
+        return min(_FIRST_STEP, 2.0 * point.value * steepest / max(float(point.slope @ point.slope), 1e-300))
+    return min(_FIRST_STEP, max(steepest, _LEAST_FIRST_STEP))
 
 
 class _End(NamedTuple):
@@ -60,14 +88,18 @@ class _End(NamedTuple):
     slope: float
 
 
-def _line_search(search: Search, point: Point, direction: np.ndarray) -> Point | None:
-    """A point that meets the weak Wolfe conditions; else the best one that is better, else None."""
-    slope = float(direction @ point.gradient)
+def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[Point | None, bool]:
+    """A point that meets the weak Wolfe conditions, else the best one that is better, else None; and whether it does.
+
+    The way is bent where it meets bounds.
+    """
+    slope = float(direction @ point.slope)
     short, long, length = _End(0.0, point.value, slope), _End(np.inf, np.inf, np.nan), 1.0
     better: Point | None = None
     for _ in range(_TRIALS):
-        trial = search(point.free + length * direction)
-        end = _End(length, trial.value, float(trial.gradient @ direction))
+        trial = search(search.inside(point.free + length * direction))
+        moving = np.abs(trial.free) < search.reach
+        end = _End(length, trial.value, float(trial.gradient @ np.where(moving, direction, 0.0)))
         if trial.value < (better or point).value:
             better = trial
         if search.stopped:
@@ -77,9 +109,9 @@ def _line_search(search: Search, point: Point, direction: np.ndarray) -> Point |
         elif end.slope < _CURVATURE * slope:
             short = end
         else:
-            return trial
+            return trial, True
         length = _between(short, long)
-    return better
+    return better, False
 
 
 def _between(short: _End, long: _End) -> float:
@@ -107,7 +139,7 @@ def adam(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
         if ending:
             return point, ending
         update, state = transform.update(jnp.asarray(point.gradient), state)
-        trial = search(point.free - rate * np.asarray(update))
+        trial = search(search.inside(point.free - rate * np.asarray(update)))
         if search.stopped:
             return trial, STOPPED
         if np.isfinite(trial.value):

@@ -39,13 +39,16 @@ class Study:
         objective: What is wanted.
         method: "lbfgs", "adam", "least-squares" or "fixed-point".
         iterations: Steps at most in all: those of the warm start, and of every round between which multipliers change.
-        tolerance: The search ends when five steps together, or two rounds, gain less than this fraction of the value.
+        tolerance: The search ends when five steps together, or two rounds, gain less than this fraction of the value,
+            or, of the root of a sum of squares, less than a tenth of it; and when that root itself, the deviation, is
+            less than it. 0 for never.
         gradient_tolerance: It ends when the gradient's norm is below this fraction of the first one.
         goal: It ends when the objective is at most this; None for never.
         max_simulations: It ends before it costs more than the time of so many simulations; None for never.
         minutes: It ends after so many minutes [min] of the clock; None for never.
-        learning_rate: Of Adam, in the unbounded numbers.
-        warm_start: So many updates of the fixed point before the search.
+        learning_rate: Of Adam, of which 4 go from one bound to the other.
+        warm_start: So many updates of the fixed point before the search; None for as many as halve the value, for a
+            target or an even wall of which the sheet is a variable.
         starts: From so many designs, strewn about the first one, the best is where the search begins.
         rounds: At most so many rounds of multipliers.
         document: Where the scene came from, for writing the best design.
@@ -64,7 +67,7 @@ class Study:
     max_simulations: float | None = None
     minutes: float | None = None
     learning_rate: float = 0.1
-    warm_start: int = 0
+    warm_start: int | None = None
     starts: int = 1
     rounds: int = 8
     document: Any = None
@@ -84,12 +87,13 @@ class Point:
     """A design that was evaluated.
 
     Attributes:
-        free: Its unbounded numbers (n,).
+        free: Its numbers (n,).
         value: What the search makes small: the objective with what its limits add; infinite where it fails.
         gradient: Of the value (n,).
         objective: The objective alone.
         excess: Of its constraints (n,), relative to their limits; positive where a limit is broken.
         row: Of the history.
+        slope: The gradient without what would lead out of the bounds (n,).
     """
 
     free: np.ndarray
@@ -98,6 +102,7 @@ class Point:
     objective: float = np.inf
     excess: np.ndarray = field(default_factory=lambda: np.zeros(0))
     row: dict[str, Any] = field(default_factory=dict)
+    slope: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def violation(self) -> float:

@@ -9,6 +9,10 @@ import numpy as np
 from optimize.designs import Point, Study
 
 _IDLE_STEPS = 5
+_ROOTS = 0.1  # of the tolerance: what the root of a sum of squares must gain, for below it the mesh decides
+_SMALL_STEP = 0.04  # of every number of the search, a hundredth of the way between its bounds
+_STEEP = 0.1  # of the value: where such a step promises more than this,
+_LEFT = 0.1  # and of the first slope more than this is left, a search that stands still is at no optimum
 
 
 class Ending(NamedTuple):
@@ -16,7 +20,7 @@ class Ending(NamedTuple):
 
     Attributes:
         by: What ended it, a word: the key of the study that did, or one of "no-step", "no-progress", "updates",
-            "failure", "caller", "interrupted".
+            "target", "failure", "caller", "interrupted".
         words: The same for people.
     """
 
@@ -43,13 +47,48 @@ def done(study: Study, point: Point, values: list[float], first: Point, steps: i
 
     So many steps together must have brought something.
     """
-    if study.goal is not None and point.rank <= (0.0, study.goal):
-        return GOAL
-    if float(np.linalg.norm(point.gradient)) <= study.gradient_tolerance * float(np.linalg.norm(first.gradient)):
+    if reached := met(study, point):
+        return reached
+    if float(np.linalg.norm(point.slope)) <= study.gradient_tolerance * float(np.linalg.norm(first.slope)):
         return Ending("gradient_tolerance", "the gradient is small enough")
-    if len(values) > steps and values[-1 - steps] - values[-1] <= study.tolerance * abs(values[-1]):
-        return Ending("tolerance", "the last steps brought next to nothing")
+    if len(values) > steps and nothing(study, values[-1 - steps], values[-1]):
+        return idle(point, first)
     return None
+
+
+def met(study: Study, point: Point) -> Ending | None:
+    """Why a design needs no search: it reaches the goal, or its deviations are smaller than the tolerance."""
+    if study.goal is not None:
+        return GOAL if point.rank <= (0.0, study.goal) else None
+    objective = study.objective
+    if objective.squares and not objective.constrained and point.objective <= study.tolerance**2:
+        return Ending("target", f"the deviation is {study.tolerance:.2g} or less, finer than a mesh can tell")
+    return None
+
+
+def nothing(study: Study, before: float, after: float) -> bool:
+    """Whether steps from one value to another bring next to nothing."""
+    if before - after <= study.tolerance * abs(after):
+        return True
+    squares = study.objective.squares and not study.objective.constrained
+    return squares and before**0.5 - after**0.5 <= _ROOTS * study.tolerance
+
+
+def promise(point: Point) -> float:
+    """What a small step of all numbers, down the slope, would gain by it, relative to the value."""
+    return float(_SMALL_STEP * np.abs(point.slope).sum() / max(abs(point.value), 1e-300))
+
+
+def idle(point: Point, first: Point) -> Ending:
+    """That steps brought nothing: an optimum only where the slope has gone, or promises nothing either."""
+    left = float(np.linalg.norm(point.slope)) / max(float(np.linalg.norm(first.slope)), 1e-300)
+    if left <= _LEFT or promise(point) <= _STEEP:
+        return Ending("tolerance", "the last steps brought next to nothing")
+    words = (
+        f"the last steps brought next to nothing, though the gradient is still {100 * left:.0f} % of the first one: "
+        "the objective is rough here, and this need not be the best design; try other starts (solver.starts)"
+    )
+    return Ending("no-progress", words)
 
 
 def spent(study: Study, simulations: float, seconds: float) -> Ending | None:

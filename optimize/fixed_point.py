@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from optimize.designs import Point, Study
-from optimize.endings import GOAL, STOPPED, Ending
+from optimize.endings import STOPPED, Ending, met
 from optimize.search import Search
 from optimize.variables import SheetVariable
 
 _EXPONENT = 0.5
 _MOST = 2.0  # times, or one over it, that the sheet changes at once
+WARM = 12  # updates at most before a search that says nothing of them
+_WORTH = 0.5  # of the value: what such an update must leave at most, as one does where the target is reachable
 
 
 def fixed_point(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
@@ -23,15 +25,16 @@ def fixed_point(search: Search, study: Study, point: Point) -> tuple[Point, Endi
     return updates(search, study, point.free, study.iterations)
 
 
-def updates(search: Search, study: Study, free: np.ndarray, count: int) -> tuple[Point, Ending]:
-    """So many updates of a design (n,); ends early when one makes it worse."""
+def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: float = 1.0) -> tuple[Point, Ending]:
+    """So many updates of a design (n,); ends early when one leaves more of the value than is worth it."""
     last, ratio = search.plain(free)
     for _ in range(count):
+        reached = met(study, last)
+        if reached and not search.stopped:
+            return last, reached
         ending = search.begin()
         if search.stopped:
             return last, STOPPED
-        if study.goal is not None and last.rank <= (0.0, study.goal):
-            return last, GOAL
         if ending:
             return last, ending
         if not np.isfinite(last.value):
@@ -39,8 +42,25 @@ def updates(search: Search, study: Study, free: np.ndarray, count: int) -> tuple
         new, ratio = search.plain(_updated(search, last.free, ratio))
         if new.value > last.value and search.limits is None:
             return last, Ending("no-step", "an update makes it worse")
-        last = new
+        gained, last = new.value <= worth * last.value, new
+        if not gained and search.limits is None:
+            return last, Ending("tolerance", "an update brings little")
     return last, Ending("iterations", f"{count} updates done")
+
+
+def warm_start(search: Search, study: Study, free: np.ndarray) -> tuple[Point, Ending] | None:
+    """The updates before a search, from a design; None where there are none.
+
+    Where the study says nothing of them, they go on as long as each halves the value, for sums of squares that say how
+    thick the wall shall be, of which the sheet is a variable.
+    """
+    if study.warm_start is not None:
+        return updates(search, study, free, study.warm_start) if study.warm_start else None
+    objective = study.objective
+    sheet = any(isinstance(variable, SheetVariable) for variable in study.variables)
+    if study.method == "fixed-point" or not (sheet and objective.aims and objective.squares):
+        return None
+    return updates(search, study, free, WARM, worth=_WORTH)
 
 
 def _updated(search: Search, free: np.ndarray, ratio: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ import jaxform
 from jaxform import InputError, Scene
 from jaxform.model.replacing import number_at
 from optimize.sheets import first_positions, images, spread
-from optimize.variables import Bounds, bounded, check_bounds, unbounded
+from optimize.variables import Bounds, bounded, check_bounds, full_reach, unbounded
 
 _PARTS = 4  # of a heater's side, over which its view factor is summed up
 _MOST = 400  # heaters
@@ -75,7 +75,7 @@ class HeaterZones:
         )  # towards the mean, hardly: a heater that no node feels has no best value
         wanted = np.concatenate([start, np.full(len(hold), 1e-6 * start.mean())])
         settings = optimize.lsq_linear(np.concatenate([weights, hold]), wanted, bounds).x
-        self.start = unbounded(settings, bounds)
+        self.start, self.reach = unbounded(settings, bounds), full_reach(settings.size)
 
     def settings(self, free: ArrayLike) -> jax.Array:
         """What the heaters are set to (n,), those of one y after the other, x first."""

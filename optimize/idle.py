@@ -19,8 +19,8 @@ from optimize.search import Search
 from optimize.variables import Scale, SheetVariable, Variable
 
 _IDLE = 0.01  # of the value: what changes it by less than this over its whole bounds does nothing
-_FARTHEST = 10.0  # of an unbounded number: where one is at a bound its map is flat, and a search stays there
-_STEP = 0.5  # of all unbounded numbers at once: in the middle of the bounds an eighth of the way between them
+_FARTHEST = 10.0  # of a number of the search: where a limit of neighbours leaves it no room, it does nothing
+_STEP = 0.5  # of all numbers at once, an eighth of the way between their bounds
 
 
 def look(search: Search, point: Point, first: Result, warn: Callable[[str], object]) -> None:
@@ -49,7 +49,7 @@ def look(search: Search, point: Point, first: Result, warn: Callable[[str], obje
 
 
 def _spans(variable: Variable, free: np.ndarray) -> np.ndarray:
-    """How far each unbounded number (n,) would go from one end of its bounds to the other, at its present slope.
+    """How far each number of the search (n,) would go from one end of its bounds to the other, at its present slope.
 
     No farther than a search would take it.
     """
@@ -59,9 +59,10 @@ def _spans(variable: Variable, free: np.ndarray) -> np.ndarray:
 
 def _still(search: Search, point: Point, own: slice, size: float) -> bool:
     """Whether a step of a variable changes nothing either: at a best design the gradient vanishes too, but not this."""
-    there = point.free.copy()
-    there[own] -= _STEP * np.where(point.gradient[own] < 0.0, -1.0, 1.0)
-    value = search.probed(there)
+    step = np.zeros_like(point.free)
+    step[own] = -_STEP * np.where(point.gradient[own] < 0.0, -1.0, 1.0)
+    outside = np.abs(point.free + step) > search.reach
+    value = search.probed(search.inside(np.where(outside, point.free - step, point.free + step)))
     return abs(value - point.value) < _IDLE * size
 
 

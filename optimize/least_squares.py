@@ -1,20 +1,25 @@
-"""Levenberg-Marquardt for sums of squares of few variables, with slopes by forward differentiation.
+"""Levenberg-Marquardt within bounds, for sums of squares of few variables, with slopes by forward differentiation.
 
-A library's would do as well (scipy has one) but for two things: a search that goes on after a kill asks the same
-questions again, and a simulation that fails is a step to shorten.
+Each step is the least of the damped model between the bounds, by SciPy's `lsq_linear`. SciPy's `least_squares` with
+bounds (method trf) was tried in its place: to a deviation of 7.9 % it took the time of 29 and 34 simulations from a
+start on the bounds and one in the middle, this one 22 and 15; and a search that goes on after a kill must ask the same
+questions again.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
+from scipy import optimize
 
 from optimize.designs import Point, Study
 from optimize.endings import NO_STEP, STOPPED, Ending, done
 from optimize.search import Search
 
 _FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 8
-_LARGEST = 4.0  # a step in the unbounded numbers, beyond which their map is flat
 _IDLE_STEPS = 3  # that bring next to nothing; where contact makes the value rough, one may be stuck and the next not
+_ROUNDING = 1e-14  # of the matrix' trace, by which rounding may make it lack a root
+_NO_ROOM = 1e-12  # in place of 0, between ends that the step needs apart
 _FLOOR = 1e-6  # of the largest diagonal entry: where a number does nothing, the step stays small
 
 
@@ -41,7 +46,8 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, En
 def _trials(search: Search, point: Point, matrix: np.ndarray, damping: float) -> tuple[Point | None, float]:
     """The first damped step that makes it better, and the damping to begin the next one with."""
     for _ in range(_TRIALS):
-        trial, _ = search.plain(point.free + _step(matrix, point.gradient, damping))
+        step = _step(matrix, point.gradient, damping, -search.reach - point.free, search.reach - point.free)
+        trial, _ = search.plain(search.inside(point.free + step))
         if trial.value < point.value:
             return trial, damping / _DAMPING_STEP
         if search.stopped:
@@ -50,9 +56,12 @@ def _trials(search: Search, point: Point, matrix: np.ndarray, damping: float) ->
     return None, damping
 
 
-def _step(matrix: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
-    """Marquardt's step (n,), no number of it beyond what its map can follow."""
+def _step(matrix: np.ndarray, gradient: np.ndarray, damping: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Marquardt's step (n,) between a lower and an upper end: the least of the damped model there."""
     diagonal = np.diag(matrix)
-    scaled = matrix + damping * np.diag(np.maximum(diagonal, _FLOOR * diagonal.max()))
-    step = -np.linalg.lstsq(scaled, gradient, rcond=None)[0]
-    return step * min(1.0, _LARGEST / max(np.abs(step).max(), 1e-300))
+    floor = max(_FLOOR * diagonal.max(), np.finfo(float).tiny)
+    scaled = matrix + damping * np.diag(np.maximum(diagonal, floor)) + _ROUNDING * diagonal.sum() * np.eye(len(matrix))
+    factor = np.linalg.cholesky(scaled)
+    wanted = -scipy.linalg.solve_triangular(factor, gradient, lower=True)
+    ends = np.minimum(low, -_NO_ROOM), np.maximum(high, _NO_ROOM)
+    return optimize.lsq_linear(factor.T, wanted, ends, method="bvls").x

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import InputError, Scene
-from optimize.variables import EDGE, Bounds, bounded, check_bounds, limited, unbounded, unlimited
+from optimize.variables import Bounds, bounded, check_bounds, full_reach, limited, unbounded, unlimited
 
 _STEEPEST = {"linear": 1.0, "cubic-ramp": 3.0}  # the largest slope between two knots over the mean one
 
@@ -52,6 +52,7 @@ class PressureKnots:
         timing = np.zeros(0) if end_time is None else self._start_of_time(end_time, float(scene.solver.end_time))
         knots = self._time if end_time is None else self._time * self._stretch(jnp.asarray(timing))
         self.start = np.concatenate([self._free(present, np.asarray(knots)), timing])
+        self.reach = full_reach(self.start.size)
 
     def _check_rate(self, rate: float) -> None:
         if not 0.0 < rate < np.inf or len(self._time) < 2:
@@ -76,41 +77,30 @@ class PressureKnots:
         return np.atleast_1d(unbounded(last, end_time))
 
     def _free(self, present: np.ndarray, time: np.ndarray) -> np.ndarray:
-        if self.rate is not None:
-            change = self.rate / self._steepest * np.diff(time)
-            return unlimited(self._designed(present), self.bounds, change, self._first, self.increasing)
-        return self._shares(present) if self.increasing else unbounded(self._designed(present), self.bounds)
+        if self.rate is None and not self.increasing:
+            return unbounded(self._designed(present), self.bounds)
+        change = np.asarray(self._changes(jnp.asarray(time)))
+        return unlimited(self._designed(present), self.bounds, change, self._first, self.increasing)
+
+    def _changes(self, time: jax.Array) -> jax.Array:
+        """By how much neighbours may differ (n_knot - 1,) [Pa]."""
+        if self.rate is None:
+            return jnp.full(time.size - 1, self.bounds[1] - self.bounds[0])
+        return self.rate / self._steepest * jnp.diff(time)
 
     def _designed(self, values: np.ndarray) -> np.ndarray:
         return values if self._first is None else values[1:]
 
-    @property
-    def _lowest(self) -> float:
-        """From where a history that never falls climbs."""
-        return self.bounds[0] if self._first is None else self._first
-
-    def _shares(self, values: np.ndarray) -> np.ndarray:
-        """Of the way from the lower bound to the upper, what each knot climbs, and what is left; as logarithms."""
-        room = max(self.bounds[1] - self._lowest, EDGE * (self.bounds[1] - self.bounds[0]))
-        fraction = np.clip((self._designed(values) - self._lowest) / room, 0.0, 1.0)
-        climbs = np.diff(np.concatenate([[0.0], np.maximum.accumulate(fraction), [1.0]]))
-        climbs = np.maximum(climbs, EDGE / len(climbs))
-        return np.log(climbs[:-1] / climbs[-1])
-
     def _stretch(self, free: jax.Array) -> jax.Array:
-        """The history's new end over its old one, of the last of the unbounded numbers."""
+        """The history's new end over its old one, of the last of the search's numbers."""
         assert self.end_time is not None
         return bounded(free[-1], self.end_time) / self._time[-1]
 
     def _values(self, free: jax.Array, time: jax.Array) -> jax.Array:
-        if self.rate is not None:
-            change = self.rate / self._steepest * jnp.diff(time)
-            rest = limited(free, self.bounds, change, self._first, self.increasing)
-        elif not self.increasing:
+        if self.rate is None and not self.increasing:
             rest = bounded(free, self.bounds)
         else:
-            climbs = jax.nn.softmax(jnp.append(free, 0.0))
-            rest = self._lowest + (self.bounds[1] - self._lowest) * jnp.cumsum(climbs)[:-1]
+            rest = limited(free, self.bounds, self._changes(time), self._first, self.increasing)
         return rest if self._first is None else jnp.concatenate([jnp.asarray([self._first]), rest])
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
-from optimize.designs import KEPT, Point, Study
+from optimize.designs import KEPT, Limits, Point, Study
 from optimize.endings import NO_STEP, Ending
 from optimize.search import Search
 from optimize.variables import SheetVariable
@@ -15,6 +15,8 @@ from optimize.variables import SheetVariable
 _STEPS = 12  # of a round at most: to the end of a problem that is about to change, they would be wasted
 _IDLE_ROUNDS = 2  # that gain nothing; one alone may have had its multipliers changed for the next one
 _MOST_THICKENED = 0.5
+_LARGER_PENALTY = 4.0
+_ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
 _NO_PROGRESS = 0.9  # of the violation before: a limit that can be kept is nearer after a round than that
 
 Round = Callable[[Search, Study, Point], tuple[Point, Ending]]
@@ -42,12 +44,22 @@ def rounds(search: Search, study: Study, point: Point, method: Round) -> Ending:
         hopeless = hopeless + 1 if point.violation > max(_NO_PROGRESS * before, KEPT) else 0
         if hopeless >= _IDLE_ROUNDS and not np.isfinite(_least_kept(search)):
             return Ending("no-progress", f"the last {hopeless} of {number} rounds came no nearer to the limits")
-        search.press(point, before)
+        _press(search, point, before)
         before = point.violation
         point = search(point.free)
     if ending == NO_STEP:
         return ending
     return Ending("rounds", f"{study.rounds} rounds done, the last ended since: {ending.words}")
+
+
+def _press(search: Search, point: Point, before: float) -> None:
+    """Brings the multipliers up to date after a round of searching, and the penalty where it did too little."""
+    assert search.limits is not None
+    multipliers, penalty = search.limits
+    multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
+    if point.violation > max(_ENOUGH * before, KEPT):
+        penalty = _LARGER_PENALTY * penalty
+    search.limits = Limits(multipliers, penalty)
 
 
 def fall_back(search: Search) -> None:

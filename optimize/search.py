@@ -21,18 +21,16 @@ import jaxform
 from jaxform import Result, Scene
 from jaxform.core.compiling import compiled
 from jaxform.results.part import only_part
-from optimize.designs import COLUMNS, KEPT, Limits, Point, Study
+from optimize import waiting
+from optimize.designs import COLUMNS, Limits, Point, Study
 from optimize.endings import Ending, SpentError, spent
+from optimize.gradients import gradient_error, slope_within
 from optimize.journal import Answer, Journal
 from optimize.variables import Variable
 from optimize.walls import formed, nodal_area, wall
 
 _REFRESH = 5  # iterations with the same decisions about the mesh
-_FIRST_PENALTY, _LARGER_PENALTY = 300.0, 4.0
-# Of steps in the unbounded numbers, for the gradient's check: until one agrees. Large ones meet other decisions of the
-# windows, small ones rounding.
-_CHECK_SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
-_ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
+_FIRST_PENALTY = 300.0
 
 
 @dataclass
@@ -57,6 +55,8 @@ class Search:
         seconds: So far, those of earlier parts of the search included [s].
         gradient_error: What `check` found; None before.
         multiplier: The weighted sum of the multipliers at the end of the last round; None before.
+        updates: Of the fixed point, before the search.
+        on_wait: Called with what is waited for, before programs are compiled.
         memory: What the method keeps from one round to the next; its own affair.
     """
 
@@ -76,6 +76,8 @@ class Search:
     seconds: float = 0.0
     gradient_error: float | None = None
     multiplier: float | None = None
+    updates: int = 0
+    on_wait: Callable[[str], object] | None = None
     memory: Any = None
 
     def __post_init__(self) -> None:
@@ -91,14 +93,23 @@ class Search:
 
     @property
     def start(self) -> np.ndarray:
-        """The scene's own design, as unbounded numbers (n,)."""
+        """The scene's own design, as numbers of the search (n,)."""
         return np.concatenate([variable.start for variable in self.study.variables])
+
+    @property
+    def reach(self) -> np.ndarray:
+        """How far the numbers go to either side of 0 (n,)."""
+        return np.concatenate([variable.reach for variable in self.study.variables])
+
+    def inside(self, free: np.ndarray) -> np.ndarray:
+        """The nearest numbers in the box."""
+        return np.clip(free, -self.reach, self.reach)
 
     def _parts(self, free: jax.Array) -> list[tuple[Variable, jax.Array]]:
         return list(zip(self.study.variables, jnp.split(free, self._splits), strict=True))
 
     def parts(self, free: np.ndarray) -> list[tuple[Variable, np.ndarray]]:
-        """The variables, each with its unbounded numbers."""
+        """The variables, each with its own numbers."""
         return list(zip(self.study.variables, np.split(free, self._splits), strict=True))
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
@@ -145,6 +156,8 @@ class Search:
     def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
         if name not in self._programs:
+            if self.on_wait is not None and (words := waiting.words(name, self.study.scene)):
+                self.on_wait(words)
             self._programs[name] = compiled(jax.jit(function), *arguments)
             self._clock = time.process_time()
         return self._programs[name]
@@ -248,16 +261,8 @@ class Search:
         return _plain(report) | {"value": float(value)}
 
     def check(self, point: Point) -> float:
-        """Relative difference of a gradient and central differences along one direction, the best of a few sizes."""
-        direction = np.random.default_rng(0).normal(size=point.free.size)
-        direction /= np.linalg.norm(direction)
-        slope, differences = float(point.gradient @ direction), []
-        for size in _CHECK_SIZES:
-            up, down = (self._valued("check", point.free + sign * size * direction) for sign in (1.0, -1.0))
-            differences.append(abs((up - down) / (2.0 * size) - slope) / max(abs(slope), 1e-300))
-            if differences[-1] < _AGREES:
-                break
-        self.gradient_error = float(np.nanmin(differences))
+        """Relative difference of a gradient and differences along one direction, which it keeps."""
+        self.gradient_error = gradient_error(point, self.reach, lambda free: self._valued("check", free))
         return self.gradient_error
 
     def probed(self, free: np.ndarray) -> float:
@@ -272,17 +277,18 @@ class Search:
         """The point of an answer; it is the best one if it is, and a row of the history."""
         gradient = np.asarray(answer.get("gradient", np.full(free.size, np.nan)), float)
         excess = np.asarray(answer.get("excess", []), float)
-        point = Point(free, answer["value"], gradient, answer["objective"], excess)
+        slope = slope_within(free, gradient, self.reach)
+        point = Point(free, answer["value"], gradient, answer["objective"], excess, slope=slope)
         bad = "gradient" in answer and not np.all(np.isfinite(gradient))
         if answer["status"] or bad or not np.isfinite(point.value):
-            point = Point(free, np.inf, np.zeros_like(free))
+            point = Point(free, np.inf, np.zeros_like(free), slope=np.zeros_like(free))
         elif self.best is None or point.rank < self.best.rank:
             self.best = point
         self._record(point, answer)
         return point
 
     def _record(self, point: Point, answer: Answer) -> None:
-        error, norm = answer["error"], float(np.linalg.norm(point.gradient))
+        error, norm = answer["error"], float(np.linalg.norm(point.slope))
         numbers = (
             len(self.history),
             point.objective,
@@ -336,15 +342,6 @@ class Search:
     def _room(self) -> int:
         refinement = self.study.scene.refinement
         return 0 if refinement is None else refinement.elements
-
-    def press(self, point: Point, before: float) -> None:
-        """Brings the multipliers up to date after a round of searching, and the penalty where it did too little."""
-        assert self.limits is not None
-        multipliers, penalty = self.limits
-        multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
-        if point.violation > max(_ENOUGH * before, KEPT):
-            penalty = _LARGER_PENALTY * penalty
-        self.limits = Limits(multipliers, penalty)
 
 
 def _plain(report: dict[str, jax.Array]) -> Answer:

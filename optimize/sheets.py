@@ -14,13 +14,14 @@ from jaxform import InputError, Scene
 from jaxform.mesh import bisection
 from jaxform.mesh.profiles import Profile
 from jaxform.results import sections
-from optimize.variables import Bounds, check_bounds, limited, log_bounded, log_unbounded, unlimited
+from optimize.variables import Bounds, check_bounds, full_reach, limited, log_bounded, log_unbounded, unlimited
 
 Array = np.ndarray
 
 _CONTROLS_PER_LENGTH = 2.0  # a field's numbers stand half a smoothness apart
 _MOST_CONTROLS = 2000
 _MOST_EASE = 4.0
+_ON_BOUND = 1e-4  # of the way between the bounds
 
 
 class _Sheet:
@@ -30,6 +31,7 @@ class _Sheet:
         self.bounds, self._change = bounds, change
         self._weights = jnp.asarray(weights)
         self._ease = _ease(scene, weights)
+        self.reach = full_reach(weights.shape[1]) / self._ease
         self._first_nodes = scene.first_nodes
         self.start = self.nearest(np.asarray(scene.parison.thickness, float))
 
@@ -52,7 +54,7 @@ class _Sheet:
         return {"parison.thickness": np.asarray(self.changes(free)["parison.thickness"], float)[: self._first_nodes]}
 
     def nearest(self, thickness: Array) -> Array:
-        """The unbounded numbers that come closest to a nodal thickness (n_node,) [m], by least squares."""
+        """The search's numbers that come closest to a nodal thickness (n_node,) [m], by least squares."""
         weights, mean = np.asarray(self._weights), float(np.mean(thickness))
         # Towards the mean, hardly: a number that no node feels has no best value.
         hold = 1e-6 * np.eye(weights.shape[1])
@@ -63,13 +65,16 @@ class _Sheet:
         low, high = self.bounds[0] / mean, self.bounds[1] / mean
         if np.any((values < low) | (values > high)):
             values = optimize.lsq_linear(rows, wanted, (low, high)).x
+            # It ends a little inside of the bounds.
+            values = np.where(values - low < _ON_BOUND * (high - low), low, values)
+            values = np.where(high - values < _ON_BOUND * (high - low), high, values)
         if self._change is None:
             return log_unbounded(mean * values, self.bounds) / self._ease
         return unlimited(mean * values, self.bounds, self._change) / self._ease
 
 
 def _ease(scene: Scene, weights: Array) -> Array:
-    """By how much each unbounded number (n,) is stretched, so that all do about as much to the part.
+    """By how much each of the search's numbers (n,) is stretched, so that all do about as much to the part.
 
     What one does goes with the root of its material; a search that knows no curvature yet would move those in the
     middle of a disc too little.

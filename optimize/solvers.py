@@ -17,8 +17,8 @@ from jaxform.results.part import part_elements
 from optimize import idle, reach
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
-from optimize.endings import STOPPED, Ending, SpentError
-from optimize.fixed_point import fixed_point, updates
+from optimize.endings import STOPPED, Ending, SpentError, met
+from optimize.fixed_point import fixed_point, warm_start
 from optimize.journal import Answer, Journal
 from optimize.least_squares import least_squares
 from optimize.price import price
@@ -39,7 +39,7 @@ METHODS: dict[str, Method] = {
     "fixed-point": fixed_point,
 }
 _WITHOUT_GRADIENT = ("fixed-point", "least-squares")  # at the begin; the latter takes its own
-_SPREAD = 1.0  # of several starts, in the unbounded numbers
+_SPREAD = 1.0  # of several starts, a quarter of the way from one bound to the other
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,7 @@ class Design:
         best_row: Of the history.
         multiplier: The weighted sum of the constraints' multipliers; None without constraints, or before
             a round has ended.
+        updates: Of the fixed point, before the search.
     """
 
     scene: Scene
@@ -81,6 +82,7 @@ class Design:
     gradient_error: float | None
     best_row: Row
     multiplier: float | None
+    updates: int
 
     def amended(self, summary: dict[str, Any]) -> dict[str, Any]:
         """The summary of the part with what is to be said of the search: broken limits, warnings, and its facts."""
@@ -104,6 +106,7 @@ class Design:
             "multiplier": self.multiplier,
             "gradient_error": self.gradient_error,
             "iterations": self.history[-1]["iteration"],
+            "warm_start": self.updates,
             "evaluations": len(self.history),
             "simulations": self.history[-1]["simulations"],
             "seconds": self.history[-1]["seconds"],
@@ -122,6 +125,7 @@ def solve(
     *,
     on_check: Callable[[float], object] | None = None,
     on_warning: Callable[[str], object] | None = None,
+    on_wait: Callable[[str], object] | None = None,
     journal: Journal | None = None,
 ) -> Design:
     """Searches for the best design.
@@ -131,6 +135,7 @@ def solve(
         on_evaluation: Called with every row of the history as it comes; a true answer ends the search.
         on_check: Called with the gradient's relative difference to central differences, before the search.
         on_warning: Called with what to mind about the study, a sentence each, before the search.
+        on_wait: Called with what is waited for, before the scene to begin with is simulated and programs are compiled.
         journal: What is kept on disk, so that a search that was killed goes on; nothing by default.
 
     Raises:
@@ -138,6 +143,8 @@ def solve(
             cannot be simulated to its end, or it asks for what no design within the bounds can reach.
     """
     check(study)
+    if on_wait is not None:
+        on_wait("simulating the scene to begin with")
     first = formed(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
@@ -146,7 +153,9 @@ def solve(
     forward_seconds = _cost(study.scene)
     study = dataclasses.replace(study, scene=jaxform.fitted(study.scene, int(first.used.sum())))
     schedule = None if study.scene.refinement is None else first.schedule
-    search = Search(study, on_evaluation, forward_seconds, schedule=schedule, journal=journal or Journal())
+    search = Search(
+        study, on_evaluation, forward_seconds, schedule=schedule, journal=journal or Journal(), on_wait=on_wait
+    )
     warnings: list[str] = []
 
     def warn(sentence: str) -> None:
@@ -187,6 +196,7 @@ def solve(
         gradient_error=search.gradient_error,
         best_row=best.row,
         multiplier=search.multiplier,
+        updates=search.updates,
     )
 
 
@@ -236,11 +246,13 @@ def _searched(
     free = search.start
     if study.starts > 1:
         free = _best_start(search, study)
-    if study.warm_start:
-        last, _ = updates(search, study, free, study.warm_start)
-        if search.best is not None:
-            # Where there are limits the last one is the best, though it may break them by a few per cent more.
-            free = last.free if search.limits is not None and np.isfinite(last.value) else search.best.free
+    warm = warm_start(search, study, free)
+    if warm is not None and search.best is not None:
+        search.updates, (last, _) = search.iteration, warm
+        # Where there are limits the last one is the best, though it may break them by a few per cent more.
+        free = last.free if search.limits is not None and np.isfinite(last.value) else search.best.free
+        if search.limits is None and not search.stopped and (reached := met(study, search.best)):
+            return reached
     point = search.plain(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
     if search.stopped:
         return STOPPED
@@ -260,7 +272,7 @@ def _best_start(search: Search, study: Study) -> np.ndarray:
     """The best of several designs about the first one, simulated side by side."""
     first = search.start
     strewn = _SPREAD * np.random.default_rng(0).normal(size=(study.starts - 1, first.size))
-    designs = np.concatenate([first[None], first + strewn])
+    designs = np.concatenate([first[None], search.inside(first + strewn)])
 
     def work() -> Answer:
         rows = [search.changes(jax.numpy.asarray(design)) for design in designs]

@@ -1,8 +1,10 @@
-"""What is designed: smooth maps from unbounded numbers to the numbers of a scene.
+"""What is designed: maps from the numbers of a search to the numbers of a scene.
 
-A variable has a start (the scene's own values, moved into the bounds), the change of the scene that unbounded
-numbers mean, and the same change in the words of a scene file. The optimiser never leaves the bounds, since every
-unbounded number maps inside them.
+A variable has a start (the scene's own values, moved into the bounds), the change of the scene that the search's
+numbers mean, and the same change in the words of a scene file. The search's numbers lie in a box, whose ends are the
+bounds: the map is as steep at a bound as elsewhere, so that a search which begins or passes there is not held. (A
+smooth map from unbounded numbers, such as the logistic function, is flat at the bounds: a start there was taken for
+an optimum.)
 """
 
 from __future__ import annotations
@@ -19,21 +21,27 @@ from jaxform.model.replacing import number_at
 
 Bounds = tuple[float, float]
 
-EDGE = 1e-3  # of the range: where a start that lies on a bound is put, for on it the map has no slope
+SPAN = 4.0  # of the search's numbers, from one bound to the other
 _TIMES = ("pressure.time", "solver.end_time")
 
 
 class Variable(Protocol):
-    """A part of a scene that is designed."""
+    """A part of a scene that is designed.
+
+    Attributes:
+        start: The search's numbers of the scene's own values, moved into the bounds (n,).
+        reach: How far the numbers go to either side of 0 (n,); what lies beyond means the same as the nearest end.
+    """
 
     start: np.ndarray
+    reach: np.ndarray
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
-        """What `jaxform.replace` takes, of unbounded numbers shaped like `start`."""
+        """What `jaxform.replace` takes, of numbers shaped like `start`."""
         ...
 
     def shares(self, free: jax.Array) -> jax.Array:
-        """How far the bounded numbers (n,) are between their bounds, nearly: 0 at the lower one, 1 at the upper one."""
+        """How far the designed values (n,) are between their bounds, nearly: 0 at the lower one, 1 at the upper one."""
         ...
 
     def document(self, free: jax.Array) -> dict[str, Any]:
@@ -46,7 +54,7 @@ class SheetVariable(Variable, Protocol):
     """A variable that is the sheet's thickness."""
 
     def nearest(self, thickness: np.ndarray) -> np.ndarray:
-        """The unbounded numbers that come closest to a nodal thickness (n_node,) [m]."""
+        """The search's numbers that come closest to a nodal thickness (n_node,) [m]."""
         ...
 
 
@@ -58,15 +66,32 @@ def check_bounds(bounds: Bounds, positive: bool = True) -> None:
         raise InputError(words, "give the lower bound first, then the upper one", "variable.bounds", bounds)
 
 
+def full_reach(count: int) -> np.ndarray:
+    """The reach (n,) of numbers that `bounded` takes."""
+    return np.full(count, 0.5 * SPAN)
+
+
+def _share(free: jax.Array) -> jax.Array:
+    """From 0 at the lower end of the box to 1 at the upper one, with the same slope everywhere in it, its ends too."""
+    share = free / SPAN + 0.5
+    # `clip` alone halves the slope on the ends, and rounding may lead past them.
+    share = share + jax.lax.stop_gradient(jnp.clip(share, 0.0, 1.0) - share)
+    return jnp.where(share < 0.0, 0.0, jnp.where(share > 1.0, 1.0, share))
+
+
 def bounded(free: jax.Array, bounds: Any) -> jax.Array:
-    """Values strictly between the bounds, for any numbers, of their shape."""
-    return bounds[0] + (bounds[1] - bounds[0]) * jax.nn.sigmoid(free)
+    """Values within the bounds, of their shape; exactly on them at the ends of the box and beyond."""
+    share = _share(free)
+    # Each half from its own bound, so that neither is missed by rounding.
+    width = bounds[1] - bounds[0]
+    return jnp.where(share <= 0.5, bounds[0] + width * share, bounds[1] - width * (1.0 - share))
 
 
 def unbounded(values: Any, bounds: Any) -> np.ndarray:
-    """Inverse of `bounded`; values on or beyond a bound are moved just inside it."""
-    fraction = np.clip((np.asarray(values, float) - bounds[0]) / (bounds[1] - bounds[0]), EDGE, 1 - EDGE)
-    return np.log(fraction / (1 - fraction))
+    """Inverse of `bounded`; values beyond a bound are moved onto it, and where there is no room, 0."""
+    low, width = np.asarray(bounds[0], float), np.asarray(bounds[1], float) - np.asarray(bounds[0], float)
+    share = np.where(width > 0.0, (np.asarray(values, float) - low) / np.where(width > 0.0, width, 1.0), 0.5)
+    return SPAN * (np.clip(share, 0.0, 1.0) - 0.5)
 
 
 def log_bounded(free: jax.Array, bounds: Bounds) -> jax.Array:
@@ -74,21 +99,22 @@ def log_bounded(free: jax.Array, bounds: Bounds) -> jax.Array:
 
     A wall goes with its sheet in ratio: searched in logarithms, the one is nearly linear in the other.
     """
-    return jnp.clip(jnp.exp(bounded(free, np.log(bounds))), *bounds)  # rounding must not lead out of them
+    share, ratio = _share(free), np.log(bounds[1] / bounds[0])
+    return jnp.where(share <= 0.5, bounds[0] * jnp.exp(ratio * share), bounds[1] * jnp.exp(-ratio * (1.0 - share)))
 
 
 def log_unbounded(values: Any, bounds: Bounds) -> np.ndarray:
-    """Inverse of `log_bounded`; values on or beyond a bound are moved just inside it."""
+    """Inverse of `log_bounded`; values beyond a bound are moved onto it."""
     return unbounded(np.log(np.clip(values, *bounds)), np.log(bounds))
 
 
 def limited(free: jax.Array, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> jax.Array:
-    """Values between the bounds of which neighbours differ by less than a limit, for any numbers.
+    """Values within the bounds of which neighbours differ by a limit at most, for any numbers.
 
     Each lies between those bounds and the limits that its predecessor leaves.
 
     Args:
-        free: Unbounded numbers (n,).
+        free: Numbers of the search (n,).
         bounds: Least and largest value.
         change: Largest difference of neighbours, one number for each pair.
         first: A value that comes before the first one; None where that is free.
@@ -107,7 +133,7 @@ def limited(free: jax.Array, bounds: Bounds, change: Any, first: Any = None, ris
 
 
 def unlimited(values: np.ndarray, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> np.ndarray:
-    """Inverse of `limited`; values that break a limit are moved just inside it."""
+    """Inverse of `limited`; values that break a limit are moved onto it."""
     free: list[float] = []
     last = first
     for k, value in enumerate(np.asarray(values, float)):
@@ -150,7 +176,7 @@ class Scale:
         self._present = jnp.asarray(present)
         self._first_nodes = scene.first_nodes
         self._varies = part == "material" and name in scene.material.zones
-        self.start = np.atleast_1d(unbounded(1.0, bounds))
+        self.start, self.reach = np.atleast_1d(unbounded(1.0, bounds)), full_reach(1)
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """The scaled number or numbers, in their own unit."""

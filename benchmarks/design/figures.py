@@ -64,6 +64,10 @@ def deviation(row: Found) -> float:
     return 100.0 * row["thickness_rms_error"]
 
 
+_TO_THE_END: Found = {"gradient_tolerance": 1e-9, "tolerance": 0.0, "warm_start": 0}
+"""Of searches that are to show how near a known sheet they come by themselves."""
+
+
 # --- Figures of single studies ----------------------------------------------------------------------------------------
 
 
@@ -72,7 +76,7 @@ def show_recovery(scene: jaxform.Scene | None = None, knots: int = 12, iteration
     scene = scene or jaxform.load("dish-coarse")
     found: Found = {"knots": knots, "elements": len(scene.parison.triangles), "hidden": hidden_profile(knots).tolist()}
     for method, most in zip(("lbfgs", "least-squares"), iterations, strict=True):
-        design = optimize.solve(recovery(scene, knots, method=method, iterations=most, gradient_tolerance=1e-9))
+        design = optimize.solve(recovery(scene, knots, method=method, iterations=most, **_TO_THE_END))
         rows = [{name: row[name] for name in ("iteration", "thickness_rms_error", "simulations", "gradient_norm")}
                 for row in design.history]  # fmt: skip
         found[method] = {"rows": rows, "gradient_error": design.gradient_error}
@@ -211,7 +215,7 @@ def cases() -> dict[str, Callable[[], Case]]:
 
 
 def _recover_case() -> Case:
-    study = recovery(jaxform.load("dish-coarse"), gradient_tolerance=1e-9)
+    study = recovery(jaxform.load("dish-coarse"), **_TO_THE_END)
     own = {
         "L-BFGS": {"method": "lbfgs", "iterations": 20},
         "least squares": {"method": "least-squares", "iterations": 4},
@@ -266,7 +270,7 @@ class _SpentError(Exception):
 
 
 class Tried:
-    """A case as a function of unbounded numbers that counts its simulations and ends when they are spent."""
+    """A case as a function of a search's numbers that counts its simulations and ends when they are spent."""
 
     def __init__(self, case: Case, budget: int) -> None:
         self._search = Search(replace(case.study, method="fixed-point"), None, 1.0)
@@ -293,7 +297,7 @@ def nelder_mead(tried: Tried) -> None:
 
 
 def cma_es(tried: Tried) -> None:
-    """Hansen's, with its own settings; the first step is 0.5 in the unbounded numbers."""
+    """Hansen's, with its own settings; the first step is 0.5, an eighth of the way between the bounds."""
     import cma  # pyright: ignore
 
     cma.fmin2(tried, tried.start, 0.5, {"verbose": -9, "seed": 1, "tolfun": 1e-12, "tolx": 1e-12})

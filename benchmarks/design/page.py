@@ -195,8 +195,7 @@ def _searches(found: Found, folder: Path) -> str:
     lines = [
         "## Beside other searches\n",
         "From the same start. The others are SciPy's Nelder-Mead (adaptive), CMA-ES (the library `cma`, its own "
-        "settings) and a random search about the best so far, in the same unbounded numbers, so that they keep the "
-        "bounds too. "
+        "settings) and a random search about the best so far, in the same numbers, so that they keep the bounds too. "
         "Each table says how many simulations a search took to come as near to our best search's end as a hundredth of "
         "the way that this one came, and what it had reached in the end.\n",
         "![Objective over simulations](search.png)\n",

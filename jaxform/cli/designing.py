@@ -54,7 +54,9 @@ def optimize_study(arguments: argparse.Namespace) -> int:
             # What is hardly meant in a design on the way is no news; the last one's summary says it.
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", InputWarning)
-                design = optimize.solve(study, on_evaluation, on_check=on_check, on_warning=on_warning, journal=journal)
+                design = optimize.solve(
+                    study, on_evaluation, on_check=on_check, on_warning=on_warning, on_wait=say, journal=journal
+                )
         except InputError as error:
             raise error.within(file=study.file) from None
     if journal.replayed:
@@ -140,6 +142,8 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
             f"the last tenth of the gain cost the time of {facts['price']['simulations_for_the_last_tenth']:.0f} "
             f"simulations, all before it that of {facts['price']['simulations_for_nine_tenths']:.0f}"
         )
+    if facts["warm_start"]:
+        say(f"{facts['warm_start']} updates of the fixed point came first (solver.warm_start)")
     say(
         f"{facts['evaluations']} simulations with and without gradient (the time of {facts['simulations']:.0f} "
         f"simulations, {facts['seconds']:.0f} s); stopped by {facts['stopped_by']}: {facts['message']}; results in "

@@ -17,10 +17,12 @@ class _Search(Table):
         iterations: In all, those of the warm start and of every round included.
         max_simulations: Stops before it costs the time of so many simulations.
         minutes: Stops when it has taken so long.
-        tolerance: Stops when five iterations together, or two rounds, gain less than this share.
+        tolerance: Stops when five iterations together, or two rounds, gain less than this share, or the deviation from
+            a target is less than it; 0.001 by default.
         gradient_tolerance: Stops when the gradient has become this share of the first one.
         goal: Stops when the objective is at most this.
-        warm_start: Updates of the fixed point before the first iteration.
+        warm_start: Updates of the fixed point before the first iteration; by default as many as halve the objective,
+            for a target or an even wall of which the sheet is a variable.
         starts: From so many designs, strewn about the first one, the best is where the search begins.
         rounds: Of multipliers for limits, at most.
     """
@@ -31,7 +33,7 @@ class _Search(Table):
     tolerance: NotNegative | None = None
     gradient_tolerance: NotNegative | None = None
     goal: Positive | None = None
-    warm_start: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    warm_start: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
     starts: Annotated[int, Field(ge=1, le=10_000)] = 1
     rounds: Count | None = None
 

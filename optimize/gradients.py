@@ -1,0 +1,46 @@
+"""Gradients within bounds: what of one counts at a bound, and how far one is off differences of values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from optimize.designs import Point
+
+# Of steps in the search's numbers, until one agrees: large ones meet other decisions, small ones rounding.
+_SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
+
+
+def slope_within(free: np.ndarray, gradient: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """The gradient (n,) without what would lead out of the bounds: 0 at one that it presses on."""
+    held = np.where(gradient > 0.0, free <= -reach, free >= reach)
+    return np.where(held, 0.0, gradient)
+
+
+def gradient_error(point: Point, reach: np.ndarray, value: Callable[[np.ndarray], float]) -> float:
+    """Relative difference of a gradient and differences along one direction, the best of a few sizes of step.
+
+    The differences are central; at a bound they are taken on its inner side, to the same order.
+
+    Args:
+        point: The design, with its gradient.
+        reach: How far the numbers go to either side of 0 (n,).
+        value: That of a design (n,).
+    """
+    direction = np.random.default_rng(0).normal(size=point.free.size)
+    direction /= np.linalg.norm(direction)
+    room = reach - np.abs(point.free)
+    near = room < 2.0 * _SIZES[0] * np.abs(direction)
+    direction = np.where(near, -np.sign(point.free) * np.abs(direction), direction)
+    slope, differences = float(point.gradient @ direction), []
+    for size in _SIZES:
+        if np.all(room >= size * np.abs(direction)):
+            rise = value(point.free + size * direction) - value(point.free - size * direction)
+        else:
+            one, two = (value(point.free + step * size * direction) for step in (1.0, 2.0))
+            rise = 4.0 * one - two - 3.0 * point.value
+        differences.append(abs(rise / (2.0 * size) - slope) / max(abs(slope), 1e-300))
+        if differences[-1] < _AGREES:
+            break
+    return float(np.nanmin(differences))

@@ -1,0 +1,197 @@
+"""Bounds hold no search: starts on them, slopes there, and what is said where a search stands still."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxform
+import optimize
+from jaxform.mesh.profiles import Profile
+from optimize import endings
+from optimize.designs import Point
+from optimize.gradients import gradient_error, slope_within
+from optimize.least_squares import _step
+from optimize.variables import SPAN, bounded, limited, log_bounded, log_unbounded, unbounded, unlimited
+from tests import scenes
+
+HIDDEN = np.array([0.015, 0.012, 0.01, 0.009])
+BOUNDS = (0.008, 0.03)
+
+
+@functools.cache
+def _hidden_wall() -> np.ndarray:
+    scene = scenes.cup()
+    sheet = Profile("radius", (0.0, 1 / 3, 2 / 3, 1.0), tuple(HIDDEN))(np.asarray(scene.parison.positions, float))
+    return np.asarray(jaxform.run(jaxform.replace(scene, {"parison.thickness": sheet})).thickness)
+
+
+def _study(thickness: float, **options: Any) -> optimize.Study:
+    """The wall that a known profile makes, sought from a uniform sheet."""
+    scene = scenes.cup()
+    sheet = np.full(scene.parison.thickness.shape, thickness)
+    scene = jaxform.replace(scene, {"parison.thickness": sheet})
+    variable = optimize.ThicknessProfile(scene, along="radius", bounds=BOUNDS, knots=4)
+    return optimize.Study(scene, (variable,), optimize.Target(scene, _hidden_wall()), **options)
+
+
+def _even(thickness: float, bounds: tuple[float, float], **options: Any) -> optimize.Study:
+    """A wall as even as can be, sought from a uniform sheet."""
+    scene = scenes.cup()
+    scene = jaxform.replace(scene, {"parison.thickness": np.full(scene.parison.thickness.shape, thickness)})
+    variable = optimize.ThicknessProfile(scene, along="radius", bounds=bounds, knots=4)
+    return optimize.Study(scene, (variable,), optimize.Uniform(), **options)
+
+
+@pytest.mark.parametrize("into", [bounded, log_bounded])
+def test_the_map_is_as_steep_on_a_bound_as_in_the_middle(into: Any) -> None:
+    ends = 0.5 * SPAN * np.array([-1.0, 0.0, 1.0])
+    values = np.asarray(into(jnp.asarray(ends), (2.0, 5.0)))
+    slopes = np.diag(jax.jacobian(lambda free: into(free, (2.0, 5.0)))(jnp.asarray(ends)))
+    assert values[0] == 2.0 and values[2] == 5.0
+    shares = slopes / 3.0 if into is bounded else slopes / values / np.log(2.5)
+    np.testing.assert_allclose(shares, 1 / SPAN, rtol=1e-12)
+    beyond = np.asarray(into(jnp.asarray(3.7 * ends), (2.0, 5.0)))
+    assert beyond[0] == 2.0 and beyond[2] == 5.0
+
+
+@pytest.mark.parametrize("bounds", [(0.1, 0.3), (1e-3, 2e-3), (3e-5, 1.5e-3)])
+def test_values_on_a_bound_come_back_exactly(bounds: tuple[float, float]) -> None:
+    for into, back in ((bounded, unbounded), (log_bounded, log_unbounded)):
+        np.testing.assert_array_equal(into(jnp.asarray(back(np.array(bounds), bounds)), bounds), bounds)
+
+
+def test_a_sheet_on_its_bounds_starts_there() -> None:
+    scene = scenes.cup()
+    for edge in BOUNDS:
+        thick = jaxform.replace(scene, {"parison.thickness": np.full(scene.parison.thickness.shape, edge)})
+        for variable in (
+            optimize.ThicknessProfile(thick, along="radius", bounds=BOUNDS, knots=4),
+            optimize.ThicknessField(thick, bounds=BOUNDS, smoothness=0.4),
+        ):
+            np.testing.assert_array_equal(np.abs(variable.start), variable.reach)
+
+
+def test_values_on_a_limit_of_neighbours_come_back_and_have_slopes() -> None:
+    values, change = np.array([2.0, 2.5, 2.3, 3.3, 5.0]), np.array([0.5, 0.2, 1.0, 1.7])
+    free = jnp.asarray(unlimited(values, (2.0, 5.0), change))
+    np.testing.assert_allclose(limited(free, (2.0, 5.0), change), values, rtol=1e-12)
+    slopes = np.diag(jax.jacobian(lambda free: limited(free, (2.0, 5.0), change))(free))
+    assert slopes.min() > 0.09
+    # A history that never falls and has come to its largest value: all but the first of its knots can go down.
+    variable = optimize.PressureKnots(scenes.cup(), bounds=(0.0, 0.25), increasing=True)
+    changes = np.asarray(jax.jacobian(lambda x: variable.changes(x)["pressure.value"])(jnp.asarray(variable.start)))
+    assert np.all(np.isfinite(changes)) and changes.max(axis=0)[0] > 0.05
+
+
+@pytest.mark.parametrize("edge", BOUNDS)
+@pytest.mark.parametrize("method", ["lbfgs", "least-squares"])
+def test_a_search_from_a_bound_finds_a_wall_that_is_within_reach(method: str, edge: float) -> None:
+    design = optimize.solve(_study(edge, method=method, iterations=15, warm_start=0))
+    assert design.history[0]["thickness_rms_error"] > 0.1
+    assert design.best_row["thickness_rms_error"] < 5e-3, (design.message, len(design.history))
+    assert len(design.history) <= 40
+    found = np.asarray(design.changes["parison.thickness"]["value"])
+    np.testing.assert_allclose(found, HIDDEN, rtol=0.04)
+    assert design.gradient_error is not None and design.gradient_error < 1e-5
+
+
+def test_an_optimum_on_a_bound_is_kept_exactly_and_called_one() -> None:
+    """The even wall asks for a middle three times as thick as the rim; the bounds leave it twice."""
+    bounds = (0.01, 0.02)
+    design = optimize.solve(_even(0.01, bounds, iterations=40, warm_start=0))
+    found = np.asarray(design.changes["parison.thickness"]["value"])
+    assert found.max() == bounds[1] or found.min() == bounds[0]
+    assert np.all((found >= bounds[0]) & (found <= bounds[1]))
+    middle = optimize.solve(_even(0.014, bounds, iterations=40, warm_start=0))
+    np.testing.assert_allclose(design.objective**0.5, middle.objective**0.5, rtol=0.1)
+    assert design.stopped_by in ("tolerance", "gradient_tolerance", "no-step")
+
+
+def _at(value: float, slope: float) -> Point:
+    gradient = np.array([slope, 0.0])
+    return Point(np.zeros(2), value, gradient, value, slope=gradient)
+
+
+def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
+    study, first = _study(0.01), _at(0.0275, 0.03)
+    idle = [0.0111] * 7
+    flat = endings.done(study, _at(0.0111, 1e-4), idle, first)
+    steep = endings.done(study, _at(0.0111, 0.03), idle, first)
+    assert flat is not None and flat.by == "tolerance"
+    assert steep is not None and steep.by == "no-progress" and "100 % of the first one" in steep.words
+    # What presses on a bound promises nothing.
+    free, gradient = np.array([-2.0, -2.0, 2.0, 0.5]), np.array([1.0, -1.0, 1.0, 1.0])
+    assert slope_within(free, gradient, np.full(4, 2.0)).tolist() == [0.0, -1.0, 1.0, 1.0]
+
+
+def test_a_search_ends_where_deviations_are_finer_than_a_mesh_can_tell() -> None:
+    study, first = _study(0.01), _at(1.0, 1.0)
+    reached = endings.done(study, _at(0.9e-6, 0.1), [1.0, 0.9e-6], first)
+    assert reached is not None and reached.by == "target"
+    # From 0.305 to 0.3 % in five steps: a wall of 1 mm by 50 nm.
+    slow = np.square(np.linspace(3.05e-3, 3.0e-3, 6)).tolist()
+    ended = endings.done(study, _at(slow[-1], 1e-7), slow, _at(1.0, 1e-6))
+    assert ended is not None and ended.by == "tolerance"
+    quick = np.square(np.linspace(4e-3, 3.0e-3, 6)).tolist()
+    assert endings.done(study, _at(quick[-1], 1e-7), quick, _at(1.0, 1e-6)) is None
+
+
+def test_the_check_of_a_gradient_on_a_bound_stays_inside() -> None:
+    asked: list[np.ndarray] = []
+
+    def value(free: np.ndarray) -> float:
+        asked.append(free)
+        return float(np.sum(np.exp(free)))
+
+    for free in (np.array([-2.0, 0.3, 2.0]), np.array([-2.0, -2.0, -2.0])):
+        point = Point(free, value(free), np.exp(free))
+        assert gradient_error(point, np.full(3, 2.0), value) < 1e-7
+        assert gradient_error(Point(free, point.value, 1.1 * np.exp(free)), np.full(3, 2.0), value) > 0.05
+    # A start that a solver left a little inside of its bounds is one on them.
+    free = np.array([2.0 - 1e-9, 1.0, -2.0 + 1e-9])
+    assert gradient_error(Point(free, value(free), np.exp(free)), np.full(3, 2.0), value) < 1e-7
+    assert np.abs(asked).max() <= 2.0
+
+
+def test_a_damped_step_within_bounds_is_the_least_of_the_model() -> None:
+    """Of a model of two numbers that are coupled: cut at the bound, the other one takes the best that is left."""
+    matrix, gradient = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-3.0, -3.0])
+    np.testing.assert_allclose(_step(matrix, gradient, 0.0, -np.ones(2) * 9, np.ones(2) * 9), [1.0, 1.0], rtol=1e-9)
+    step = _step(matrix, gradient, 0.0, np.array([-9.0, -9.0]), np.array([0.2, 9.0]))
+    np.testing.assert_allclose(step, [0.2, 1.4], rtol=1e-9)
+    assert _step(matrix, gradient, 0.0, np.array([0.0, -9.0]), np.array([0.0, 9.0]))[0] == pytest.approx(0.0, abs=1e-11)
+
+
+def test_a_reachable_target_takes_the_fixed_point_alone() -> None:
+    """By default updates come first while each halves the value; no gradient is compiled where they suffice."""
+    scene = scenes.cup()
+    field = optimize.ThicknessField(scene, bounds=(0.004, 0.06))
+    target = np.asarray(jaxform.run(scene).thickness)
+    sheet = jaxform.replace(scene, {"parison.thickness": 1.4 * scene.parison.thickness})
+    study = optimize.Study(sheet, (field,), optimize.Target(sheet, target))
+    waits: list[str] = []
+    design = optimize.solve(study, on_wait=waits.append)
+    assert design.stopped_by == "target" and len(design.history) <= 14
+    assert design.summary()["warm_start"] == len(design.history) - 1
+    assert all(row["gradient_norm"] == "" for row in design.history)
+    assert waits == ["simulating the scene to begin with"]
+
+
+def test_updates_that_do_not_halve_the_value_leave_it_to_the_gradient() -> None:
+    waits: list[str] = []
+    design = optimize.solve(_study(0.02, iterations=6), on_wait=waits.append)
+    updates = design.summary()["warm_start"]
+    objectives = [row["objective"] for row in design.history]
+    halved = [after <= 0.5 * before for before, after in itertools.pairwise(objectives[: updates + 1])]
+    assert 1 <= updates <= 12 and all(halved[:-1])
+    assert any(row["gradient_norm"] != "" for row in design.history[updates + 1 :])
+    assert any(words.startswith("compiling value and gradient, about") for words in waits)
+    none = optimize.solve(_study(0.02, iterations=1, warm_start=0))
+    assert none.history[0]["gradient_norm"] != "" and none.summary()["warm_start"] == 0
