@@ -28,9 +28,6 @@ _CONTENT = {
 }
 
 
-_TRIMMED = 0.5  # of an element, into the opening or up the buck: there the part is cut off
-
-
 def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
     """Writes a first scene into a folder that is there; returns its files, scene.toml first.
 
@@ -100,7 +97,6 @@ def scene_text(made: Draft, names: Sequence[str]) -> str:
             *_material(),
             *_pressure(made),
             *_mold(made, names),
-            *_part(made, names),
             *_refinement(made),
             *_part(made, names),
             *_solver(made),
@@ -207,22 +203,6 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
         f"translate = [{', '.join(_number(shift, 10) for shift in made.translate)}]",
         *_motion(made),
     ]
-
-
-def _part(made: Draft, names: Sequence[str]) -> list[str]:
-    """What of the formed sheet is the part: not what lies on the platen, on the flange, or on the covers of holes."""
-    lines, into = [], _TRIMMED * made.element_size
-    if made.drape is not None:
-        lines = [f'trim = {{ axis = "z", at = {_number(-into)}, keep = "below" }}  # off the platen']
-    elif made.planform.flange:
-        lines = [f'trim = {{ axis = "z", at = {_number(into)}, keep = "above" }}  # off the flange']
-    added = _added(made)
-    if made.drape is None and COVERS in added:
-        own = [*names, *(name for name in added if name != COVERS)]
-        lines.append(f"molds = {inline(own)}  # not the covers")
-    if not lines:
-        return []
-    return ["", "# All numbers are of the part alone; what is cut off it is left out:", "[part]", *lines]
 
 
 def _pose(made: Draft) -> str:
