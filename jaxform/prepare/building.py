@@ -13,7 +13,7 @@ from jaxform.contact.lists import PAIRS_PER_NODE
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real
 from jaxform.core.rules import by_own_rules
-from jaxform.core.store import Store
+from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import bisection, reference
@@ -249,5 +249,6 @@ def _warn_of_float32() -> None:
         warnings.warn(
             "jaxform computes in float32 because JAX's x64 mode is off; "
             'for full accuracy call jax.config.update("jax_enable_x64", True) first',
-            stacklevel=3,
+            stacklevel=2,
+            skip_file_prefixes=(str(PACKAGE),),
         )
