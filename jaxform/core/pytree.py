@@ -99,6 +99,18 @@ def as_real(value: ArrayLike) -> jax.Array:
     return _as(value, jnp.result_type(float))
 
 
+def in_precision[T](part: T) -> T:
+    """The part itself, or one like it where real arrays of it are not of JAX's default floating type."""
+    kind = jnp.result_type(float)
+
+    def differs(leaf: Any) -> bool:
+        return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating) and leaf.dtype != kind
+
+    if not any(map(differs, jax.tree.leaves(part))):
+        return part
+    return jax.tree.map(lambda leaf: as_real(leaf) if differs(leaf) else leaf, part)
+
+
 def as_index(value: ArrayLike) -> jax.Array:
     """The value as an array of int32."""
     return _as(value, jnp.int32)

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxform.contact.lists import PAIRS_PER_NODE
 from jaxform.core.errors import InputError
-from jaxform.core.pytree import as_index, as_real
+from jaxform.core.pytree import as_index, as_real, in_precision
 from jaxform.core.rules import by_own_rules
 from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
@@ -78,6 +78,9 @@ def build_scene(
             the run would take more steps than anyone would wait for.
     """
     _warn_of_float32()
+    # Parts may have been made before x64 was switched.
+    parison, solver = in_precision(parison), in_precision(solver)
+    mold, refinement = in_precision(mold), in_precision(refinement)
     check_part(part, None if mold is None else len(mold.triangles))
     pressure, count = parts.loading(pressure), len(parison.positions)
     if refinement is not None and forest is None:

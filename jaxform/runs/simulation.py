@@ -14,6 +14,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxform.adapt.refinement import refined, without_sides
 from jaxform.adjoint.strategies import Adjoint, adjoint_of
 from jaxform.core.errors import InputError
+from jaxform.core.pytree import in_precision
 from jaxform.core.rules import by_own_rules, on_device_of
 from jaxform.dynamics.initial import initial_state
 from jaxform.kernels.derivatives import Rule, apart, recomputed
@@ -50,6 +51,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
     check_scene(scene)
     if schedule is not None and not isinstance(schedule, Schedule):
         raise InputError("is no schedule", "give that of a result: result.schedule", "schedule", schedule)
+    schedule = in_precision(schedule)
     if isinstance(scene.solver.end_time, Tracer):
         end_time = _without_derivative(scene.solver.end_time)
         scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=end_time))

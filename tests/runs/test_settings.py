@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxform
@@ -55,6 +56,37 @@ def test_a_scene_of_another_precision_is_refused_in_one_line(name: str, double: 
     words = f"^scene: was built in {own}, and JAX computes in {now}.*; load or build the scene anew"
     with jax.enable_x64(not double), pytest.raises(jaxform.InputError, match=words):
         _WORK[name](scene)
+
+
+def _parts() -> dict[str, Any]:
+    """Those of a cup, made now."""
+    given, sheet = scenes.cup().mold, jaxform.shapes.disc(radius=1.0, elements=24, symmetry="quarter")
+    assert given is not None
+    return {
+        "parison": jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
+        "material": scenes.mooney(0.1),
+        "pressure": jaxform.make_pressure([0.0, 1.0], [0.0, 1.0]),
+        "solver": jaxform.make_solver(end_time=0.5, damping=1.0),
+        "mold": jaxform.make_mold(np.asarray(given.vertices), np.asarray(given.triangles)),
+    }
+
+
+def test_parts_that_were_made_in_another_precision_make_a_scene_of_the_present_one() -> None:
+    scenes.cup()
+    with jax.enable_x64(False), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        old = _parts()
+        schedule = jax.eval_shape(jaxform.simulate, jaxform.build_scene(**old)).schedule
+    new = _parts()
+    assert old["mold"].vertices.dtype == jnp.float32
+    scene, same = jaxform.build_scene(**old), jaxform.build_scene(**new)
+    kinds = [leaf.dtype for leaf in jax.tree.leaves(scene)]
+    assert kinds == [leaf.dtype for leaf in jax.tree.leaves(same)]
+    zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), schedule)
+    made = jax.eval_shape(lambda scene: jaxform.simulate(scene, schedule=zeros), scene)
+    assert made.thickness.dtype == jnp.float64
+    # What is of the present precision stays the same object: what was made of it is found again.
+    assert same.mold is new["mold"]
 
 
 def test_a_study_of_another_precision_is_refused_in_one_line() -> None:
