@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,10 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from jaxform.io.export import Wall
+    from jaxform.mesh.meshes import Mesh
 
 FORMATS = ("abaqus", "calculix", "radioss", "vtu", "csv")
 """Those of `jaxform.io.export`, which takes NumPy to import."""
@@ -25,7 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--onto", metavar="MESH", type=Path, help=words)
     words = "the whole sheet, with what the scene's [part] cuts off"
     parser.add_argument("--whole-sheet", action="store_true", help=words)
-    words = "metres per unit of length of MESH: 0.001 for millimetres (default 1)"
+    words = (
+        "in which coordinates MESH is: the scene's, or those of the mold's file, which [mold] scales, turns and moves"
+    )
+    words += " (default: those in which it lies on the part; the mold's own file is known)"
+    parser.add_argument("--pose", choices=("scene", "file"), help=words)
+    words = "metres per unit of length of MESH: 0.001 for millimetres (default 1, or the mold's)"
     parser.add_argument("--scale", metavar="METRES", type=float, help=words)
     words = "symmetry planes in which the part is completed: x, y or z, or the place as well, as x=0.15 (m)"
     parser.add_argument("--mirror", metavar="PLANE", nargs="+", default=[], help=words)
@@ -42,23 +52,62 @@ def export(arguments: argparse.Namespace) -> int:
     """
     from jaxform.io import export
 
-    if arguments.scale is not None and arguments.onto is None:
-        raise InputError("is there without a mesh", "give --onto as well", "--scale", arguments.scale)
+    for name in ("scale", "pose"):
+        if getattr(arguments, name) is not None and arguments.onto is None:
+            raise InputError("is there without a mesh", "give --onto as well", f"--{name}", getattr(arguments, name))
     path = _path(arguments, export.FORMATS[arguments.to].ending)
     wall = export.read_wall(arguments.folder, arguments.whole_sheet)
     for plane in arguments.mirror:
         wall = export.mirrored(wall, *_plane(plane, wall))
     said = []
     if arguments.onto is not None:
-        from jaxform.io.export import mapping
-
-        scale = 1.0 if arguments.scale is None else arguments.scale
-        mesh = mapping.read_target(disk.located(arguments.onto), scale)
-        wall, coverage = mapping.onto(wall, mesh, str(arguments.onto))
-        said.append(str(coverage))
+        wall, said = _onto(arguments, wall)
     export.write_wall(wall, path, arguments.to)
     _tell(arguments, wall, said, path)
     return session.DONE
+
+
+def _onto(arguments: argparse.Namespace, wall: Wall) -> tuple[Wall, list[str]]:
+    """The wall on the mesh that is named, in that one's coordinates, and what is to be said about it."""
+    from jaxform.io.export import mapping, pose
+    from jaxform.mesh import meshes
+
+    path, name = disk.located(arguments.onto), str(arguments.onto)
+    mesh, place, said = _target(arguments, wall, path)
+    posed = dataclasses.replace(mesh, positions=place(mesh.positions))
+    reach = mapping.FARTHEST * meshes.size(wall.positions)
+    own = bool(said)
+    side, nodes, share = pose.touched_side(wall, posed, reach, whole=not own)
+    if share < 1.0:
+        said.append(
+            f"what of {name} the sheet lies on is written, {100 * share:.3g} % of its area; the rest, which is another "
+            "side of it or not near the part, gets no wall"
+        )
+    carried, coverage = mapping.onto(wall, side, name)
+    if own:
+        # Planes of symmetry are the scene's.
+        carried = dataclasses.replace(carried, positions=mesh.positions[nodes], planes={})
+    return carried, [*said, str(coverage)]
+
+
+def _target(
+    arguments: argparse.Namespace, wall: Wall, path: Path
+) -> tuple[Mesh, Callable[[np.ndarray], np.ndarray], list[str]]:
+    """The mesh that is named [m], what takes its places to those of the scene, and a sentence where these differ."""
+    from jaxform.io.export import mapping, pose
+
+    given = 1.0 if arguments.scale is None else arguments.scale
+    own = None if arguments.pose == "scene" else pose.read_pose(arguments.folder)
+    if own is None and arguments.pose == "file":
+        problem, remedy = "the scene in DIR has no mold from a file", "give --pose scene"
+        raise InputError(problem, remedy, "--pose", arguments.pose)
+    if own is not None:
+        scaled = mapping.read_target(path, own.scale if arguments.scale is None else given)
+        known = arguments.pose == "file" or own.has(path)
+        words = "is the mold's own file" if own.has(path) else "is taken to be in the coordinates of the mold's file"
+        if known or pose.suits_better(wall, scaled, own.place(scaled.positions), mapping.read_target(path, given)):
+            return scaled, own.place, [f"{arguments.onto} {words}: placed as [mold] says; --pose scene says otherwise"]
+    return mapping.read_target(path, given), lambda places: places, []
 
 
 def _path(arguments: argparse.Namespace, ending: str) -> Path:

@@ -18,7 +18,7 @@ from jaxform.tools.search import SearchGrid
 from jaxform.tools.sides import Ways
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+Integers = NDArray[np.integer]
 
 _SLENDER = 0.75  # times as high as it is wide where it is crossed, a rib is; a right-angled edge is half as high
 _SAME = 1e-6  # of a side: crossings as near as that are one, at an edge that two triangles share
@@ -133,7 +133,7 @@ def _through_faces(
         places.append(begin[met] + share[:, None] * along)
         owners.append(met)
         edges.append(along * np.sign(np.einsum("ij,ij->i", along, up[met]))[:, None])
-    place, pair, edge = (np.concatenate(values) for values in (places, owners, edges))
+    place, pair, edge = np.concatenate(places), np.concatenate(owners), np.concatenate(edges)
     order = np.argsort(row[pair], kind="stable")
     place, pair, edge = place[order], pair[order], edge[order]
     first = np.flatnonzero(np.diff(row[pair], prepend=-1))

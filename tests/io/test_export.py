@@ -25,6 +25,7 @@ from jaxform.io.export import Wall, mapping
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserving, nodal_fields
+from jaxform.tools.molds import rotation
 
 Array = NDArray[np.float64]
 
@@ -351,6 +352,88 @@ def test_the_command_writes_a_completed_part_onto_a_mesh_in_mm(
     # Nor is one with dashes or marks of a terminal any less a comment.
     assert "<!-- wall of b\\xf6wl- - - *NODE, exported by jaxform" in (results / "wall.vtu").read_text()
     ElementTree.parse(results / "wall.vtu")
+
+
+_SCENE = """
+[parison]
+shape = "disc"
+radius = {radius}
+elements = 60
+thickness = 1e-3
+[material]
+model = "neo-hookean"
+c = 1e5
+density = 1000.0
+[pressure]
+time = [0.0, 1.0]
+value = [0.0, 1.0]
+[mold]
+shape = "file"
+path = "mold.stl"
+scale = 0.001
+rotate = [180.0, 0.0, 30.0]
+translate = [0.01, 0.02, 0.3]
+[solver]
+end_time = 1.0
+"""
+
+
+def _solid(inner: Mesh, thick: float) -> tuple[Array, NDArray[np.int64]]:
+    """A closed bowl so thick (n, 3) [m], the given one its inside."""
+    outer = inner.positions + np.array([0.0, 0.0, thick])
+    outer[:, :2] *= 1 + thick / RADIUS
+    rim, count = topology.boundary_edges(inner.triangles), len(inner.positions)
+    sides = [np.column_stack([rim[:, 0], rim[:, 1], rim[:, 1] + count])]
+    sides.append(np.column_stack([rim[:, 0], rim[:, 1] + count, rim[:, 0] + count]))
+    return np.concatenate([inner.positions, outer]), np.concatenate(
+        [inner.triangles[:, ::-1], inner.triangles + count, *sides]
+    ).astype(np.int64)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("copy", [True, False])
+def test_a_mold_in_its_own_coordinates_is_placed_as_the_scene_did(
+    results: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], closed: bool, copy: bool
+) -> None:
+    """The mold's file itself, or another mesh in its coordinates; of a closed solid the touched side alone."""
+    inner = _bowl(400)
+    places, triangles = _solid(inner, 0.004) if closed else (inner.positions, np.asarray(inner.triangles))
+    placed = rotation(np.array([180.0, 0.0, 30.0]))
+    own = 1e3 * (places - np.array([0.01, 0.02, 0.3])) @ placed
+    meshes.write_stl(results / "mold.stl", own, triangles)
+    if not copy:
+        own = own + 0.005  # mm, so that the file is another
+    meshes.write_stl(tmp_path / "target.stl", own, triangles)
+    (results / "simulated.toml").write_text(_SCENE.format(radius=RADIUS))
+    out = tmp_path / "on.vtu"
+    arguments = ["export", str(results), "--to", "vtu", "--mirror", "x", "y=0", "--out", str(out), "--force"]
+    arguments += ["--onto", str(tmp_path / "target.stl")]
+    assert command.main(arguments) == 0
+    said = capfd.readouterr().out
+    assert ("the mold's own file" if copy else "in the coordinates of the mold's file") in said
+    mesh = meshio.read(out)
+    # In the file's own coordinates, in m.
+    back = mesh.points @ placed.T + np.array([0.01, 0.02, 0.3])
+    nearest = np.linalg.norm(back[:, None] - inner.positions[None], axis=2).min(1)
+    assert (nearest < 1e-5).mean() > 0.98
+    full = 4 * 1.1 * _formed(60, "quarter").volume
+    assert _volume_of(mesh.points, mesh.cells[0].data, mesh.point_data["thickness"]) == pytest.approx(full, rel=5e-3)
+    if closed:
+        assert "gets no wall" in said
+    # In the scene's coordinates it is somewhere else.
+    capfd.readouterr()
+    assert command.main([*arguments, "--pose", "scene", "--scale", "0.001"]) == 2
+    assert "mold's file" not in capfd.readouterr().out
+
+
+def test_a_pose_without_a_mold_from_a_file_is_refused(
+    results: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    target = _bowl(100)
+    meshes.write_stl(tmp_path / "part.stl", target.positions, target.triangles)
+    said = _refused(capfd, str(results), "--to", "vtu", "--onto", str(tmp_path / "part.stl"), "--pose", "file")
+    assert "--pose" in said and "no mold from a file" in said
+    assert "--onto" in _refused(capfd, str(results), "--to", "vtu", "--pose", "file")
 
 
 def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
