@@ -39,7 +39,7 @@ _FILLED = 0.97  # of the surface that could be touched, that must lie within an 
 _SAMPLES, _CELLS = 20_000, 150  # of the mold; and along the sheet, of the buffer of heights
 _FLAGS = re.compile(r"--(?:drape|cavity)|--direction=?\s?[+-][xyz]")
 _REFUSED = 2  # exit status
-_OF_FILLING = ("not filled", "mm before", "gap", "mm from the mold")  # what says in words that a part is not filled
+_OF_FILLING = ("not filled", "m before it")  # what says in words that a part is not filled
 
 
 @dataclass
@@ -96,7 +96,7 @@ def tried(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit
     """What `new` and `simulate` make of one kind of file, in a folder of its own."""
     row = Row(name)
     path = KINDS[name].write(folder, name, fine)
-    row.triangles = len(trimesh.load(path, process=False, force="mesh").faces)
+    row.triangles = len(_read(path).faces)
     scene = folder / path.name.split(".")[0]
     code, complaint, row.seconds = _called(limit, "new", str(scene), "--mold", str(path))
     row.said = complaint
@@ -171,11 +171,14 @@ def share_within_an_element(scene: Path, part: Path) -> float:
     return float((near <= size).mean()) if seen.any() else 0.0
 
 
+def _read(path: Path) -> Any:
+    return trimesh.load(path, process=False, force="mesh")
+
+
 def _placed(folder: Path, table: dict[str, Any]) -> trimesh.Trimesh:
     """The mold of a scene [m], where it is at the end."""
     names = table["path"] if isinstance(table["path"], list) else [table["path"]]
-    parts = [trimesh.load(folder / name, process=False, force="mesh") for name in names]
-    mesh = trimesh.util.concatenate(parts)
+    mesh: Any = trimesh.util.concatenate([_read(folder / name) for name in names])
     points = np.asarray(mesh.vertices) * table.get("scale", 1.0)
     for axis, degrees in zip(np.eye(3), table.get("rotate", [0.0, 0.0, 0.0]), strict=True):
         points = points @ trimesh.transformations.rotation_matrix(np.radians(degrees), axis)[:3, :3].T

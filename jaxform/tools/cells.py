@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import planform, raster
+from jaxform.tools.opening import Opening
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,14 +60,15 @@ class Cells:
         return float(met[part].sum() / max(int(self.seen.sum()), 1))
 
 
-def cells(corners: Array, polygon: Array, level: float) -> Cells:
+def cells(corners: Array, polygon: Array, found: Opening) -> Cells:
     """The cells of what is behind a sheet.
 
     Args:
         corners: Of the mold's triangles (n, 3, 3) [m], turned so that the sheet is pushed to +z.
         polygon: Of the sheet (k, 2) [m].
-        level: Height of the sheet [m].
+        found: The opening, in the plane of which the sheet lies.
     """
+    level = found.level
     used = corners.reshape(-1, 3)
     extent = np.append(np.ptp(used[:, :2], axis=0), used[:, 2].max() - level)
     width = float(extent.max()) / _COUNT
@@ -75,7 +77,9 @@ def cells(corners: Array, polygon: Array, level: float) -> Cells:
     wall = walls((corners - low) / width, shape)
     columns, rows = (low[k] + width * (np.arange(shape[k]) + 0.5) for k in range(2))
     places = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1)
-    sheet = planform.inside(places.reshape(-1, 2), [polygon]).reshape(places.shape[:2])
+    # A sheet may reach over the outer edge of a narrow rim, by less than a cell.
+    hollow = found.view.sampled(found.cavity, places.reshape(-1, 2))
+    sheet = (hollow & planform.inside(places.reshape(-1, 2), [polygon])).reshape(places.shape[:2])
     seen = sheet[..., None] & ~np.logical_or.accumulate(wall, axis=2)
     # A flange may lie anywhere in the first layer: nothing passes between the sheet and it.
     wall[..., 0] |= ~seen[..., 0]

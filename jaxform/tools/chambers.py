@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import cells
+from jaxform.tools.cells import Cells
+from jaxform.tools.patches import close_sides
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,15 +29,17 @@ class Chamber(NamedTuple):
     Attributes:
         width: Of the hollow [m].
         neck: Of the widest way into it [m].
+        cells: In which all other air around the mold is seen, and the hollow is what is outside.
     """
 
     width: float
     neck: float
+    cells: Cells
 
 
 def refuse_bottles(mold: Mesh) -> None:
     """Raises an InputError where a mold [m] is a bottle, which is blown from a parison, not formed from a sheet."""
-    found = widest(mold.positions[mold.triangles])
+    found = widest(mold)
     if found is None:
         return
     widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
@@ -47,19 +51,22 @@ def refuse_bottles(mold: Mesh) -> None:
     raise InputError(problem, remedy)
 
 
-def widest(corners: Array) -> Chamber | None:
-    """The hollow behind a neck of a mold, or None where a ball that fits a hollow can be brought into it.
+def close_necks(mold: Mesh) -> list[Mesh]:
+    """Covers on the ways into the hollow of a bottle, for a sheet that is formed over its outside; none of others."""
+    found = widest(mold)
+    return [] if found is None else close_sides(found.cells, mold)
 
-    Args:
-        corners: Of the mold's triangles (n, 3, 3) [m].
-    """
+
+def widest(mold: Mesh) -> Chamber | None:
+    """The hollow behind a neck of a mold [m], or None where a ball that fits a hollow can be brought into it."""
     from scipy import ndimage
 
-    used = corners.reshape(-1, 3)
-    extent = np.ptp(used, axis=0)
+    corners = mold.positions[mold.triangles]
+    low, extent = corners.min((0, 1)), np.ptp(corners, axis=(0, 1))
     width = float(extent.max()) / _COUNT
-    shape = np.ceil(extent / width).astype(int) + 2 * _AROUND + 1
-    wall = cells.walls((corners - used.min(0)) / width + _AROUND + 0.5, shape)
+    low = low - (_AROUND + 0.5) * width
+    shape = np.ceil(extent / width).astype(np.int64) + 2 * _AROUND + 1
+    wall = cells.walls((corners - low) / width, shape)
     air = _reached(~wall)
     away: Any = ndimage.distance_transform_edt(~wall)
     for half in np.geomspace(_LEAST, max(float(shape.min()) / 2, 2 * _LEAST), _STEPS):
@@ -70,8 +77,10 @@ def widest(corners: Array) -> Chamber | None:
             continue
         # What a ball of that size, which rolls outside, does not touch.
         rolled: Any = ndimage.distance_transform_edt(~(wide & ~inner))
-        if (air & (rolled > half)).sum() >= _SHARE * np.prod(extent) / width**3:
-            return Chamber(2 * deepest * width, 2 * float(half) * width)
+        hollow = air & (rolled > half)
+        if hollow.sum() >= _SHARE * np.prod(extent) / width**3:
+            parted = Cells(low, width, wall, air & ~hollow, hollow)
+            return Chamber(2 * deepest * width, 2 * float(half) * width, parted)
     return None
 
 

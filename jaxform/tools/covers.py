@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
     patches = _patches(heights.seen(heights.surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon)
     closed = meshes.merged([closed, *patches])
-    behind = cells.cells(closed.positions[closed.triangles], polygon, found.level)
+    behind = cells.cells(closed.positions[closed.triangles], polygon, found)
     sides = [] if found.male else close_sides(behind, closed)
     parts = [*fans, *curtain, *patches, *sides]
     if not parts:
@@ -81,12 +81,23 @@ def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> li
     made = []
     for one in np.flatnonzero(~in_seams & (nearest > found.level + FLAT * size)):
         rim = turned[edges[part == one]]
-        if _sampled(found.view.inside, found.view, rim[:, 0, :2]).mean() < 0.5:
+        if found.view.sampled(found.view.inside, rim[:, 0, :2]).mean() < 0.5:
             continue
         cap = fan(rim)
+        if _before(found, cap):
+            continue
         if volumes.areas(cap.positions, cap.triangles).sum() > _SPECK * size**2:
             made.append(cap)
     return made
+
+
+def _before(found: Opening, cap: Mesh) -> bool:
+    """Whether a cap lies before what is seen: the end of a lip is around a hollow, not around a hole in it."""
+    places = cap.positions[cap.triangles].mean(1)
+    size = volumes.areas(np.insert(cap.positions[:, :2], 2, 0.0, axis=1), cap.triangles)
+    deep = found.view.sampled(found.view.height, places[:, :2])
+    before = np.isfinite(deep) & (deep > places[:, 2] + found.view.pixel)
+    return bool(size @ before > 0.5 * max(size.sum(), found.view.pixel**2))
 
 
 def at_seams(turned: Array, edges: Integers, near: float) -> Mask:
@@ -127,7 +138,7 @@ def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], f
     """Walls down from the sheet's edge where nothing is under it, and how long they are [m]."""
     view = found.view
     along = _edge_points(polygon, _STEP * view.pixel)
-    near, deep = _sampled(view.around(), view, along), _sampled(_deepest(view), view, along)
+    near, deep = view.sampled(view.around(), along), view.sampled(_deepest(view), along)
     open_there = near > found.level + FLAT * size
     # A single place is below the pixels' resolution. A rim is seen from a few pixels away, so that walls reach beyond
     # the gap.
@@ -153,12 +164,6 @@ def _edge_points(polygon: Array, step: float) -> Array:
     side = np.repeat(np.arange(len(polygon)), counts)
     share = counted_up(counts) / counts[side]
     return polygon[side] + share[:, None] * (ends - polygon)[side]
-
-
-def _sampled(values: NDArray[Any], view: Heights, places: Array) -> NDArray[Any]:
-    """The values (n,) of the pixels that places (n, 2) [m] are in."""
-    column, row = np.floor((places - view.low) / view.pixel).astype(int).T
-    return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]
 
 
 def _deepest(view: Heights) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,11 @@ class Heights:
         """Middles (n, 2) [m] of pixels."""
         row, column = np.nonzero(pixels)
         return self.low + self.pixel * (np.stack([column, row], axis=1) + 0.5)
+
+    def sampled(self, values: NDArray[Any], places: Array) -> NDArray[Any]:
+        """The values (ny, nx) of the pixels that places (n, 2) [m] are in, or are nearest to."""
+        column, row = np.floor((places - self.low) / self.pixel).astype(int).T
+        return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]
 
     def within(self, polygon: Array) -> Mask:
         """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""

@@ -171,7 +171,7 @@ def _within_rim(look: _Look, size: float) -> _Look:
     level = _brim(view, tolerance)
     if level is None:
         return look
-    own = _look(replace(view, inside=_enclosing(view, level + tolerance)), size)
+    own = _look(replace(view, inside=_enclosing(view, level + tolerance, tolerance)), size)
     above = own.view.inside & (view.height < own.level - tolerance)
     if own.share < RIM or above.sum() > _ABOVE * own.view.inside.sum():
         return look
@@ -202,12 +202,16 @@ def _held(view: Heights, level: float) -> float:
     return float((view.height[held] - level).sum())
 
 
-def _enclosing(view: Heights, level: float) -> Mask:
-    """The pixels (ny, nx) of what is no deeper than a height [m], with the hollows within, where those are large."""
+def _enclosing(view: Heights, level: float, tolerance: float) -> Mask:
+    """The pixels (ny, nx) of rims that reach to a height [m], with the hollows within, where those are large.
+
+    What stands above a rim, beside the hollow, is left out: a handle that is higher.
+    """
     ground = view.height <= level
-    whole = masks.filled(ground)
+    hollow = masks.filled(ground) & ~ground
+    whole = masks.filled(hollow | (ground & (view.height >= level - 3 * tolerance)))
     part, count = masks.parts(whole)
-    held = whole & ~ground & np.isfinite(view.height)
+    held = hollow & np.isfinite(view.height)
     volume = np.bincount(part[held], view.height[held] - level, count + 1)
     return (volume >= _ALSO * volume.max())[part] & whole
 

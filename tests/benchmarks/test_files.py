@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import meshio
 import numpy as np
@@ -29,7 +30,7 @@ def test_the_kinds_are_as_many_and_as_fine_as_strangers_files() -> None:
 )
 def test_files_are_written_in_their_units_and_with_their_faults(tmp_path: Path, name: str) -> None:
     kind, size = KINDS[name], np.ptp(KINDS[name].made(1.0).vertices, axis=0)
-    read = trimesh.load(kind.write(tmp_path, name), process=False, force="mesh")
+    read: Any = trimesh.load(kind.write(tmp_path, name), process=False, force="mesh")
     np.testing.assert_allclose(np.ptp(read.vertices, axis=0) * file_molds.UNITS[kind.unit], size, rtol=1e-5)
     if name == "buck of unshared vertices":
         assert len(read.vertices) == 3 * len(read.faces)

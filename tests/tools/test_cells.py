@@ -29,7 +29,7 @@ def closed(shape: Mesh) -> tuple[opening.Opening, np.ndarray, covers.Covers]:
 def behind(shape: Mesh, found: opening.Opening, polygon: np.ndarray, added: Mesh | None) -> cells.Cells:
     """The cells behind a sheet, with what covers the mold."""
     whole = shape if added is None else meshes.merged([shape, added])
-    return cells.cells((whole.positions @ found.view.turn.T)[whole.triangles], polygon, found.level)
+    return cells.cells((whole.positions @ found.view.turn.T)[whole.triangles], polygon, found)
 
 
 @pytest.mark.parametrize("degrees", TURNS)
@@ -100,16 +100,26 @@ def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
     shape = mold("hollow bottle", degrees, fine=1.0)
     with pytest.raises(InputError, match=r"is a bottle: its hollow is about .. mm wide behind a neck of.*--drape"):
         chambers.refuse_bottles(shape)
-    found = chambers.widest(shape.positions[shape.triangles])
+    found = chambers.widest(shape)
     assert found is not None
     # Within two cells of what they are.
     assert found.width == pytest.approx(0.061, abs=0.004) and found.neck == pytest.approx(0.021, abs=0.004)
 
 
+def test_the_mouth_of_a_bottle_is_closed_for_a_sheet_over_its_outside():
+    shape = mold("hollow bottle", fine=1.0)
+    (lid,) = chambers.close_necks(shape)
+    # Over the mouth, to its edge, and not far into the neck, 0.021 wide and 0.03 long.
+    assert lid.positions[:, 2].min() > 0.2 - 0.011 and lid.positions[:, 2].max() < 0.201
+    assert 0.009 < np.hypot(*lid.positions[:, :2].T).max() < 0.0125
+    assert chambers.widest(meshes.merged([shape, lid])) is None
+    assert chambers.close_necks(mold("mug")) == []
+
+
 @pytest.mark.parametrize("name", [name for name in KINDS if name != "hollow bottle"])
 def test_nothing_else_is_a_bottle(name):
     shape = mold(name)
-    assert chambers.widest(shape.positions[shape.triangles]) is None
+    assert chambers.widest(shape) is None
 
 
 @pytest.mark.parametrize("name", ["hollow bottle", "solid bottle", "jerry can", "tube", "cylinder buck"])
