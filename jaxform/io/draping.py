@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import warn_of
 from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import buck, platen, scans, undercut
+from jaxform.tools import buck, chambers, platen, scans, undercut
 from jaxform.tools.buck import Buck
 from jaxform.tools.opening import Opening
 from jaxform.tools.platen import Site
@@ -82,15 +82,16 @@ def drape(mold: Mesh, direction: Array | None) -> Drape:
     Raises:
         InputError: Nothing stands above a base.
     """
-    stands = buck.find(mold, direction)
+    lids = chambers.close_necks(mold)
+    stands = buck.find(meshes.merged([mold, *lids]), direction)
     site = platen.fit(stands)
     rims = scans.rims_of(mold)
     turn = stands.view.turn
     walls, fans = ([], []) if rims is None else scans.closing(mold, rims, turn, stands.base)
-    closing = [Mesh(part.positions @ turn, part.triangles) for part in [*walls, *fans]]
+    closing = [*lids, *(Mesh(part.positions @ turn, part.triangles) for part in [*walls, *fans])]
     deepest = undercut.deepest(stands, meshes.merged([mold, *closing]))
     parts = [*([] if site.platen is None else [site.platen]), *closing]
-    return Drape(stands, site, meshes.merged(parts) if parts else None, len(fans), deepest)
+    return Drape(stands, site, meshes.merged(parts) if parts else None, len(fans) + len(lids), deepest)
 
 
 def warn(made: Drape, scale: float) -> None:

@@ -75,9 +75,10 @@ def widest(mold: Mesh) -> Chamber | None:
         deepest = float(away[inner].max(initial=0.0))
         if half > _NARROW * deepest:
             continue
-        # What a ball of that size, which rolls outside, does not touch.
+        # What a ball of that size, which rolls outside, does not touch; corners outside are no hollow.
         rolled: Any = ndimage.distance_transform_edt(~(wide & ~inner))
-        hollow = air & (rolled > half)
+        part, _ = cells.parts(air & (rolled > half))
+        hollow = np.isin(part, np.unique(part[inner])) & (part > 0)
         if hollow.sum() >= _SHARE * np.prod(extent) / width**3:
             parted = Cells(low, width, wall, air & ~hollow, hollow)
             return Chamber(2 * deepest * width, 2 * float(half) * width, parted)

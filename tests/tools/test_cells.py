@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from benchmarks.strangers import file_molds
 from benchmarks.strangers.file_molds import KINDS
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, volumes
@@ -93,6 +96,40 @@ def test_handles_lips_and_skirts_are_no_part_of_the_cavity(name, radius, depth, 
     size = np.ptp(shape.positions @ molds.rotation(np.array(degrees)), axis=0).max()
     assert found.depth == pytest.approx(depth, abs=2 * opening.FLAT * size)
     assert found.cavity.sum() * found.view.pixel**2 == pytest.approx(np.pi * radius**2, rel=0.05)
+
+
+def _welded(*parts: Any) -> Mesh:
+    whole = meshes.merged([Mesh(1e-3 * np.asarray(part.vertices), np.asarray(part.faces)) for part in parts])
+    return rims.welded(whole.positions, whole.triangles)
+
+
+def pan() -> Mesh:
+    """A pan, 0.042 deep within a radius of 0.117, whose handle is as high as its rim and longer than it is wide."""
+    profile = [[0, 0], [110, 0], [120, 45], [117, 45], [107, 3], [0, 3]]
+    return _welded(file_molds.turned(profile, 120), file_molds.box([118, -10, 38], [300, 10, 45]))
+
+
+def high_handled() -> Mesh:
+    """A cup, 0.055 deep within a radius of 0.0225, whose handle stands above its rim."""
+    return _welded(KINDS["cup"].made(1.0), file_molds.box([24, -4, 25], [50, 4, 66]))
+
+
+def rolled_bowl() -> Mesh:
+    """An open shell whose rim, at a radius of 0.084, is rolled until it points down and in."""
+    angle = np.linspace(np.pi, -np.pi / 2, 12)
+    lip = np.stack([84 + 4 * np.cos(angle), 30 + 4 * np.sin(angle)], axis=1)
+    return _welded(file_molds.turned(np.concatenate([[[0, 0], [50, 0]], lip]), 96))
+
+
+@pytest.mark.parametrize(
+    ("shape", "radius", "depth"),
+    [(pan(), 0.117, 0.042), (high_handled(), 0.0225, 0.055), (rolled_bowl(), 0.082, 0.0335)],
+)
+def test_neither_long_nor_high_handles_nor_the_end_of_a_lip_are_covered_or_counted(shape, radius, depth):
+    found, _, added = closed(shape)
+    assert added.mesh is None and added.holes == 0
+    assert found.depth == pytest.approx(depth, rel=0.03)
+    assert found.cavity.sum() * found.view.pixel**2 == pytest.approx(np.pi * radius**2, rel=0.06)
 
 
 @pytest.mark.parametrize("degrees", TURNS)
