@@ -24,6 +24,7 @@ _ALIKE = 0.97  # of the best score: as good
 _UPRIGHT = 0.35  # of the best score, from which the side that the file has upwards is chosen
 _WIDEST = 0.985  # of what is seen, that lies above the height at which a mold without a base is cut
 _GROUND = 0.1  # of what is seen, that a platen is at least
+_MIDDLE = (0.3, 0.9)  # of the height, between which a mold without a base is cut
 _THICK = 0.4  # of the body's height, how thick a platen is at most
 _DIRECTIONS = ["+z", "+y", "+x", "-z", "-y", "-x"]
 
@@ -183,12 +184,15 @@ def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_
     on_platen = share >= opening.RIM and body.any() and ground.sum() >= _GROUND * view.inside.sum()
     # What is thick is the lower part of a stepped body.
     on_platen = bool(on_platen) and lowest - level <= _THICK * (level - float(view.height.min()))
-    flat = is_open or stand.share >= _STANDS or stand.foot >= _FOOT
+    widest = float(np.quantile(view.height[np.isfinite(view.height)], _WIDEST))
+    # What is round below is cut where it is widest; what widens upwards, or ends in a rough back, stands on its end.
+    middle = _MIDDLE[0] < (widest - float(view.height.min())) / (lowest - float(view.height.min())) < _MIDDLE[1]
+    flat = is_open or stand.foot >= _STANDS or not middle
     base = lowest
     if on_platen:
         base, flat = level, True
     elif not flat:
-        base = float(np.quantile(view.height[np.isfinite(view.height)], _WIDEST))
+        base = widest
     top = float(view.height.min())
     if base - top <= tolerance:
         problem = f"nothing stands above a base when the sheet comes from {named(stand.direction)}"
