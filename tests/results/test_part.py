@@ -121,6 +121,21 @@ def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
     np.testing.assert_allclose(np.asarray(excess)[mine], 1.0 - walls / 0.0075)
 
 
+def test_the_gradient_of_an_objective_over_the_part_is_that_of_central_differences() -> None:
+    scene = dataclasses.replace(scenes.cup(), part=jaxform.make_part(trim=("z", 0.1, "above")))
+    schedule, objective = jaxform.run(scene).schedule, optimize.Uniform()
+
+    def value(thickness: jax.Array) -> jax.Array:
+        changed = jaxform.replace(scene, {"parison.thickness": thickness})
+        return objective(changed, only_part(jaxform.simulate(changed, schedule=schedule), changed))
+
+    program, thickness = jax.jit(jax.value_and_grad(value)), scene.parison.thickness
+    slope = program(thickness)[1]
+    change = 1e-6 * np.random.default_rng(0).normal(size=thickness.shape) * thickness
+    difference = (program(thickness + change)[0] - program(thickness - change)[0]) / 2
+    np.testing.assert_allclose(jnp.vdot(slope, change), difference, rtol=1e-7)
+
+
 def test_a_part_that_holds_nothing_is_warned_of_and_a_search_of_it_refused(
     formed: tuple[jaxform.Scene, Result],
 ) -> None:
