@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.pytree import as_real
 from jaxform.io.canvas import new_figure, save
 from jaxform.io.plots import AFTER
-from jaxform.io.surfaces import SHEET, mirrored, sheet_view
+from jaxform.io.surfaces import SHEET, hangs_before, mirrored, sheet_view
 from jaxform.io.survey import Survey, survey
 from jaxform.io.views import MINIMUM, draw
 from jaxform.model.scene import Scene
@@ -20,6 +21,7 @@ from jaxform.results import sections
 Array = NDArray[np.float64]
 
 _ARROW = 0.08  # of what is drawn, an arrow of the pressure is long
+_AT_END = "mold at the end"
 _MUCH = 8.0  # times as large as the sheet, a mold leaves a dot of it
 
 
@@ -57,10 +59,16 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     if scene.mold is not None:
         walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
         lines["mold"] = sections.crossed(1e3 * np.concatenate(mirrored(scene, walls)), axis, level)
-    for name, color, width in (("mold", "#606060", 1.8), ("sheet", SHEET, 2.5)):
+    if scene.motion is not None and "mold" in lines:
+        end = 1e3 * np.asarray(scene.motion.offset(as_real(float(scene.solver.end_time))), float)
+        moved = 1e3 * np.concatenate(mirrored(scene, walls)) + end
+        lines[_AT_END] = sections.crossed(moved, axis, level)
+    styles = (("mold", "#606060", 1.8, "-"), (_AT_END, "#a06020", 1.4, "--"), ("sheet", SHEET, 2.5, "-"))
+    for name, color, width, style in styles:
         if name in lines:
             drawn = lines[name][..., [across, push]]
-            axes.add_collection(LineCollection(list(drawn), colors=color, linewidths=width, label=name))
+            collection = LineCollection(list(drawn), colors=color, linewidths=width, linestyles=style, label=name)
+            axes.add_collection(collection)
     axes.autoscale()
     _draw_push(axes, lines["sheet"][..., [across, push]].mean(1), [across, push], seen)
     if seen.mold is not None and seen.mold.size > _MUCH * seen.sheet.size and len(lines["sheet"]):
@@ -69,6 +77,9 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
         axes.annotate("the sheet", dot, (12, 12), textcoords="offset points", color=AFTER)
     axes.margins(0.08)
     axes.set_aspect("equal", adjustable="datalim")
+    if push == 2 and hangs_before(scene):
+        # A buck stands below the sheet in every machine.
+        axes.invert_yaxis()
     axes.set_title(f"cut at {'xyz'[axis]} = {middle + 0.0:.4g} mm", fontsize=11)
     axes.set(xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[push]} [mm]")
     axes.legend(frameon=False, loc="upper right")

@@ -58,7 +58,14 @@ def sheet_view(scene: Scene) -> View:
     paint = np.array([*bytes.fromhex(SHEET[1:])]) / 255
     sheet = Surface(faces, np.tile(paint, (len(faces), 1)), opaque=0.8, edges=True)
     mold, outline = _mold(scene, faces, whole=True)
-    return View([*mold, sheet], outline)
+    return View([*mold, sheet], outline, hangs_before(scene), hangs_before(scene))
+
+
+def hangs_before(scene: Scene) -> bool:
+    """Whether a sheet that a moving mold meets is drawn with z down, so that a buck stands up and is below it."""
+    corners = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    along = normals_of_nodes(*corners)[:, 2].sum() * scene.strongest_push()
+    return bool(scene.motion is not None and along > 0)
 
 
 def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:

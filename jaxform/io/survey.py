@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import warn_of
 from jaxform.core.pytree import as_real, remembered
 from jaxform.core.words import extent, place
+from jaxform.io.approach import warn_of_motion
 from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import even_energy
 from jaxform.mesh import masks, raster
@@ -227,6 +228,7 @@ def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
     warn_of_units(scene, file)
     if seen.mold is not None:
         _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
+        warn_of_motion(scene, file)
 
 
 def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:

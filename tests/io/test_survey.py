@@ -10,7 +10,8 @@ import pytest
 
 import jaxform
 from jaxform import InputWarning, molds, shapes
-from jaxform.io import files
+from jaxform.io import files, preview
+from jaxform.io.canvas import new_figure
 from jaxform.io.survey import survey, warn_of_scene
 from jaxform.mesh import meshes
 from tests import scenes
@@ -188,3 +189,56 @@ def test_a_law_that_lets_go_is_told_with_the_stretch(tmp_path: Path) -> None:
     # dW/dI1 = c1 + 2 c2 (I1 - 3) is zero at I1 = 13: 2 x^2 + x^-4 for x = 2.546.
     told = _told(tmp_path, text.format(c2=-1e4))
     assert len(told) == 1 and "lets go of a sheet that is stretched 2.55 times both ways" in told[0]
+
+
+_BUCK = """
+[parison]
+shape = "disc"
+radius = 0.1
+elements = 60
+thickness = 1.0e-3
+[material]
+model = "neo-hookean"
+c = 2.0e5
+density = 1000.0
+[pressure]
+time = [0.0, 1.0]
+value = [0.0, 1.0e4]
+[mold]
+shape = "revolved"
+profile = [[0.0, {gap}], [0.03, {gap}], [0.04, 0.05], [0.1, 0.05]]
+segments = 24
+[mold.motion]
+direction = [0.0, 0.0, {way}]
+time = [0.0, 0.5]
+displacement = [0.0, {far}]
+[solver]
+end_time = 1.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("gap", "way", "far", "warned"),
+    [(0.001, 1.0, 0.05, True), (0.02, 2.0, 0.03, True), (0.001, -1.0, 0.05, False), (0.02, -1.0, 0.3, False)],
+)
+def test_a_mold_that_moves_off_is_warned_of_and_where_it_ends_is_drawn(
+    tmp_path: Path, gap: float, way: float, far: float, warned: bool
+) -> None:
+    """Not one that comes to the sheet, nor one that goes through it and far beyond."""
+    file = tmp_path / "buck.toml"
+    file.write_text(_BUCK.format(gap=gap, way=way, far=far))
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        scene = jaxform.load(file)
+    told = [str(one.message) for one in heard if "mold.motion.direction" in str(one.message)]
+    assert len(told) == warned
+    if warned:
+        assert f"{gap:.3g} m from the sheet at first, {gap + far:.3g} m at 0.5 s" in told[0] and str(file) in told[0]
+    figure = new_figure(8, 7.5, "")
+    axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
+    preview._draw_cut(axes, scene, survey(scene))
+    drawn = {line.get_label(): np.concatenate(line.get_segments()) for line in axes.collections}
+    shift = drawn["mold at the end"] - drawn["mold"]
+    np.testing.assert_allclose(shift, np.broadcast_to([0.0, 1e3 * far * np.sign(way)], shift.shape), atol=1e-6)
+    # The buck is below the sheet, though z is up in the scene.
+    assert axes.yaxis_inverted()
