@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import filling, grids, meshes, outlines, topology, volumes
+from jaxform.mesh import filling, grids, meshes, outlines, rings, topology, volumes
 from jaxform.mesh.bisection import Snap
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
@@ -56,8 +56,9 @@ def disc(
 ) -> Sheet:
     """A round sheet about the origin in z = 0 with normals +z and a clamped rim.
 
-    Ring i of n has radius i R / n and 6 i segments, 3 i in a half and about 1.5 i in a quarter. Where the element
-    size is a profile over the radius, rings are that far apart and their segments that long, in proportion.
+    Ring i of n has radius i R / n and about 6 i segments, 3 i in a half and 1.5 i in a quarter; each is turned by half
+    a segment against the last, so that no spokes are seen. Where the element size is a profile over the radius, rings
+    are that far apart and their segments that long, in proportion.
 
     Args:
         radius: R [m].
@@ -81,17 +82,13 @@ def disc(
         if elements and symmetry != "none":
             ring_count = max(2, ring_count)
         check_count(density * ring_count**2, element_size)
-        segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
-        radii = radius * (np.arange(ring_count + 1) / ring_count)
-    ring_count = len(segments) - 1
-    rings = [grids.ring(r, count, symmetry) for r, count in zip(radii, segments, strict=True)]
-    starts = np.cumsum([0, *map(len, rings)])
-    bands = [
-        grids.zip_rings(starts[k], segments[k], starts[k + 1], segments[k + 1], symmetry == "none")
-        for k in range(ring_count)
-    ]
-    clamped = np.arange(starts[-1]) >= starts[-2]
-    return replace(_sheet(np.concatenate(rings), np.concatenate(bands), clamped, symmetry), snap=_to_rim(radius))
+        segments = density * np.arange(1, ring_count + 1)
+        radii = radius * (np.arange(1, ring_count + 1) / ring_count)
+    staggered = rings.staggered(segments.tolist(), symmetry)
+    nodes = [ring.positions(r, symmetry) for r, ring in zip(radii, staggered, strict=True)]
+    positions = np.concatenate([np.zeros((1, 3)), *nodes])
+    clamped = np.arange(len(positions)) >= len(positions) - len(nodes[-1])
+    return replace(_sheet(positions, rings.triangles(staggered), clamped, symmetry), snap=_to_rim(radius))
 
 
 def _to_rim(radius: float) -> Snap:
@@ -111,8 +108,8 @@ def _scaled_to(points: NDArray[np.float64], radius: float) -> NDArray[np.float64
     return points * radius / np.where(distance > 0, distance, 1.0)
 
 
-def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray[np.float64], list[int]]:
-    """Radii of the rings and their numbers of segments, from the local size over the radius."""
+def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radii of the rings and their wanted numbers of segments, from the local size over the radius."""
     if size.along != "radius":
         raise InputError("a disc is graded along its radius", "use radius", f"{size.key}.along", size.along)
     size.positive()
@@ -121,10 +118,8 @@ def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray
     local = np.interp(fine, size.at, size.value)
     rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (1 / local[1:] + 1 / local[:-1]))])
     ring_count = max(2, grids.whole(rank[-1]))
-    radii = np.interp(np.linspace(0.0, rank[-1], ring_count + 1), rank, fine)
-    local = np.interp(radii, size.at, size.value)
-    segments = [max(1, math.floor(density * r / s + 0.5)) for r, s in zip(radii, local, strict=True)]
-    return radii, [0, *segments[1:]]
+    radii = np.interp(np.linspace(0.0, rank[-1], ring_count + 1)[1:], rank, fine)
+    return radii, density * radii / np.interp(radii, size.at, size.value)
 
 
 def rectangle(
