@@ -1,4 +1,4 @@
-"""Nodes and triangles of the built-in sheets: rows of cells, faces of an octahedron. On the host."""
+"""Nodes and triangles of the built-in sheets: rings, rows of cells, faces of an octahedron. On the host."""
 
 from __future__ import annotations
 
@@ -7,6 +7,39 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def ring(radius: float, segments: int, symmetry: str) -> NDArray[np.float64]:
+    """Nodes of a ring or arc, counter-clockwise, exactly on the cut planes: (k, 3)."""
+    if radius == 0:
+        return np.zeros((1, 3))
+    first, span = {"none": (0.0, 2.0), "half": (-0.5, 1.0), "quarter": (0.0, 0.5)}[symmetry]
+    nodes = np.arange(segments + (symmetry != "none"))
+    angle = np.pi * (first + span * nodes / segments)
+    unit = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+    unit[np.abs(unit) < 1e-14] = 0.0
+    return radius * unit
+
+
+def zip_rings(inner: int, inner_count: int, outer: int, outer_count: int, closed: bool) -> NDArray[np.int64]:
+    """Triangles between two rings of nodes that start at `inner` and `outer`: (inner_count + outer_count, 3).
+
+    One triangle for each segment of either ring, in the order of the angles where the segments end; at equal
+    angles the inner one goes first, which makes every sector of a full disc symmetric about its middle.
+    """
+    inner_ends, outer_ends = np.arange(1, inner_count + 1), np.arange(1, outer_count + 1)
+    ends = np.concatenate([inner_ends * outer_count, outer_ends * inner_count])
+    is_outer = np.arange(len(ends)) >= inner_count
+    is_outer = is_outer[np.lexsort((is_outer, ends))]
+    inner_node = _numbers(inner, np.cumsum(~is_outer), inner_count, closed)
+    outer_node = _numbers(outer, np.cumsum(is_outer), outer_count, closed)
+    near = _numbers(inner, np.cumsum(~is_outer) - ~is_outer, inner_count, closed)
+    far = _numbers(outer, np.cumsum(is_outer) - is_outer, outer_count, closed)
+    return np.stack([near, far, np.where(is_outer, outer_node, inner_node)], axis=1)
+
+
+def _numbers(start: int, place: NDArray[np.int64], segment_count: int, closed: bool) -> NDArray[np.int64]:
+    return start + (place % max(1, segment_count) if closed else place)
 
 
 def whole(ratio: float) -> int:

@@ -56,9 +56,9 @@ def disc(
 ) -> Sheet:
     """A round sheet about the origin in z = 0 with normals +z and a clamped rim.
 
-    Ring i of n has radius i R / n and about 6 i segments, 3 i in a half and 1.5 i in a quarter; each is turned by half
-    a segment against the last, so that no spokes are seen. Where the element size is a profile over the radius, rings
-    are that far apart and their segments that long, in proportion.
+    Ring i of n has radius i R / n and about 6 i segments (see `jaxform.mesh.rings`), 3 i in a half and about 1.5 i in
+    a quarter. Where the element size is a profile over the radius, rings are that far apart and their segments that
+    long, in proportion.
 
     Args:
         radius: R [m].
@@ -75,20 +75,32 @@ def disc(
     density = 6 / _parts(symmetry)
     radius = as_length("parison.radius", radius)
     if isinstance(element_size, Profile):
-        radii, segments = _graded_rings(radius, element_size, density)
+        radii, segments = rings.graded(radius, element_size, density)
     else:
         check_resolution(element_size, elements, largest=radius)
         ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
         if elements and symmetry != "none":
             ring_count = max(2, ring_count)
         check_count(density * ring_count**2, element_size)
-        segments = density * np.arange(1, ring_count + 1)
-        radii = radius * (np.arange(1, ring_count + 1) / ring_count)
-    staggered = rings.staggered(segments.tolist(), symmetry)
-    nodes = [ring.positions(r, symmetry) for r, ring in zip(radii, staggered, strict=True)]
+        segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
+        radii = radius * (np.arange(ring_count + 1) / ring_count)
+    if symmetry == "none":
+        return _without_spokes(radii, segments)
+    ring_count = len(segments) - 1
+    arcs = [grids.ring(r, count, symmetry) for r, count in zip(radii, segments, strict=True)]
+    starts = np.cumsum([0, *map(len, arcs)])
+    bands = [grids.zip_rings(starts[k], segments[k], starts[k + 1], segments[k + 1], False) for k in range(ring_count)]
+    clamped = np.arange(starts[-1]) >= starts[-2]
+    return replace(_sheet(np.concatenate(arcs), np.concatenate(bands), clamped, symmetry), snap=_to_rim(radius))
+
+
+def _without_spokes(radii: NDArray[np.float64], segments: Sequence[int]) -> Sheet:
+    """A whole disc with rings at radii (n + 1,) [m], the first 0, and about so many segments."""
+    staggered = rings.staggered(segments[1:])
+    nodes = [ring.positions(radius) for radius, ring in zip(radii[1:], staggered, strict=True)]
     positions = np.concatenate([np.zeros((1, 3)), *nodes])
     clamped = np.arange(len(positions)) >= len(positions) - len(nodes[-1])
-    return replace(_sheet(positions, rings.triangles(staggered), clamped, symmetry), snap=_to_rim(radius))
+    return replace(_sheet(positions, rings.triangles(staggered), clamped, "none"), snap=_to_rim(float(radii[-1])))
 
 
 def _to_rim(radius: float) -> Snap:
@@ -106,20 +118,6 @@ def _to_rim(radius: float) -> Snap:
 def _scaled_to(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     distance = np.linalg.norm(points, axis=1, keepdims=True)
     return points * radius / np.where(distance > 0, distance, 1.0)
-
-
-def _graded_rings(radius: float, size: Profile, density: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Radii of the rings and their wanted numbers of segments, from the local size over the radius."""
-    if size.along != "radius":
-        raise InputError("a disc is graded along its radius", "use radius", f"{size.key}.along", size.along)
-    size.positive()
-    check_count(density * (radius / min(size.value)) ** 2, min(size.value))
-    fine = np.linspace(0.0, radius, 20_001)
-    local = np.interp(fine, size.at, size.value)
-    rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (1 / local[1:] + 1 / local[:-1]))])
-    ring_count = max(2, grids.whole(rank[-1]))
-    radii = np.interp(np.linspace(0.0, rank[-1], ring_count + 1)[1:], rank, fine)
-    return radii, density * radii / np.interp(radii, size.at, size.value)
 
 
 def rectangle(
