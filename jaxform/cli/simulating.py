@@ -121,7 +121,19 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
         f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
         f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
+    say(_thinnest(summary["thinnest"]))
     if summary["gap_max"] > summary["thickness"]["mean"]:
         where = place(summary["gap_place"])
         say(f"the mold is filled least at {where}: {1e3 * summary['gap_max']:.3g} mm are left")
     say(f"status: {summary['status']}; results in {folder}")
+
+
+def _thinnest(found: dict[str, Any]) -> str:
+    """The thinnest recovered wall in words, with its scatter."""
+    from jaxform.core.words import place
+
+    where, around = place(found["recovered_place"]), "around its ring" if found["scatter_of"] == "ring" else "there"
+    return (
+        f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm at {where}; scatter "
+        f"{100 * found['scatter']:.2g} % {around}"
+    )

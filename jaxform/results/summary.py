@@ -19,6 +19,7 @@ from jaxform.results.filling import filling_of, mold_offset, warnings_of_filling
 from jaxform.results.part import counted
 from jaxform.results.result import Result, Seconds
 from jaxform.results.review import thinnest, warnings_of_part
+from jaxform.results.scatter import thinnest_recovered
 from jaxform.results.sections import symmetry_planes
 from jaxform.sheet.state import Status
 from jaxform.tools.penetration import Penetration, penetration, resting_directions
@@ -112,7 +113,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         "compile_seconds": seconds.compile,
         "run_seconds": seconds.run,
         "thickness": wall_statistics(part),
-        "thinnest": thinnest(part, scene),
+        "thinnest": thinnest(part, scene) | thinnest_recovered(part, scene),
         "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
         "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
         **_wrinkles(result, scene, area),

@@ -33,6 +33,10 @@ class _Thinnest(_Table):
     thickness: Number
     formed: Place
     initial: Place
+    recovered: Number = None
+    recovered_place: Place | None = None
+    scatter: Number = None
+    scatter_of: str = ""
 
 
 class _Design(_Table):

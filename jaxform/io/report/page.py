@@ -81,6 +81,18 @@ def _tile(label: str, value: str, unit: str, before: Any = None, factor: float =
     )
 
 
+def _recovered(thin: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The rows of the thinnest recovered wall; none of a summary that does not know it."""
+    if thin.get("recovered") is None:
+        return []
+    around = "around its ring" if thin.get("scatter_of") == "ring" else "among the elements there"
+    return [
+        ("thinnest wall, recovered from the elements", f"{number(thin['recovered'], 1e3)} mm"),
+        ("&emsp;where, in the part", _place(thin.get("recovered_place") or [])),
+        (f"&emsp;its scatter {around}", f"{number(thin.get('scatter'), 100, 2)} %"),
+    ]
+
+
 def quality(results: Results) -> str:
     """The table of what a part is judged by."""
     summary = results.summary
@@ -90,9 +102,10 @@ def quality(results: Results) -> str:
     if planes:
         mass += f" ({_WHOLE[planes]} of it is modelled: {number(summary['mass'], 1e3)} g)"
     rows = [
-        ("thinnest wall", f"{number(thin['thickness'], 1e3)} mm"),
+        ("thinnest element", f"{number(thin['thickness'], 1e3)} mm"),
         ("&emsp;where, in the part", _place(thin["formed"])),
         ("&emsp;where it came from, in the sheet", _place(thin["initial"])),
+        *_recovered(thin),
         ("mean wall, by formed area", f"{number(wall['mean'], 1e3)} mm"),
         ("spread (coefficient of variation)", f"{number(wall['cv'], 100)} %"),
         ("thickest wall", f"{number(wall['max'], 1e3)} mm"),
