@@ -93,5 +93,5 @@ def _left_open(result: Result) -> str:
     if result.filling is None:
         return ""
     left, depth = result.filling.left, result.filling.depth
-    share = f"{100 * left.width / depth:.2g} % of the opening's depth of {depth:.3g} m"
+    share = f"{100 * left.width / depth:.0f} % of the opening's depth of {depth:.3g} m"
     return f": {left.width:.3g} m are left at {place(left.place)}, {share}"

@@ -128,7 +128,7 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
         return []
     return [
         f"the mold is not filled everywhere: {gap.width:.3g} m are left at {place(gap.place)}, "
-        f"{100 * gap.width / filling.depth:.2g} % of the opening's depth; raise pressure.value or solver.end_time, or "
+        f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise pressure.value or solver.end_time, or "
         "say mold.fill = false"
     ]
 
