@@ -92,7 +92,8 @@ class Draft:
     @property
     def filling(self) -> float:
         """The pressure [Pa] that fills the corners down to about an element: 2 T / r of a radius r and a tension T."""
-        folds = isinstance(self.planform.shape, np.ndarray)
+        # A higher pressure would blow up what spans the foot of a buck, too.
+        folds = self.drape is not None or isinstance(self.planform.shape, np.ndarray)
         return 2 * self._tension / ((_RE_ENTRANT if folds else _CORNER) * self.element_size)
 
     @property
