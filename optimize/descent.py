@@ -1,12 +1,13 @@
-"""First-order searches within bounds: optax's L-BFGS with a line search that sees every simulation, and optax's Adam.
+"""First-order searches within bounds: L-BFGS with a line search that sees every simulation, and optax's Adam.
 
 The loop is the host's, so that every simulation is a row of the history and can be shown, kept and stopped. After a
 failed simulation the line search shortens its step, and Adam goes back to the best design and halves its rate.
 
-SciPy's L-BFGS-B was tried in its place, with the same bounds and numbers: from a start on the bounds it came to a wall
-variation of 2.1 % after the time of 42 simulations, this one after 20, from a start in the middle to 1.34 % after 54
-(and ended with an abnormal line search), this one after 31; and it knows neither failed simulations nor a mesh whose
-decisions are renewed on the way.
+SciPy's L-BFGS-B was tried in its place, with the same bounds and numbers: it comes down as fast (on 16 quadratic and
+convex functions of 25 numbers, most with optima on bounds, to a ten-thousandth in 17 evaluations, this one in 16), but
+ended with an abnormal line search where contact makes the objective rough, and it knows neither failed simulations nor
+a mesh whose decisions are renewed on the way. Optax's L-BFGS, whose curvature cannot be had for the numbers that are
+not held alone, took 49.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import optax
+from scipy.optimize import LbfgsInvHessProduct
 
 from optimize.designs import Point, Study
 from optimize.endings import NO_STEP, STOPPED, Ending, done, idle, nothing
@@ -25,11 +27,12 @@ _SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
 _TRIALS = 8
 _INSIDE = (0.1, 0.8)  # of an interval, where the next trial is
 _MEMORY = 10
+_CURVED = 1e-12  # below which a step teaches nothing of the curvature
 _FIRST_STEP, _LEAST_FIRST_STEP = 1.0, 0.2  # of the number with the largest slope, of 4 between its bounds
 
 
 def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
-    """Optax's L-BFGS direction with a weak Wolfe line search; the last point and why it ended.
+    """L-BFGS' direction with a weak Wolfe line search; the last point and why it ended.
 
     Numbers at a bound that the slope presses on are held; the line search is along the way that the bounds bend.
     """
@@ -51,22 +54,38 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
         point = search.refreshed(step)
 
 
+class _Memory(NamedTuple):
+    """The last design with its gradient, and what designs before taught: steps, and changes of the gradient by them."""
+
+    point: Point
+    steps: list[np.ndarray]
+    changes: list[np.ndarray]
+
+
 def _direction(search: Search, point: Point) -> np.ndarray:
-    """Optax's direction (n,), 0 for numbers that are held; it brings the search's memory up to date.
+    """L-BFGS' direction (n,) of the numbers that are not held, 0 for those that are; it brings the memory up to date.
 
     What an earlier round learnt of the curvature holds for other multipliers, nearly.
     """
-    transform, fresh = optax.scale_by_lbfgs(memory_size=_MEMORY), search.memory is None
-    free = jnp.asarray(point.free)
-    state = transform.init(free) if fresh else search.memory
-    update, search.memory = transform.update(jnp.asarray(point.gradient), state, free)
-    direction = np.where(point.slope == 0.0, 0.0, -np.asarray(update))
-    if direction @ point.slope >= 0:
-        search.memory, fresh = transform.init(free), True
-        direction = -point.slope
-    if not fresh:
-        return direction
-    return _first_size(search, point) / max(np.abs(direction).max(), 1e-300) * direction
+    steps: list[np.ndarray] = []
+    changes: list[np.ndarray] = []
+    if search.memory is not None:
+        last, steps, changes = search.memory
+        if not np.array_equal(last.free, point.free):
+            steps = [*steps, point.free - last.free][-_MEMORY:]
+            changes = [*changes, point.gradient - last.gradient][-_MEMORY:]
+    search.memory = _Memory(point, steps, changes)
+    moving = point.slope != 0.0
+    pairs = [(step[moving], change[moving]) for step, change in zip(steps, changes, strict=True)]
+    pairs = [(step, change) for step, change in pairs if step @ change > _CURVED * (change @ change) > 0.0]
+    direction = np.zeros_like(point.free)
+    if not pairs:
+        return -_first_size(search, point) / max(np.abs(point.slope).max(), 1e-300) * point.slope
+    step, change = pairs[-1]
+    size = (step @ change) / (change @ change)  # of the first guess of the inverse curvature, which SciPy takes as 1
+    scaled = np.array(pairs) * np.array([[[size**-0.5], [size**0.5]]])
+    direction[moving] = -size * (LbfgsInvHessProduct(scaled[:, 0], scaled[:, 1]) @ point.slope[moving])
+    return direction
 
 
 def _first_size(search: Search, point: Point) -> float:
