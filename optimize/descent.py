@@ -84,7 +84,8 @@ def _direction(search: Search, point: Point) -> np.ndarray:
     step, change = pairs[-1]
     size = (step @ change) / (change @ change)  # of the first guess of the inverse curvature, which SciPy takes as 1
     scaled = np.array(pairs) * np.array([[[size**-0.5], [size**0.5]]])
-    direction[moving] = -size * (LbfgsInvHessProduct(scaled[:, 0], scaled[:, 1]) @ point.slope[moving])
+    inverse = LbfgsInvHessProduct(scaled[:, 0], scaled[:, 1])
+    direction[moving] = -size * np.asarray(inverse.matvec(point.slope[moving]))
     return direction
 
 
