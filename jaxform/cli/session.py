@@ -120,10 +120,10 @@ def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | 
 
 @contextlib.contextmanager
 def waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
-    """Says on standard error what is being waited for, where it takes longer than a moment."""
+    """Says what is being waited for, where it takes longer than a moment."""
     from threading import Timer
 
-    timer = Timer(_MOMENT, lambda: print(f"jaxform: {words} ...", file=sys.stderr, flush=True))
+    timer = Timer(_MOMENT, lambda: say(f"{words} ..."))
     timer.daemon = True
     if not arguments.quiet:
         timer.start()
