@@ -21,6 +21,7 @@ from jaxform.dynamics import window as windows
 from jaxform.sheet import discretization, state
 from jaxform.sheet.state import Status
 from tests import scenes
+from tests.examples.sealed_gas import SealedGas
 
 simulate = jax.jit(jaxform.simulate)
 
@@ -352,19 +353,23 @@ def test_float32_is_close_and_warns_once() -> None:
     assert np.sqrt(np.mean(np.square(error))) < 5e-3
 
 
-def test_two_parallel_symmetry_planes_are_refused() -> None:
+def test_a_gas_between_two_parallel_symmetry_planes_is_refused() -> None:
     """The volume is counted from one point on every plane; of a strip between two it would be wrong."""
     sheet = shapes.rectangle(size=(1.0, 0.5), elements=40)
     ends = np.isclose(sheet.positions[:, 0] % 1.0, 0.0)
     fixed = np.zeros_like(sheet.fixed)
     fixed[:, 1] = np.isclose(sheet.positions[:, 1] % 0.5, 0.0)
+    parts: dict[str, Any] = {
+        "parison": jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, ends, fixed),
+        "material": scenes.mooney(0.1),
+        "solver": jaxform.make_solver(end_time=1.0),
+    }
+    gas = SealedGas(*map(scenes.real, (1.0, 2.0, 1.0, 1.0, 1.0)))
     with pytest.raises(jaxform.InputError, match=r"parison.fixed.*y from 0 to 0.5 m"):
-        jaxform.build_scene(
-            parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, ends, fixed),
-            material=scenes.mooney(0.1),
-            pressure=jaxform.make_pressure([0.0], [1.0]),
-            solver=jaxform.make_solver(end_time=1.0),
-        )
+        jaxform.build_scene(pressure=gas, **parts)
+    # Under a pressure of the time alone the edges in the farther plane count as a rim (tests/dynamics/test_rims.py).
+    rim = jaxform.build_scene(pressure=jaxform.make_pressure([0.0], [1.0]), **parts).tables.rim
+    assert rim is not None and np.allclose(sheet.positions[np.asarray(rim.ends), 1], 0.5)
 
 
 def test_the_end_time_has_no_derivative_and_what_is_no_scene_is_told() -> None:
