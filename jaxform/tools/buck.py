@@ -184,16 +184,16 @@ def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_
     on_platen = share >= opening.RIM and body.any() and ground.sum() >= _GROUND * view.inside.sum()
     # What is thick is the lower part of a stepped body.
     on_platen = bool(on_platen) and lowest - level <= _THICK * (level - float(view.height.min()))
-    widest = float(np.quantile(view.height[np.isfinite(view.height)], _WIDEST))
+    top, widest = float(view.height.min()), float(np.quantile(view.height[np.isfinite(view.height)], _WIDEST))
     # What is round below is cut where it is widest; what widens upwards, or ends in a rough back, stands on its end.
-    middle = _MIDDLE[0] < (widest - float(view.height.min())) / (lowest - float(view.height.min())) < _MIDDLE[1]
+    low, high = (top + share * (lowest - top) for share in _MIDDLE)
+    middle = low < widest < high
     flat = is_open or stand.foot >= _STANDS or not middle
     base = lowest
     if on_platen:
         base, flat = level, True
     elif not flat:
         base = widest
-    top = float(view.height.min())
     if base - top <= tolerance:
         problem = f"nothing stands above a base when the sheet comes from {named(stand.direction)}"
         remedy = "give another --direction, or --cavity where the sheet goes into a hollow"
