@@ -134,8 +134,13 @@ def _lines(made: Draft) -> Iterator[str]:
 
 
 def _cavity_lines(made: Draft) -> Iterator[str]:
+    from jaxform.tools import buck
+
     x, y, z = made.found.view.turn.T[:, 2]
     yield f"its opening is found; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
+    if made.found.others:
+        sides = " or ".join(f"--direction={buck.named(side)}" for side in made.found.others)
+        yield f"it is hollow on other sides too: {sides}"
 
 
 def _clamped(made: Draft) -> str:

@@ -31,6 +31,7 @@ HOLLOW = 5e-4
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
 LEAST_RIM = 0.3
 """The same share, of what is looked at with a warning."""
+_OTHERS, _SAME = 0.2, 0.98  # of the best hollow, that others hold at least; cosine between sides that are one
 _LEVELS = 25  # heights at which a rim is looked for at first
 _ABOVE = 0.03  # of the area within a rim, that may stand above it: a few pins
 _KEPT = 0.5  # of what a side seems to hold, that is within the rim at least
@@ -64,6 +65,7 @@ class Opening:
         male: Whether the sheet is formed over what stands out, not into what is hollow.
         rim: Share of the edge that is at the height of the rim.
         depth: Of what is formed [m].
+        others: Unit vectors (3,) to other sides, in the file's axes, on which a cavity holds nearly as much.
     """
 
     view: Heights
@@ -73,6 +75,7 @@ class Opening:
     male: bool
     rim: float
     depth: float
+    others: tuple[Array, ...] = ()
 
 
 def find(vertices: Array, triangles: Integers, *, male: bool | None = None, direction: Array | None = None) -> Opening:
@@ -98,7 +101,9 @@ def find(vertices: Array, triangles: Integers, *, male: bool | None = None, dire
         raise InputError(problem, remedy)
     view = heights.seen(surface, best.view.turn, FINE)
     look = _look(view, size)
-    return _male(look, size) if male else _female(_within_rim(look, size), size)
+    if male:
+        return _male(look, size)
+    return replace(_female(_within_rim(look, size), size), others=tuple(sides.others))
 
 
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
@@ -110,10 +115,11 @@ def is_rimmed(vertices: Array, triangles: Integers) -> bool:
 
 
 class Sides(NamedTuple):
-    """The look at the most hollow side, and at the one from which most stands out."""
+    """The look at the most hollow side, and at the one from which most stands out; directions (3,) to other hollows."""
 
     hollow: _Look
     raised: _Look
+    others: list[Array]
 
     @property
     def male(self) -> bool:
@@ -133,7 +139,9 @@ def sides_of(surface: heights.Surface, size: float, direction: Array | None = No
     outer = [_look(heights.seen(surface, turn, _COARSE), size) for turn in turns]
     inner = [_within_rim(look, size) for look in outer]
     hollow = _first_best(_rimmed(inner), lambda look: look.hollow)
-    return Sides(hollow, _first_best(_rimmed(outer), lambda look: look.raised))
+    others = [-look.view.turn[2] for look in inner if look.share >= RIM and look.hollow >= _OTHERS * hollow.hollow]
+    others = [side for side in others if side @ hollow.view.turn[2] > -_SAME]
+    return Sides(hollow, _first_best(_rimmed(outer), lambda look: look.raised), others)
 
 
 def _rimmed(looks: list[_Look]) -> list[_Look]:

@@ -143,6 +143,17 @@ def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
     assert found.width == pytest.approx(0.061, abs=0.004) and found.neck == pytest.approx(0.021, abs=0.004)
 
 
+def test_a_mold_that_is_hollow_on_two_sides_names_the_other():
+    shape = mold("cup with a skirt", (25.0, -50.0, 110.0))
+    found = opening.find(shape.positions, shape.triangles, male=False)
+    (other,) = found.others
+    np.testing.assert_allclose(other, found.view.turn[2], atol=1e-3)
+    again = opening.find(shape.positions, shape.triangles, male=False, direction=other)
+    np.testing.assert_allclose(again.view.turn[2], -other, atol=1e-3)
+    mug = mold("mug")
+    assert again.depth > 0 and not opening.find(mug.positions, mug.triangles, male=False).others
+
+
 def test_the_mouth_of_a_bottle_is_closed_for_a_sheet_over_its_outside():
     shape = mold("hollow bottle", fine=1.0)
     (lid,) = chambers.close_necks(shape)
