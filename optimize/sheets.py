@@ -65,9 +65,9 @@ class _Sheet:
         low, high = self.bounds[0] / mean, self.bounds[1] / mean
         if np.any((values < low) | (values > high)):
             values = optimize.lsq_linear(rows, wanted, (low, high)).x
-            # It ends a little inside of the bounds.
-            values = np.where(values - low < _ON_BOUND * (high - low), low, values)
-            values = np.where(high - values < _ON_BOUND * (high - low), high, values)
+        # Both end a little inside of bounds that the sheet lies on.
+        values = np.where(values - low < _ON_BOUND * (high - low), low, values)
+        values = np.where(high - values < _ON_BOUND * (high - low), high, values)
         if self._change is None:
             return log_unbounded(mean * values, self.bounds) / self._ease
         return unlimited(mean * values, self.bounds, self._change) / self._ease

@@ -53,7 +53,7 @@ class Adam(_Search):
 
     Attributes:
         method: How it is searched for.
-        learning_rate: Size of the first steps in unbounded numbers.
+        learning_rate: Size of the first steps; from one bound to the other it is 4.
     """
 
     method: Literal["adam"]
