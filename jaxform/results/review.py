@@ -38,7 +38,8 @@ def thinnest(result: Result, scene: Scene) -> dict[str, Any]:
 def warnings_of_part(result: Result, scene: Scene) -> list[str]:
     """A sentence for each thing in a part that is hardly meant, with the remedy."""
     # Of a run that broke off, but for a sheet that ran away, the status says more.
-    broken = int(result.status) & ~(Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED)
+    told = Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED | Status.UNFILLED
+    broken = int(result.status) & ~told
     if broken or not np.isfinite(np.asarray(result.positions)).all():
         return []
     return [*_untouched(result, scene), *_gone(result, scene), *_torn(result), *_folded(result, scene)]

@@ -147,7 +147,7 @@ def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:
     """What to mind about a part that was formed as asked for: a sentence each, with the remedy."""
-    still = int(result.status) == 0 and (scene.motion is not None or bool(np.any(scene.pushes())))
+    still = int(result.status) & ~Status.UNFILLED == 0 and (scene.motion is not None or bool(np.any(scene.pushes())))
     return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
 
 

@@ -191,3 +191,12 @@ def test_a_search_passes_through_designs_that_do_not_fill_and_its_summary_says_i
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"].startswith("the mold is not filled")
     assert "jaxform: warning: the mold is not filled" in capfd.readouterr().err
+
+
+def test_a_mold_that_was_never_reached_is_warned_of_whatever_the_status(
+    at_rest: tuple[jaxform.Scene, Result],
+) -> None:
+    scene, first = at_rest
+    summary = summarize(first, scene)
+    assert "not filled" in summary["status"]
+    assert any("nothing touched the mold" in words for words in summary["warnings"])
