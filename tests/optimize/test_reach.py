@@ -175,10 +175,15 @@ def test_limits_on_simulations_and_minutes() -> None:
     for ending, by in ((spent(study, 20.1, 0.0), "max_simulations"), (spent(study, 1.0, 30.0), "minutes")):
         assert ending is not None and ending.by == by
     values = [1.0, 0.8995, 0.8995, 0.8994, 0.8993, 0.8992, 0.8991]
-    point = Point(np.zeros(4), 0.8991, np.ones(4), 0.8991)
-    ending = done(study, point, values, point)
+    first = Point(np.zeros(4), 1.0, np.ones(4), 1.0, slope=np.ones(4))
+    point = Point(np.zeros(4), 0.8991, np.ones(4), 0.8991, slope=np.full(4, 0.01))
+    ending = done(study, point, values, first)
     assert ending is not None and ending.by == "tolerance"
-    assert done(dataclasses.replace(study, tolerance=1e-4), point, values, point) is None
+    assert done(dataclasses.replace(study, tolerance=1e-4), point, values, first) is None
+    # Where the slope has not gone, steps that bring nothing are no sign of an optimum.
+    steep = dataclasses.replace(point, slope=np.ones(4))
+    ending = done(study, steep, values, first)
+    assert ending is not None and ending.by == "no-progress"
 
 
 def _counting(study: optimize.Study, seconds: float = 0.0) -> Search:
