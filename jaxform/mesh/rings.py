@@ -102,8 +102,11 @@ def staggered(wanted: Sequence[float]) -> list[Ring]:
     rings: list[Ring] = []
     for left, number in zip(reversed(range(len(wanted))), wanted, strict=True):
         last = rings[-1] if rings else Ring(0, False)
-        # Numbers change after a ring that is not turned: else no choice of diagonals may have mirror symmetry.
-        count = last.count if last.turned and left else _nearest(counts, number)
+        count = _nearest(counts, number)
+        # Numbers change after a ring that is not turned: else no choice of diagonals may have mirror symmetry. Where
+        # the size changes fast they cannot wait.
+        if last.turned and left and 2 * last.count <= 3 * count <= 4.5 * last.count:
+            count = last.count
         rings.append(Ring(count, count == last.count and not last.turned))
     return rings
 

@@ -136,6 +136,21 @@ def test_disc_has_no_spokes(count):
     assert not (inwards & outwards)[radius > 0.55].any()
 
 
+@pytest.mark.parametrize(
+    ("at", "value", "angle"),
+    [
+        ((0.0, 0.05, 0.1), (0.004, 0.002, 0.004), 40),
+        ((0.0, 0.1), (0.008, 0.001), 39),
+        ((0.0, 0.04, 0.05, 0.06, 0.1), (0.008, 0.008, 0.0015, 0.008, 0.008), 25),
+        ((0.0, 0.09, 0.1), (0.002, 0.002, 0.01), 20),
+    ],
+)
+def test_numbers_of_segments_follow_a_size_that_changes_fast(at, value, angle):
+    sheet = disc(radius=0.1, element_size=Profile("radius", at, value))
+    check_sound(sheet)
+    assert np.all(normals(sheet)[:, 2] > 0) and minimum_angle(sheet) > angle
+
+
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
 def test_disc_area_converges_with_order_two(symmetry):
     exact = KEPT[symmetry] * math.pi * 0.3**2
