@@ -33,7 +33,7 @@ _RESTING_LIFT = 5e-5  # the same of what began on the mold, to within the roundi
 _TRUST_IN_RESTING = 0.3  # what its word counts: a clamped rim may well be a little outside of a mold that is a polygon
 _RESTING = 1e-4  # of the sheet's size: what moved by less is where it began
 _DIVISIONS = 6  # of an element's sides
-_MOST_PIECES, _PIECES_EACH = 8_000_000, 20  # as long as the grid's reach, that elements are compared in
+_MOST_PIECES, _PIECES_EACH = 4_000_000, 20  # as long as the grid's reach, that elements are compared in
 _DIVIDED = 256  # elements, the deepest by a quick bound, that are measured first
 _MOST_DIVIDED = 8192  # elements, the deepest by their middles, that are measured all over
 
