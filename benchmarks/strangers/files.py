@@ -37,7 +37,7 @@ _COMMAND = (sys.executable, "-c", "import sys; from jaxform.cli import main; sys
 _LIMIT = 900  # s for a command
 _FILLED = 0.97  # of the surface that could be touched, that must lie within an element of the part
 _SAMPLES, _CELLS = 20_000, 150  # of the mold; and along the sheet, of the buffer of heights
-_FLAGS = re.compile(r"--(?:drape|cavity)|--direction=?\s?[+-][xyz]")
+_FLAGS = re.compile(r"--(?:drape|cavity)(?: --direction=[+-][xyz])?|--direction=[+-][xyz]")
 _REFUSED = 2  # exit status
 _OF_FILLING = ("not filled", "m before it")  # what says in words that a part is not filled
 
@@ -51,7 +51,7 @@ class Row:
         triangles: Of the file.
         said: What `new` said: the refusal where it refused, else its warnings.
         refused: Whether `new` refused, with the file alone.
-        way: The flag that the refusal names, by which a scene was made; empty where none was.
+        way: The flags that the refusal names, by which a scene was made; empty where none was.
         status: Of the run; what `simulate` said where it wrote nothing.
         filled: Share of the surface that a sheet could touch, within an element of the part; NaN without a part.
         thinnest: Wall [m].
@@ -104,7 +104,7 @@ def tried(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit
         row.refused = True
         flags = _FLAGS.findall(" ".join(complaint))
         for flag in flags:
-            code, complaint, more = _called(limit, "new", str(scene), "--mold", str(path), flag, "--force")
+            code, complaint, more = _called(limit, "new", str(scene), "--mold", str(path), *flag.split(), "--force")
             row.seconds += more
             if code == 0:
                 row.way = flag

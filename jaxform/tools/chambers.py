@@ -45,10 +45,16 @@ def refuse_bottles(mold: Mesh) -> None:
     widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
     problem = f"is a bottle: its hollow is {widths}"
     remedy = (
-        "`new` makes no scene for blow moulding; give --drape for a sheet over its outside, or one half of it, "
-        "cut along its axis, as a cavity"
+        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest(mold)} for a sheet over one side "
+        "of it, or one half of it, cut along its axis, as a cavity"
     )
     raise InputError(problem, remedy)
+
+
+def _flattest(mold: Mesh) -> str:
+    """The axis along which a mold is shortest: standing on its base, a bottle is too tall to be draped."""
+    extent = np.ptp(mold.positions[np.unique(mold.triangles)], axis=0)
+    return "xyz"[int(np.argmin(np.round(extent / extent.max(), 2)))]
 
 
 def close_necks(mold: Mesh) -> list[Mesh]:

@@ -135,7 +135,9 @@ def test_neither_long_nor_high_handles_nor_the_end_of_a_lip_are_covered_or_count
 @pytest.mark.parametrize("degrees", TURNS)
 def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
     shape = mold("hollow bottle", degrees, fine=1.0)
-    with pytest.raises(InputError, match=r"is a bottle: its hollow is about .. mm wide behind a neck of.*--drape"):
+    with pytest.raises(
+        InputError, match=r"is a bottle: its hollow is about .. mm wide behind a neck of.*--drape --direction=\+[xyz] "
+    ):
         chambers.refuse_bottles(shape)
     found = chambers.widest(shape)
     assert found is not None
