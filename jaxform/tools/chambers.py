@@ -45,8 +45,8 @@ def refuse_bottles(mold: Mesh) -> None:
     widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
     problem = f"is a bottle: its hollow is {widths}"
     remedy = (
-        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest(mold)} for a sheet over one side "
-        "of it, or one half of it, cut along its axis, as a cavity"
+        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest(mold)} for a sheet over one "
+        "side of it, or one half of it, cut along its axis, as a cavity"
     )
     raise InputError(problem, remedy)
 
