@@ -118,7 +118,7 @@ def tried(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit
     out = scene / "formed"
     code, complaint, more = _called(limit, "simulate", str(scene / "scene.toml"), "--out", str(out), "--quiet")
     row.seconds += more
-    if not (out / "summary.json").exists():
+    if not (out / "summary.json").exists() or not (out / "final.vtu").exists():
         row.status = f"exit {code}: {' | '.join(complaint[-2:])}"
         return row
     summary = json.loads((out / "summary.json").read_text())
