@@ -34,7 +34,7 @@ def through_itself(positions: Array, triangles: Integers, asked: Integers) -> ND
     return found
 
 
-def _cut_by_others(corners: Array, triangles: Integers, asked: Integers) -> tuple[NDArray[np.int64], int]:
+def _cut_by_others(corners: Array, triangles: Integers, asked: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     """Which elements (n,), of all with corners (n_element, 3, 3) [m], others cut, and how many were compared."""
     found, pairs = [], 0
     for place, other in overlapping(corners[asked], corners):
@@ -43,7 +43,7 @@ def _cut_by_others(corners: Array, triangles: Integers, asked: Integers) -> tupl
         apart = every((triangles[one][:, :, None] != triangles[other][:, None, :]).reshape(-1, 9))
         one, other = one[apart], other[apart]
         found.append(one[intersect(corners[one], corners[other])])
-    return np.unique(np.concatenate([asked[:0], *found])), pairs
+    return np.unique(np.concatenate([asked[:0], *found])).astype(np.int64), pairs
 
 
 def _faces_one_way(corners: Array) -> bool:
