@@ -53,7 +53,7 @@ def part(
     view = surfaces.part_view(scene, result, limits or plots.wall_scale([(scene, result)]), edges=edges)
     colors = views.draw(ax, view if mold else view._replace(surfaces=view.surfaces[-1:], outline=None))
     if bar:
-        ax.figure.colorbar(colors, ax=ax, label="wall thickness [mm]", shrink=0.6, pad=0.1)
+        ax.figure.colorbar(colors, ax=ax, label="wall thickness [mm]", shrink=0.6, pad=0.18)
     return ax
 
 
