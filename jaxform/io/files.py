@@ -23,6 +23,7 @@ from jaxform.core.store import Store
 from jaxform.io import catalog, fields, schema
 from jaxform.io.geometry import mold_of, part_of, profile_of, sheet_of, told_of
 from jaxform.io.survey import warn_of_scene
+from jaxform.io.thin_features import warn_of_thin_features
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
 from jaxform.mesh import bisection, shapes
@@ -137,6 +138,7 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
 def look_over(scene: Scene, document: SceneDocument) -> None:
     """Warns of what in a document's scene can be simulated, but is hardly meant."""
     warn_of_scene(scene, document.file, document.model)
+    warn_of_thin_features(scene, document.file)
 
 
 def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:

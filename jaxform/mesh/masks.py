@@ -53,3 +53,13 @@ def least_around(values: Array, pixels: int) -> Array:
     from scipy import ndimage
 
     return np.asarray(ndimage.minimum_filter(values, size=2 * pixels + 1, mode="constant", cval=np.inf))
+
+
+def narrow_minima_filled(values: Array, reach: float) -> Array:
+    """Values with minima filled that are narrower than a disc with so many pixels as its radius: a grey closing."""
+    from scipy import ndimage
+
+    size = int(np.ceil(reach))
+    rows, columns = np.mgrid[-size : size + 1, -size : size + 1]
+    disc = np.hypot(rows, columns) <= reach
+    return np.asarray(ndimage.grey_closing(values, footprint=disc, mode="nearest"))

@@ -1,0 +1,55 @@
+"""A scene whose mold has a rib between the nodes of its sheet is warned of when it is loaded, with place and size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import trimesh
+
+import jaxform
+
+SCENE = """
+[parison]
+shape = "rectangle"
+size = [0.1, 0.1]
+elements = {elements}
+thickness = 1.0e-3
+[material]
+model = "mooney-rivlin"
+c = 0.2e6
+alpha = 0.1
+density = 1000.0
+[pressure]
+time = [0.0, 0.1]
+value = [0.0, 4.0e4]
+[mold]
+shape = "file"
+path = "mold.stl"
+[solver]
+end_time = 0.12
+damping = 100.0
+"""
+
+
+def _write(folder: Path, elements: int, further: str = "", width: float = 0.0005) -> Path:
+    """A scene of a sheet 30 mm below a plate on which a blade stands, towards the sheet, 18 mm high."""
+    plate = trimesh.creation.box(bounds=[(-0.01, -0.01, 0.03), (0.11, 0.11, 0.04)])
+    blade = trimesh.creation.box(bounds=[(0.0531, 0.02, 0.012), (0.0531 + width, 0.08, 0.031)])
+    trimesh.util.concatenate([plate, blade]).export(folder / "mold.stl")
+    path = folder / "scene.toml"
+    path.write_text(SCENE.format(elements=elements) + further)
+    return path
+
+
+def test_a_blade_between_the_nodes_is_named(tmp_path: Path) -> None:
+    with pytest.warns(jaxform.InputWarning, match=r"rib or pin at \(0\.053\S*, .*\) m that is 0\.018 m high"):
+        jaxform.load(_write(tmp_path, 300))
+
+
+def test_refinement_near_the_mold_is_counted(tmp_path: Path) -> None:
+    """A blade of 5 mm is thinner than elements of 10 mm, but not than what four bisections near the mold leave."""
+    further = "[refinement]\nangle = 4.0\ninterval = 64\nmax_level = 4\nbase_level = 4\n"
+    with pytest.warns(jaxform.InputWarning, match="rib or pin"):
+        jaxform.load(_write(tmp_path, 400, width=0.005))
+    jaxform.load(_write(tmp_path, 400, further, width=0.005))
