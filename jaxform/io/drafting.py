@@ -17,7 +17,7 @@ from jaxform.mesh import contours, masks, meshes
 from jaxform.mesh.contours import Circle, Rectangle
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.resolution import triangle_side
-from jaxform.tools import chambers, covers, footprint, halves, kinds, molds, opening, rims
+from jaxform.tools import chambers, covers, footprint, halves, kinds, molds, opening, rims, tubes
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.halves import Rest
@@ -71,6 +71,7 @@ def _verdict(mold: Mesh, wishes: Wishes) -> kinds.Verdict:
         rest = None if wishes.drape or wishes.direction is not None else halves.rest(mold)
         return kinds.Verdict(wishes.drape, rest=rest)
     chambers.refuse_bottles(mold)
+    tubes.refuse_tubes(mold)
     return kinds.judge(mold)
 
 
