@@ -120,6 +120,8 @@ def padded(scene: Scene) -> Scene:
     check_scene(scene)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
+    if scene.tables.counts is not None:
+        return scene
     with on_device_of(scene.parison.positions) as placed:
         return placed(dataclasses.replace(on_rungs(scene).scene, part=scene.part))
 
