@@ -27,7 +27,7 @@ _FEWEST = 3  # values without which there is no scatter around a ring
 
 
 def thinnest_recovered(result: Result, scene: Scene) -> dict[str, Any]:
-    """The least recovered thickness of the nodes, its place, and the scatter around it.
+    """The least recovered thickness of the nodes that are not clamped, its place, and the scatter around it.
 
     Returns:
         `recovered` [m], `recovered_place` (3,) [m] in the part, `scatter` (the relative standard deviation), and
@@ -36,7 +36,10 @@ def thinnest_recovered(result: Result, scene: Scene) -> dict[str, Any]:
     """
     triangles = np.asarray(result.triangles)[np.asarray(result.used)]
     nodes, wall = np.unique(triangles), np.asarray(result.thickness, float)
-    node = int(nodes[np.argmin(wall[nodes])])
+    # To a clamped rim the wall is carried on from inside, which is no better than the elements there.
+    inner = nodes[~np.asarray(scene.parison.clamped)[nodes]]
+    candidates = inner if len(inner) else nodes
+    node = int(candidates[np.argmin(wall[candidates])])
     around = _around_ring(scene, nodes, triangles, wall, node) if is_axisymmetric(scene) else np.zeros(0)
     of_ring = len(around) >= _FEWEST
     return {

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
 _SLENDER = 0.75  # times as high as it is wide where it is crossed, a rib is; a right-angled edge is half as high
+_FACING = -0.4  # the cosine between the normals of both sides of a rib at most: of an edge as slender as that
 _SAME = 1e-6  # of a side: crossings as near as that are one, at an edge that two triangles share
 _MOST = 4000  # places that are examined, evenly over all
 _UPWARDS = 0.2  # the cosine that the way along a rib has with the way off the mold
@@ -109,12 +110,24 @@ def _between_crossings(
     # In order along each side: it is in the mold between the first and the second, the third and the fourth.
     number = np.arange(len(rows)) - np.repeat(np.cumsum(found.count) - found.count, found.count)
     enter = np.flatnonzero(np.repeat(even, found.count) & (number % 2 == 0))
+    enter = enter[_faces_opposite(positions, rows, normal, enter)]
     begin, end = positions[rows[enter, 0]], positions[rows[enter, 1]]
     middle = 0.5 * (share[enter] + share[enter + 1])
     width = (share[enter + 1] - share[enter]) * np.linalg.norm(end - begin, axis=1)
     off = away[rows[enter, 0]] + away[rows[enter, 1]]
     way = _along(off, normal[enter]) + _along(off, normal[enter + 1])
     return _upwards(begin + middle[:, None] * (end - begin), width, way, off), crossed
+
+
+def _faces_opposite(positions: Array, rows: Integers, normal: Array, enter: Integers) -> NDArray[np.bool_]:
+    """Whether the surfaces by which sides enter the mold and leave it (n,) look opposite ways, as those of a rib do.
+
+    A side also cuts the corner of what stands up wide, between two walls that look aside.
+    """
+    along = positions[rows[enter, 1]] - positions[rows[enter, 0]]
+    inwards, outwards = (np.einsum("ij,ij->i", normal[number], along) for number in (enter, enter + 1))
+    cosine = np.einsum("ij,ij->i", normal[enter], normal[enter + 1])
+    return -np.sign(inwards) * np.sign(outwards) * cosine <= _FACING
 
 
 def _through_faces(

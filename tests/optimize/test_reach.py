@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ import jaxform
 import optimize
 from jaxform.cli import command, session
 from optimize import reach
-from optimize.designs import Point
+from optimize.designs import Limits, Point
 from optimize.endings import Ending, done, spent
 from optimize.price import price
 from optimize.rounds import rounds
@@ -228,10 +229,11 @@ class _Rounds:
     """A search with limits whose simulations are made up: each round leaves a part of the violation."""
 
     def __init__(self, study: optimize.Study, factor: float, costs: float) -> None:
-        self.study, self.iteration, self.pause, self.limits = study, 0, np.inf, object()
+        self.study, self.iteration, self.pause = study, 0, np.inf
+        self.limits = Limits(jnp.zeros(1), jnp.asarray(1.0))
         self.multiplier: float | None = None
         self.best: Point | None = None
-        self.pressed, self._factor, self._costs = 0, factor, costs
+        self._factor, self._costs = factor, costs
         self.point = self._made(1.0, 0.4)
 
     def _made(self, objective: float, violation: float) -> Point:
@@ -243,9 +245,6 @@ class _Rounds:
 
     def begin(self) -> Ending | None:
         return Search.begin(self)  # pyright: ignore
-
-    def press(self, point: Point, before: float) -> None:
-        self.pressed += 1
 
     def __call__(self, free: np.ndarray) -> Point:
         return self.point
