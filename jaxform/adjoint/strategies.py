@@ -69,10 +69,7 @@ class Reversed(Adjoint):
     def check(self, scene: Scene) -> None:
         """Raises InputError where a scene has a part that cannot be stepped backwards."""
         if not scene.reversible:
-            problem = (
-                "cannot step this scene backwards: it has fields of its own, viscous modes, or a pressure that follows "
-                "the volume"
-            )
+            problem = f"cannot step this scene backwards: {', '.join(scene.irreversible_parts)}"
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
 
     def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:

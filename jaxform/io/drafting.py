@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,21 +83,13 @@ def _formed(read: _Read, rest: Rest | None) -> Draft:
         mold = rims.welded(whole.positions, whole.triangles)
     found = opening.find(mold.positions, mold.triangles, male=False, direction=wishes.direction)
     planform = footprint.fit(found, mold.positions, mold.triangles)
-    rotate, translate, polygon = _placed(found, planform)
-    area = abs(contours.outlines.area(polygon))
-    width = _width(polygon, area)
+    place = _place(found, planform)
+    area = abs(contours.outlines.area(place.polygon))
+    width = _width(place.polygon, area)
     pockets = _pockets(found)
     pocket = min(pockets.half, 0.5 * width)
     return Draft(
-        scale=read.units.scale,
-        units=read.units,
-        guessed=wishes.scale is None,
-        size=read.extent,
-        rotate=rotate,
-        translate=translate,
-        found=found,
-        planform=planform,
-        polygon=polygon,
+        **_sheet_in_place(read, found, planform, place),
         rest=rest,
         covers=covers.cover(found, planform.polygon, mold),
         width=width,
@@ -105,7 +97,6 @@ def _formed(read: _Read, rest: Rest | None) -> Draft:
         slit=pockets.slit,
         thickness=wishes.thickness or rounded(_THICKNESS * width),
         element_size=_element_size(pocket, area, _ELEMENTS),
-        process=wishes.process,
     )
 
 
@@ -118,17 +109,9 @@ def _draped(read: _Read) -> Draft:
     width = _width(planform.polygon, area)
     thickness = wishes.thickness or rounded(_THICKNESS * width)
     found = made.opening(thickness)
-    rotate, translate, polygon = _placed(found, planform)
+    place = _place(found, planform)
     return Draft(
-        scale=read.units.scale,
-        units=read.units,
-        guessed=wishes.scale is None,
-        size=read.extent,
-        rotate=rotate,
-        translate=translate,
-        found=found,
-        planform=planform,
-        polygon=polygon,
+        **_sheet_in_place(read, found, planform, place),
         rest=None,
         covers=Covers(made.added, made.holes, 0.0),
         width=width,
@@ -136,7 +119,6 @@ def _draped(read: _Read) -> Draft:
         slit=None,
         thickness=thickness,
         element_size=_element_size(made.narrowest, area, _DRAPED),
-        process=wishes.process,
         drape=made,
     )
 
@@ -147,8 +129,30 @@ def _element_size(pocket: float, area: float, elements: float) -> float:
     return rounded(min(fine, triangle_side(area, elements)))
 
 
-def _placed(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
-    """How the mold is turned [degrees] and moved [m], and the sheet's polygon (k, 2) [m] where it then is."""
+class _Place(NamedTuple):
+    """The mold's rotation [degrees] and translation [m], and the sheet's polygon (k, 2) [m] where it then is."""
+
+    rotate: Array
+    translate: Array
+    polygon: Array
+
+
+def _sheet_in_place(read: _Read, found: Opening, planform: Planform, place: _Place) -> dict[str, Any]:
+    """The fields of a `Draft` that a cavity and a buck have in common."""
+    return {
+        **place._asdict(),
+        "scale": read.units.scale,
+        "units": read.units,
+        "guessed": read.wishes.scale is None,
+        "size": read.extent,
+        "found": found,
+        "planform": planform,
+        "process": read.wishes.process,
+    }
+
+
+def _place(found: Opening, planform: Planform) -> _Place:
+    """Where the mold goes so that the sheet lies in the plane of zero height."""
     shape = planform.shape
     axes = shape.axes if isinstance(shape, Rectangle) else np.eye(2)
     turn = np.eye(3)
@@ -164,7 +168,7 @@ def _placed(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
         origin = 0.5 * (shape.min(0) + shape.max(0))
     at = exact @ found.view.turn.T @ np.append(origin, found.level)
     polygon = (planform.polygon - origin) @ axes.T
-    return rotate, np.round(-at, 9) + 0.0, polygon
+    return _Place(rotate, np.round(-at, 9) + 0.0, polygon)
 
 
 def _width(polygon: Array, area: float) -> float:

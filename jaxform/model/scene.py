@@ -225,8 +225,19 @@ class Scene:
     @property
     def reversible(self) -> bool:
         """Whether every part of it can be stepped backwards, as the reversed scheme does."""
-        plain = self.material.viscous is None and self.cooling is None
-        return plain and not self.fields and not self.pressure.follows_volume and self.motion is None
+        return not self.irreversible_parts
+
+    @property
+    def irreversible_parts(self) -> list[str]:
+        """The parts that cannot be stepped backwards, in words; none where the scene is reversible."""
+        parts = {
+            "it has fields of its own": bool(self.fields),
+            "its material has Prony terms": self.material.viscous is not None,
+            "the sheet cools": self.cooling is not None,
+            "its pressure follows the enclosed volume": self.pressure.follows_volume,
+            "the mold moves": self.motion is not None,
+        }
+        return [reason for reason, holds in parts.items() if holds]
 
 
 def pushes_of(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:

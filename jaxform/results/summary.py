@@ -62,7 +62,8 @@ PENDING = ("penetration_max", "penetration_place", "gap_max", "gap_place")
 def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     """The contents of summary.json as plain numbers and words."""
     result = with_filling(result, scene)
-    beyond, filling = penetrated(result, scene), result.filling or filling_of(result, scene)
+    beyond, filling = penetrated(result, scene), result.filling
+    assert filling is not None
     measured = {
         "penetration_max": beyond.deepest,
         "penetration_place": beyond.deepest_place.tolist(),

@@ -397,5 +397,5 @@ def test_what_python_gives_is_checked_too() -> None:
         law = jaxform.NeoHookean(real(1.0), real(1.0), viscous=viscous)  # pyright: ignore[reportArgumentType]
         with pytest.raises(jaxform.InputError, match=words):
             jaxform.build_scene(material=law, **parts)
-    with pytest.raises(jaxform.InputError, match="cannot step this scene backwards"):
+    with pytest.raises(jaxform.InputError, match="backwards: its material has Prony terms"):
         jaxform.simulate(_cup(jaxform.Maxwell), adjoint=jaxform.Reversed())

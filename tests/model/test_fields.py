@@ -130,8 +130,18 @@ def test_gradients_by_a_fields_numbers(cup: jaxform.Scene, formed: jaxform.Resul
         np.testing.assert_allclose(along, (both[0] - both[1]) / (2 * step), rtol=1e-6)
 
 
+def test_what_cannot_be_stepped_backwards_is_named(cup: jaxform.Scene) -> None:
+    plain = scenes.cup()
+    assert plain.reversible and not plain.irreversible_parts
+    assert plain.mold is not None
+    motion = jaxform.Motion(jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0]), jnp.array([0.0, 0.01]))
+    moving = dataclasses.replace(plain, mold=dataclasses.replace(plain.mold, motion=motion))
+    assert moving.irreversible_parts == ["the mold moves"]
+    assert cup.irreversible_parts == ["it has fields of its own"]
+
+
 def test_the_reversed_scheme_is_refused_in_words(cup: jaxform.Scene) -> None:
-    with pytest.raises(InputError, match="cannot step this scene backwards"):
+    with pytest.raises(InputError, match="backwards: it has fields of its own"):
         jaxform.simulate(cup, adjoint=jaxform.Reversed())
     with pytest.raises(InputError, match="no way to find a derivative"):
         jaxform.simulate(cup, adjoint=cast("Any", 1))
