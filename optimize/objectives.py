@@ -187,10 +187,10 @@ class Uniform(Objective):
 class LeastMass(Objective):
     """Use as little material as possible for a wall that is nowhere thinner than a minimum.
 
-    The value is the mass, of the part where the scene has one, over that of the whole sheet to begin with. Every element keeps the minimum by itself, with a
-    multiplier of its own: nothing is blurred into an average. The multipliers' weighted sum is what the mass gains,
-    relative to the first one, per relative change of the minimum. Wall and mass are nearly in ratio, so it comes out
-    near the value: about 1 to begin with.
+    The value is the mass, of the part where the scene has one, over that of the whole sheet to begin with. Every
+    element keeps the minimum by itself, with a multiplier of its own: nothing is blurred into an average. The
+    multipliers' weighted sum is what the mass gains, relative to the first one, per relative change of the minimum.
+    Wall and mass are nearly in ratio, so it comes out near the value: about 1 to begin with.
 
     Args:
         scene: The scene that is designed.
