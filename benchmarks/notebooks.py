@@ -30,7 +30,7 @@ SMALL = {
 _QUICKLY = "from jaxform.core import compiling as c; c._LEVEL = 0; import gc; gc.set_threshold(100_000, 50, 50)"
 
 
-def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
+def execute(path: Path, cache: Path, *, small: bool = False) -> Any:
     """The notebook with the outputs of a run in a kernel of its own; programs compiled twice are kept in a folder."""
     notebook = nbformat.read(path, as_version=4)
     changes = {"JAX_COMPILATION_CACHE_DIR": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
@@ -43,7 +43,7 @@ def executed(path: Path, cache: Path, *, small: bool = False) -> Any:
         given = parametrize(notebook, SMALL[path.stem]) if small else notebook
         NotebookClient(given, timeout=3600, kernel_name="python3", record_timing=False, **options).execute()
     given.cells = [cell for cell in given.cells if cell.metadata.get("tags") != [INJECTED]]
-    return cleaned(given)
+    return clean(given)
 
 
 PARAMETERS, INJECTED = "parameters", "injected-parameters"
@@ -73,7 +73,7 @@ class _environment:
         os.environ.update(self.before)
 
 
-def cleaned(notebook: Any) -> Any:
+def clean(notebook: Any) -> Any:
     """Without what tells of the machine: metadata of runs, paths in texts, warnings."""
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
@@ -102,7 +102,7 @@ def main() -> None:
         for path in sorted(FOLDER.glob("*.ipynb")):
             if not arguments.names or path.stem in arguments.names:
                 print(path.stem, flush=True)
-                notebook = executed(path, Path(cache), small=arguments.small)
+                notebook = execute(path, Path(cache), small=arguments.small)
                 nbformat.write(notebook, arguments.out / path.name)
 
 

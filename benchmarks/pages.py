@@ -17,12 +17,12 @@ Found = dict[str, Any]
 _MEASURED = "measured"  # on which day each part was
 
 
-def kept(path: Path) -> Found:
+def read_figures(path: Path) -> Found:
     """What was found so far; nothing where there is no file."""
     return json.loads(path.read_text()) if path.exists() else {}
 
 
-def keep(path: Path, name: str, found: Any, *, case: str = "", digits: int | None = None) -> None:
+def store_figures(path: Path, name: str, found: Any, *, case: str = "", digits: int | None = None) -> None:
     """Puts a part, or a case of it, into the file, which another part may have written in the meantime.
 
     Args:
@@ -32,8 +32,8 @@ def keep(path: Path, name: str, found: Any, *, case: str = "", digits: int | Non
         case: Which of the part's cases that is; the part itself by default.
         digits: Of the numbers that are kept; all by default.
     """
-    parts = kept(path)
-    rounded = found if digits is None else _rounded(found, digits)
+    parts = read_figures(path)
+    rounded = found if digits is None else _round(found, digits)
     if case:
         parts.setdefault(name, {})[case] = rounded
     else:
@@ -51,11 +51,11 @@ def days(found: Found) -> str:
     return "".join(f"Measured on {day.day} {day:%B %Y}: {', '.join(sorted(parts))}.\n" for day, parts in latest)
 
 
-def _rounded(value: Any, digits: int) -> Any:
+def _round(value: Any, digits: int) -> Any:
     if isinstance(value, dict):
-        return {key: _rounded(part, digits) for key, part in value.items()}
+        return {key: _round(part, digits) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_rounded(part, digits) for part in value]
+        return [_round(part, digits) for part in value]
     return float(f"{value:.{digits}g}") if isinstance(value, float) else value
 
 

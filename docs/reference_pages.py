@@ -60,7 +60,7 @@ def _tables_in(annotation: Any) -> list[type[Table]]:
     return [inner for part in get_args(annotation) for inner in _tables_in(part)]
 
 
-def described(model: type[Table]) -> dict[str, str]:
+def describe(model: type[Table]) -> dict[str, str]:
     """What each key of a table means, from the docstrings of its class and of those that it derives from."""
     found: dict[str, str] = {}
     for one in reversed(model.__mro__[: model.__mro__.index(Table)]):
@@ -74,7 +74,7 @@ def _page(introduction: str, model: type[Table]) -> str:
     for key, one in tables(model):
         parts.append(f"## {_title(key, one)}\n\n{_first(one)}\n")
         parts.append("| key | value | default | |\n|---|---|---|---|")
-        words = described(one)
+        words = describe(one)
         # What tells the kind comes first.
         for name, field in sorted(one.model_fields.items(), key=lambda item: not _only(item[1])):
             parts.append(f"| `{name}` | {_value(field)} | {_default(name, field, one)} | {words[name]} |")

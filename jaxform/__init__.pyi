@@ -2,7 +2,7 @@ from . import molds, plot, scenes, shapes
 from .adapt.refinement import fitted
 from .adjoint.gradient_check import GradientCheck, check_gradient
 from .adjoint.strategies import Adjoint, Checkpointed, Reversed, Stored
-from .core.compiling import compiler_options, keep_programs
+from .core.compilation import compiler_options, keep_programs
 from .core.errors import InputError, InputWarning
 from .core.parameters import parameter
 from .io.files import load
@@ -27,7 +27,7 @@ from .materials import (
 from .mesh.profiles import Profile
 from .model.field import Field, Surroundings, field
 from .model.part import Part, Trim, make_part
-from .model.replacing import replace
+from .model.replacement import replace
 from .model.scene import (
     Parison,
     Refinement,
@@ -37,7 +37,7 @@ from .model.scene import (
     make_refinement,
     make_solver,
 )
-from .prepare.building import build_scene
+from .prepare.scene_builder import build_scene
 from .results.explanation import explain
 from .results.result import Result
 from .results.stages import parison_of

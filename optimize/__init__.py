@@ -2,11 +2,11 @@
 
 from optimize import fitting
 from optimize.designs import COLUMNS, Study
+from optimize.feasibility import doubts
 from optimize.heaters import HeaterZones
 from optimize.journal import Journal
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
-from optimize.reach import doubts
 from optimize.search import Search
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.solvers import Design, check, solve

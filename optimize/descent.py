@@ -20,8 +20,8 @@ import optax
 from scipy.optimize import LbfgsInvHessProduct
 
 from optimize.designs import Point, Study
-from optimize.endings import NO_STEP, STOPPED, Ending, done, idle, nothing
 from optimize.search import Search
+from optimize.termination import NO_STEP, STOPPED, Ending, check_convergence, is_negligible, stagnation_ending
 
 _SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
 _TRIALS = 8
@@ -38,7 +38,11 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     """
     first, values, again, stuck = point, [point.value], True, False
     while True:
-        ending = search.begin() or done(study, point, values, first) or (idle(point, first) if stuck else None)
+        ending = (
+            search.begin()
+            or check_convergence(study, point, values, first)
+            or (stagnation_ending(point, first) if stuck else None)
+        )
         if ending and ending.by == "no-progress" and again:
             # Once more, without what was learnt of the curvature.
             again, stuck, values, search.memory, ending = False, False, [point.value], None, None
@@ -50,11 +54,11 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
         if step is None:
             return point, NO_STEP
         values.append(step.value)
-        stuck = not whole and nothing(study, point.value, step.value)
-        point = search.refreshed(step)
+        stuck = not whole and is_negligible(study, point.value, step.value)
+        point = search.refresh(step)
 
 
-class _Memory(NamedTuple):
+class _DescentHistory(NamedTuple):
     """The last design with its gradient, and what designs before taught: steps, and changes of the gradient by them."""
 
     point: Point
@@ -74,7 +78,7 @@ def _direction(search: Search, point: Point) -> np.ndarray:
         if not np.array_equal(last.free, point.free):
             steps = [*steps, point.free - last.free][-_MEMORY:]
             changes = [*changes, point.gradient - last.gradient][-_MEMORY:]
-    search.memory = _Memory(point, steps, changes)
+    search.memory = _DescentHistory(point, steps, changes)
     moving = point.slope != 0.0
     pairs = [(step[moving], change[moving]) for step, change in zip(steps, changes, strict=True)]
     pairs = [(step, change) for step, change in pairs if step @ change > _CURVED * (change @ change) > 0.0]
@@ -100,7 +104,7 @@ def _first_size(search: Search, point: Point) -> float:
     return min(_FIRST_STEP, max(steepest, _LEAST_FIRST_STEP))
 
 
-class _End(NamedTuple):
+class _IntervalEnd(NamedTuple):
     """An end of the interval that holds the step: its length, and value and slope there."""
 
     length: float
@@ -114,12 +118,12 @@ def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[P
     The way is bent where it meets bounds.
     """
     slope = float(direction @ point.slope)
-    short, long, length = _End(0.0, point.value, slope), _End(np.inf, np.inf, np.nan), 1.0
+    short, long, length = _IntervalEnd(0.0, point.value, slope), _IntervalEnd(np.inf, np.inf, np.nan), 1.0
     better: Point | None = None
     for _ in range(_TRIALS):
         trial = search(search.inside(point.free + length * direction))
         moving = np.abs(trial.free) < search.reach
-        end = _End(length, trial.value, float(trial.gradient @ np.where(moving, direction, 0.0)))
+        end = _IntervalEnd(length, trial.value, float(trial.gradient @ np.where(moving, direction, 0.0)))
         if trial.value < (better or point).value:
             better = trial
         if search.stopped:
@@ -130,11 +134,11 @@ def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[P
             short = end
         else:
             return trial, True
-        length = _between(short, long)
+        length = _cubic_minimum(short, long)
     return better, False
 
 
-def _between(short: _End, long: _End) -> float:
+def _cubic_minimum(short: _IntervalEnd, long: _IntervalEnd) -> float:
     """Where a cubic through both ends is least, well inside; twice the shorter length where there is no longer one."""
     if np.isinf(long.length):
         return 2.0 * short.length
@@ -155,7 +159,7 @@ def adam(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
     first = point
     state = transform.init(jnp.asarray(point.free))
     while True:
-        ending = search.begin() or done(study, point, [], first)
+        ending = search.begin() or check_convergence(study, point, [], first)
         if ending:
             return point, ending
         update, state = transform.update(jnp.asarray(point.gradient), state)
@@ -163,7 +167,7 @@ def adam(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
         if search.stopped:
             return trial, STOPPED
         if np.isfinite(trial.value):
-            point = search.refreshed(trial)
+            point = search.refresh(trial)
         else:
             assert search.best is not None
             rate, point, state = 0.5 * rate, search.best, transform.init(jnp.asarray(search.best.free))

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from optimize.designs import Point, Study
-from optimize.endings import STOPPED, Ending, met
 from optimize.search import Search
+from optimize.termination import STOPPED, Ending, check_goal
 from optimize.variables import SheetVariable
 
 _EXPONENT = 0.5
@@ -27,9 +27,9 @@ def fixed_point(search: Search, study: Study, point: Point) -> tuple[Point, Endi
 
 def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: float = 1.0) -> tuple[Point, Ending]:
     """So many updates of a design (n,); ends early when one leaves more of the value than is worth it."""
-    last, ratio = search.plain(free)
+    last, ratio = search.evaluate_forward(free)
     for _ in range(count):
-        reached = met(study, last)
+        reached = check_goal(study, last)
         if reached and not search.stopped:
             return last, reached
         ending = search.begin()
@@ -39,7 +39,7 @@ def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: f
             return last, ending
         if not np.isfinite(last.value):
             return last, Ending("failure", "an update fails")
-        new, ratio = search.plain(_updated(search, last.free, ratio))
+        new, ratio = search.evaluate_forward(_updated(search, last.free, ratio))
         if new.value > last.value and search.limits is None:
             return last, Ending("no-step", "an update makes it worse")
         gained, last = new.value <= worth * last.value, new

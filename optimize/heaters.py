@@ -13,9 +13,9 @@ from scipy import optimize
 
 import jaxform
 from jaxform import InputError, Scene
-from jaxform.model.replacing import number_at
-from optimize.sheets import first_positions, images, spread
-from optimize.variables import Bounds, bounded, check_bounds, full_reach, unbounded
+from jaxform.model.replacement import number_at
+from optimize.sheets import first_positions, images, spread_to_forest
+from optimize.variables import Bounds, apply_bounds, check_bounds, full_reach, invert_bounds
 
 _PARTS = 4  # of a heater's side, over which its view factor is summed up
 _MOST = 400  # heaters
@@ -68,18 +68,18 @@ class HeaterZones:
         self.of, self.bounds, self.grid = of, bounds, (int(grid[0]), int(grid[1]))
         self._first_nodes = scene.first_nodes
         weights = _view_factors(scene, self.grid, distance)
-        self._weights = jnp.asarray(spread(scene, weights))
+        self._weights = jnp.asarray(spread_to_forest(scene, weights))
         start = np.broadcast_to(own, (len(self._weights),))[: self._first_nodes]
         hold = 1e-6 * np.eye(
             weights.shape[1]
         )  # towards the mean, hardly: a heater that no node feels has no best value
         wanted = np.concatenate([start, np.full(len(hold), 1e-6 * start.mean())])
         settings = optimize.lsq_linear(np.concatenate([weights, hold]), wanted, bounds).x
-        self.start, self.reach = unbounded(settings, bounds), full_reach(settings.size)
+        self.start, self.reach = invert_bounds(settings, bounds), full_reach(settings.size)
 
     def settings(self, free: ArrayLike) -> jax.Array:
         """What the heaters are set to (n,), those of one y after the other, x first."""
-        return bounded(jnp.asarray(free), self.bounds)
+        return apply_bounds(jnp.asarray(free), self.bounds)
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """The number at the nodes (n_node,)."""
@@ -87,7 +87,7 @@ class HeaterZones:
 
     def shares(self, free: jax.Array) -> jax.Array:
         """How far the settings (n,) are between their bounds."""
-        return bounded(free, (0.0, 1.0))
+        return apply_bounds(free, (0.0, 1.0))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The number at the nodes of the mesh (n_node,), before it is refined."""

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from jaxform import InputError
-from jaxform.core.writing import unwritten, whole
+from jaxform.core.atomic_write import atomic_path, write_error
 
 Answer = dict[str, Any]
 
@@ -68,7 +68,7 @@ class Journal:
             self._known = _read(path, study)
             self._count = len(self._known)
             return
-        with whole(path, _GO_ON) as fresh:
+        with atomic_path(path, _GO_ON) as fresh:
             fresh.write_bytes(_line({"study": study}))
 
     def ask(self, kind: str, at: list[float], compute: Callable[[], Answer]) -> tuple[Answer, bool]:
@@ -93,11 +93,11 @@ class Journal:
         try:
             with self._path.open("rb") as file:
                 file.seek(span.begin)
-                entry = _parsed(file.read(span.length))
+                entry = _parse_line(file.read(span.length))
         except OSError as error:
-            raise _unread(self._path, error) from None
+            raise _read_error(self._path, error) from None
         if entry is None:
-            raise _damaged(self._path, self.replayed + 2)
+            raise _damage_error(self._path, self.replayed + 2)
         return entry
 
     def _part(self) -> None:
@@ -107,7 +107,7 @@ class Journal:
             shutil.copyfile(self._path, self._path.with_suffix(".old"))
             os.truncate(self._path, self._known[self.replayed].begin)
         except OSError as error:
-            raise unwritten(self._path, error, _GO_ON) from None
+            raise write_error(self._path, error, _GO_ON) from None
         self._known, self._count = self._known[: self.replayed], self.replayed
 
     def _append(self, line: bytes) -> None:
@@ -124,7 +124,7 @@ class Journal:
             if end is not None:
                 with contextlib.suppress(OSError):
                     os.truncate(self._path, end)
-            raise unwritten(self._path, error, _GO_ON) from None
+            raise write_error(self._path, error, _GO_ON) from None
 
 
 def _line(entry: dict[str, Any]) -> bytes:
@@ -133,7 +133,7 @@ def _line(entry: dict[str, Any]) -> bytes:
     return b'%b, "sum": %d}\n' % (body[:-1], zlib.crc32(body))
 
 
-def _parsed(line: bytes) -> dict[str, Any] | None:
+def _parse_line(line: bytes) -> dict[str, Any] | None:
     """What a line says; None where it is not as it was written."""
     head, _, tail = line.rpartition(b', "sum": ')
     body = head + b"}"
@@ -158,7 +158,7 @@ def _read(path: Path, study: str) -> list[_Span]:
         if spans[-1].end < size:
             os.truncate(path, spans[-1].end)
     except OSError as error:
-        raise _unread(path, error) from None
+        raise _read_error(path, error) from None
     return spans[1:]
 
 
@@ -167,17 +167,17 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
     spans: list[_Span] = []
     begin = 0
     while line := file.readline(MOST_LINE):
-        entry = _parsed(line)
+        entry = _parse_line(line)
         if entry is None:
             last = not file.read(1)
-            if spans and last and _was_cut(line):
+            if spans and last and _is_truncated(line):
                 return spans
-            raise _damaged(path, len(spans) + 1)
+            raise _damage_error(path, len(spans) + 1)
         if not spans and entry.get("study") != study:
             remedy = "name its own folder, or search anew with --force"
             raise InputError("is of another study, or of another version of it", remedy, "--resume", str(path))
         if spans and entry.get("number") != len(spans):
-            raise _damaged(path, len(spans) + 1)
+            raise _damage_error(path, len(spans) + 1)
         spans.append(_Span(begin, len(line)))
         begin += len(line)
     if not spans:
@@ -185,9 +185,9 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
     return spans
 
 
-def _was_cut(line: bytes) -> bool:
+def _is_truncated(line: bytes) -> bool:
     """Whether a line begins as one of ours and ends before it is one."""
-    if _parsed(line + b"\n"):
+    if _parse_line(line + b"\n"):
         return True
     try:
         json.loads(line)
@@ -196,7 +196,7 @@ def _was_cut(line: bytes) -> bool:
     return False
 
 
-def _damaged(path: Path, number: int) -> InputError:
+def _damage_error(path: Path, number: int) -> InputError:
     problem = f"is damaged in line {number}, which is not what a search wrote"
     remedy = (
         "delete that line and all after it to go on from there, or search anew with --force" if number > 1 else _ANEW
@@ -204,5 +204,5 @@ def _damaged(path: Path, number: int) -> InputError:
     return InputError(problem, remedy, "--resume", str(path))
 
 
-def _unread(path: Path, error: OSError) -> InputError:
+def _read_error(path: Path, error: OSError) -> InputError:
     return InputError(f"cannot be read ({error.strerror or error})", _ANEW, "--resume", str(path))

@@ -13,8 +13,8 @@ import scipy.linalg
 from scipy import optimize
 
 from optimize.designs import Point, Study
-from optimize.endings import NO_STEP, STOPPED, Ending, done
 from optimize.search import Search
+from optimize.termination import NO_STEP, STOPPED, Ending, check_convergence
 
 _FIRST_DAMPING, _DAMPING_STEP, _TRIALS = 1e-4, 10.0, 8
 _IDLE_STEPS = 3  # that bring next to nothing; where contact makes the value rough, one may be stuck and the next not
@@ -31,7 +31,7 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, En
         if ending:
             return point, ending
         point, matrix = search.curvature(point.free)
-        ending = done(study, point, values, first, steps=_IDLE_STEPS)
+        ending = check_convergence(study, point, values, first, steps=_IDLE_STEPS)
         if ending or search.stopped:
             return point, ending or STOPPED
         step, damping = _trials(search, point, matrix, damping)
@@ -40,14 +40,14 @@ def least_squares(search: Search, study: Study, point: Point) -> tuple[Point, En
         if step is None:
             return point, NO_STEP
         values.append(step.value)
-        point = search.refreshed(step)
+        point = search.refresh(step)
 
 
 def _trials(search: Search, point: Point, matrix: np.ndarray, damping: float) -> tuple[Point | None, float]:
     """The first damped step that makes it better, and the damping to begin the next one with."""
     for _ in range(_TRIALS):
         step = _step(matrix, point.gradient, damping, -search.reach - point.free, search.reach - point.free)
-        trial, _ = search.plain(search.inside(point.free + step))
+        trial, _ = search.evaluate_forward(search.inside(point.free + step))
         if trial.value < point.value:
             return trial, damping / _DAMPING_STEP
         if search.stopped:

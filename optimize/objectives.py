@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from jaxform import InputError, Result, Scene, simulate
 from jaxform.mesh.profiles import Profile
-from optimize.walls import formed_area, nodal_area, nodal_volume
+from optimize.wall_statistics import formed_area, nodal_area, nodal_volume
 
 
 class Constraints(NamedTuple):

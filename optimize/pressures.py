@@ -9,7 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import InputError, Scene
-from optimize.variables import Bounds, bounded, check_bounds, full_reach, limited, unbounded, unlimited
+from optimize.variables import (
+    Bounds,
+    apply_bounds,
+    apply_step_limit,
+    check_bounds,
+    full_reach,
+    invert_bounds,
+    invert_step_limit,
+)
 
 _STEEPEST = {"linear": 1.0, "cubic-ramp": 3.0}  # the largest slope between two knots over the mean one
 
@@ -74,13 +82,13 @@ class PressureKnots:
         if end_time[1] > simulated * (1 + 1e-12):
             problem = f"is longer than the simulation, {simulated:g} s"
             raise InputError(problem, "raise solver.end_time in the scene", "variable.end_time", end_time)
-        return np.atleast_1d(unbounded(last, end_time))
+        return np.atleast_1d(invert_bounds(last, end_time))
 
     def _free(self, present: np.ndarray, time: np.ndarray) -> np.ndarray:
         if self.rate is None and not self.increasing:
-            return unbounded(self._designed(present), self.bounds)
+            return invert_bounds(self._designed(present), self.bounds)
         change = np.asarray(self._changes(jnp.asarray(time)))
-        return unlimited(self._designed(present), self.bounds, change, self._first, self.increasing)
+        return invert_step_limit(self._designed(present), self.bounds, change, self._first, self.increasing)
 
     def _changes(self, time: jax.Array) -> jax.Array:
         """By how much neighbours may differ (n_knot - 1,) [Pa]."""
@@ -94,13 +102,13 @@ class PressureKnots:
     def _stretch(self, free: jax.Array) -> jax.Array:
         """The history's new end over its old one, of the last of the search's numbers."""
         assert self.end_time is not None
-        return bounded(free[-1], self.end_time) / self._time[-1]
+        return apply_bounds(free[-1], self.end_time) / self._time[-1]
 
     def _values(self, free: jax.Array, time: jax.Array) -> jax.Array:
         if self.rate is None and not self.increasing:
-            rest = bounded(free, self.bounds)
+            rest = apply_bounds(free, self.bounds)
         else:
-            rest = limited(free, self.bounds, self._changes(time), self._first, self.increasing)
+            rest = apply_step_limit(free, self.bounds, self._changes(time), self._first, self.increasing)
         return rest if self._first is None else jnp.concatenate([jnp.asarray([self._first]), rest])
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
@@ -117,7 +125,7 @@ class PressureKnots:
         if self.end_time is None:
             return (self._values(free, jnp.asarray(self._time)) - low) / (high - low)
         pressures = self._values(free[:-1], jnp.asarray(self._time) * self._stretch(free))
-        return jnp.append((pressures - low) / (high - low), bounded(free[-1], (0.0, 1.0)))
+        return jnp.append((pressures - low) / (high - low), apply_bounds(free[-1], (0.0, 1.0)))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The same as lists."""

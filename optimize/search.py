@@ -19,15 +19,15 @@ import numpy as np
 
 import jaxform
 from jaxform import Result, Scene
-from jaxform.core.compiling import compiled
-from jaxform.results.part import only_part
-from optimize import waiting
+from jaxform.core.compilation import compile_function
+from jaxform.results.part import mask_part
+from optimize import progress_messages
 from optimize.designs import COLUMNS, Limits, Point, Study
-from optimize.endings import Ending, SpentError, spent
 from optimize.gradients import gradient_error, slope_within
 from optimize.journal import Answer, Journal
+from optimize.termination import Ending, SpentError, budget_ending
 from optimize.variables import Variable
-from optimize.walls import formed, nodal_area, wall
+from optimize.wall_statistics import formed_part, nodal_area, wall
 
 _REFRESH = 5  # iterations with the same decisions about the mesh
 _FIRST_PENALTY = 300.0
@@ -127,9 +127,9 @@ class Search:
 
     # --- What is traced -----------------------------------------------------------------------------------------
 
-    def judged(self, scene: Scene, result: Result, limits: Limits | None) -> tuple[jax.Array, dict[str, jax.Array]]:
+    def judge(self, scene: Scene, result: Result, limits: Limits | None) -> tuple[jax.Array, dict[str, jax.Array]]:
         """The value of a part, and what is reported of it; traced."""
-        result = only_part(result, scene)
+        result = mask_part(result, scene)
         objective = value = self.study.objective(scene, result)
         report = {"objective": objective, "error": self.study.objective.error(scene, result)}
         if limits is not None:
@@ -151,14 +151,14 @@ class Search:
         self, free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None, limits: Limits | None
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         scene = jaxform.replace(scene, self.changes(free))
-        return self.judged(scene, jaxform.simulate(scene, schedule=schedule), limits)
+        return self.judge(scene, jaxform.simulate(scene, schedule=schedule), limits)
 
     def _program(self, name: str, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
         """Compiled ahead, so that the cost of the first evaluation is that of a simulation."""
         if name not in self._programs:
-            if self.on_wait is not None and (words := waiting.words(name, self.study.scene)):
+            if self.on_wait is not None and (words := progress_messages.waiting_message(name, self.study.scene)):
                 self.on_wait(words)
-            self._programs[name] = compiled(jax.jit(function), *arguments)
+            self._programs[name] = compile_function(jax.jit(function), *arguments)
             self._clock = time.process_time()
         return self._programs[name]
 
@@ -169,7 +169,7 @@ class Search:
 
     # --- What searches ask ----------------------------------------------------------------------------------------
 
-    def asked(self, kind: str, free: np.ndarray, work: Callable[[], Answer]) -> Answer:
+    def ask(self, kind: str, free: np.ndarray, work: Callable[[], Answer]) -> Answer:
         """An answer of the journal, or of some work whose cost is counted.
 
         Raises:
@@ -198,7 +198,7 @@ class Search:
         cost = self.simulations + self._costs.get(kind, 1.0)
         if self.limits is not None:
             cost += self._costs.get("value", 1.0)  # put by for a design that keeps the limits
-        ending = spent(self.study, cost, time.perf_counter() - self._began)
+        ending = budget_ending(self.study, cost, time.perf_counter() - self._began)
         if ending is not None:
             raise SpentError(ending)
 
@@ -209,7 +209,7 @@ class Search:
             (value, report), gradient = self.compute(free)
             return _plain(report) | {"value": float(value), "gradient": np.asarray(gradient, float).tolist()}
 
-        return self.taken(free, self.asked("gradient", free, work))
+        return self.accept(free, self.ask("gradient", free, work))
 
     def curvature(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
         """The same for a sum of squares, with its Gauss-Newton matrix (n, n), from the deviations' slopes.
@@ -220,8 +220,8 @@ class Search:
         def deviations(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> tuple[jax.Array, Any]:
             scene = jaxform.replace(scene, self.changes(free))
             result = jaxform.simulate(scene, schedule=schedule)
-            deviations = self.study.objective.deviations(scene, only_part(result, scene))
-            return deviations, self.judged(scene, result, None)
+            deviations = self.study.objective.deviations(scene, mask_part(result, scene))
+            return deviations, self.judge(scene, result, None)
 
         def columns(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> Any:
             def column(direction: jax.Array) -> Any:
@@ -240,14 +240,14 @@ class Search:
             return _plain(report) | {"value": float(value)} | numbers
 
         if self._curved is None or not np.array_equal(self._curved[0].free, free):
-            answer = self.asked("curvature", free, work)
-            self._curved = self.taken(free, answer), np.asarray(answer["matrix"])
+            answer = self.ask("curvature", free, work)
+            self._curved = self.accept(free, answer), np.asarray(answer["matrix"])
         return self._curved
 
-    def plain(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
+    def evaluate_forward(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
         """The same without gradient, and what is wanted of the wall over what is there (n_node,) where it is known."""
-        answer = self.asked("value", free, lambda: self._forward(free))
-        return self.taken(free, answer), np.asarray(answer.get("ratio", []))
+        answer = self.ask("value", free, lambda: self._forward(free))
+        return self.accept(free, answer), np.asarray(answer.get("ratio", []))
 
     def _forward(self, free: np.ndarray) -> Answer:
         if self.schedule is not None:
@@ -255,25 +255,25 @@ class Search:
             value, report = self._program("value", self._value, *arguments)(*arguments)
             return _plain(report) | {"value": float(value)}
         scene = self.scene(free)
-        result = formed(scene)
+        result = formed_part(scene)
         arguments = scene, dataclasses.replace(result, seconds=None), self.limits
-        value, report = self._program("judge", self.judged, *arguments)(*arguments)
+        value, report = self._program("judge", self.judge, *arguments)(*arguments)
         return _plain(report) | {"value": float(value)}
 
     def check(self, point: Point) -> float:
         """Relative difference of a gradient and differences along one direction, which it keeps."""
-        self.gradient_error = gradient_error(point, self.reach, lambda free: self._valued("check", free))
+        self.gradient_error = gradient_error(point, self.reach, lambda free: self._compute_value("check", free))
         return self.gradient_error
 
-    def probed(self, free: np.ndarray) -> float:
+    def probe(self, free: np.ndarray) -> float:
         """The value of a design that is no part of the search; infinite where its simulation fails."""
-        return self._valued("probe", free)
+        return self._compute_value("probe", free)
 
-    def _valued(self, kind: str, free: np.ndarray) -> float:
-        answer = self.asked(kind, free, lambda: self._forward(free))
+    def _compute_value(self, kind: str, free: np.ndarray) -> float:
+        answer = self.ask(kind, free, lambda: self._forward(free))
         return np.inf if kind == "probe" and answer["status"] else answer["value"]
 
-    def taken(self, free: np.ndarray, answer: Answer) -> Point:
+    def accept(self, free: np.ndarray, answer: Answer) -> Point:
         """The point of an answer; it is the best one if it is, and a row of the history."""
         gradient = np.asarray(answer.get("gradient", np.full(free.size, np.nan)), float)
         excess = np.asarray(answer.get("excess", []), float)
@@ -319,14 +319,14 @@ class Search:
         self.iteration += 1
         return None
 
-    def refreshed(self, point: Point) -> Point:
+    def refresh(self, point: Point) -> Point:
         """The point with the decisions that a run of its design takes, where the mesh is refined and it is time.
 
         In between the objective is smooth, for all simulations take the same decisions.
         """
         if self.schedule is None or self.iteration % _REFRESH:
             return point
-        live = formed(self.scene(point.free))
+        live = formed_part(self.scene(point.free))
         self.simulations += 1.0
         if int(live.status) or live.used.size != self._room:
             return point

@@ -14,7 +14,15 @@ from jaxform import InputError, Scene
 from jaxform.mesh import bisection
 from jaxform.mesh.profiles import Profile
 from jaxform.results import sections
-from optimize.variables import Bounds, check_bounds, full_reach, limited, log_bounded, log_unbounded, unlimited
+from optimize.variables import (
+    Bounds,
+    apply_log_bounds,
+    apply_step_limit,
+    check_bounds,
+    full_reach,
+    invert_log_bounds,
+    invert_step_limit,
+)
 
 Array = np.ndarray
 
@@ -24,7 +32,7 @@ _MOST_EASE = 4.0
 _ON_BOUND = 1e-4  # of the way between the bounds
 
 
-class _Sheet:
+class _SheetMap:
     """Thickness that is a fixed linear map of bounded numbers; a row of the map sums to 1, so it keeps their bounds."""
 
     def __init__(self, scene: Scene, weights: Array, bounds: Bounds, change: Array | None = None) -> None:
@@ -38,8 +46,8 @@ class _Sheet:
     def _values(self, free: jax.Array) -> jax.Array:
         free = free * self._ease
         if self._change is None:
-            return log_bounded(free, self.bounds)
-        return limited(free, self.bounds, self._change)
+            return apply_log_bounds(free, self.bounds)
+        return apply_step_limit(free, self.bounds, self._change)
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """Nodal thickness (n_node,) [m]."""
@@ -69,8 +77,8 @@ class _Sheet:
         values = np.where(values - low < _ON_BOUND * (high - low), low, values)
         values = np.where(high - values < _ON_BOUND * (high - low), high, values)
         if self._change is None:
-            return log_unbounded(mean * values, self.bounds) / self._ease
-        return unlimited(mean * values, self.bounds, self._change) / self._ease
+            return invert_log_bounds(mean * values, self.bounds) / self._ease
+        return invert_step_limit(mean * values, self.bounds, self._change) / self._ease
 
 
 def _ease(scene: Scene, weights: Array) -> Array:
@@ -85,7 +93,7 @@ def _ease(scene: Scene, weights: Array) -> Array:
     return np.clip(np.sqrt(share.mean() / np.maximum(share, 1e-300)), 1.0 / _MOST_EASE, _MOST_EASE)
 
 
-class ThicknessProfile(_Sheet):
+class ThicknessProfile(_SheetMap):
     """Initial thickness along a place in the initial sheet.
 
     Args:
@@ -125,9 +133,9 @@ class ThicknessProfile(_Sheet):
         place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(first)
         if interpolation == "linear":
             place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(np.asarray(scene.parison.positions, float))
-        self.at, weights = _along(place, knots, at, interpolation)
+        self.at, weights = _place_knots(place, knots, at, interpolation)
         if interpolation != "linear":
-            weights = spread(scene, weights)
+            weights = spread_to_forest(scene, weights)
         super().__init__(scene, weights, bounds, None if slope is None else slope * np.diff(self.at))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
@@ -138,7 +146,9 @@ class ThicknessProfile(_Sheet):
         return {"parison.thickness": {"along": self.along, "at": self.at.tolist(), "value": value}}
 
 
-def _along(place: Array, knots: int | None, at: Sequence[float] | None, interpolation: str) -> tuple[Array, Array]:
+def _place_knots(
+    place: Array, knots: int | None, at: Sequence[float] | None, interpolation: str
+) -> tuple[Array, Array]:
     """Where the numbers stand, and what each does to each node (n_node, n)."""
     if interpolation == "cubic":
         return _spline(place, knots, at)
@@ -163,7 +173,7 @@ def _spline(place: Array, knots: int | None, at: Sequence[float] | None) -> tupl
     return np.array([edges[k + 1 : k + 4].mean() for k in range(knots)]), weights
 
 
-class ThicknessField(_Sheet):
+class ThicknessField(_SheetMap):
     """Initial thickness at every node of the mesh, no finer than a length.
 
     Numbers stand about half that length apart; each node takes their mean, weighted by the distance (and by that to
@@ -185,12 +195,12 @@ class ThicknessField(_Sheet):
             raise InputError("is not a length", "give metres, 0 for none", "variable.smoothness", smoothness)
         positions = first_positions(scene)
         self.smoothness = smoothness
-        self.controls = np.arange(len(positions)) if smoothness == 0.0 else _apart(positions, smoothness)
+        self.controls = np.arange(len(positions)) if smoothness == 0.0 else _spaced_nodes(positions, smoothness)
         if len(self.controls) > _MOST_CONTROLS:
             problem = f"leaves {len(self.controls)} numbers to design"
             raise InputError(problem, "give a longer one", "variable.smoothness", smoothness)
         weights = np.eye(len(positions)) if smoothness == 0.0 else self._kernel(scene, positions)
-        super().__init__(scene, spread(scene, weights), bounds)
+        super().__init__(scene, spread_to_forest(scene, weights), bounds)
 
     def _kernel(self, scene: Scene, positions: Array) -> Array:
         weights = np.zeros((len(positions), len(self.controls)))
@@ -200,7 +210,7 @@ class ThicknessField(_Sheet):
         return weights / weights.sum(1, keepdims=True)
 
 
-def _apart(positions: Array, smoothness: float) -> Array:
+def _spaced_nodes(positions: Array, smoothness: float) -> Array:
     """Nodes (n,) of which none is nearer to another than what a number needs, and no node is farther from all."""
     room = np.full(len(positions), np.inf)
     chosen: list[int] = []
@@ -226,7 +236,7 @@ def first_positions(scene: Scene) -> Array:
     return np.asarray(scene.parison.positions, float)[: scene.first_nodes]
 
 
-def spread(scene: Scene, weights: Array) -> Array:
+def spread_to_forest(scene: Scene, weights: Array) -> Array:
     """From the mesh's nodes (n, k) to all that refinement may make (n_node, k)."""
     forest = scene.tables.forest
-    return weights if forest is None else bisection.extended(weights, np.asarray(forest.ends).T, forest.depth)
+    return weights if forest is None else bisection.extend_values(weights, np.asarray(forest.ends).T, forest.depth)

@@ -14,18 +14,18 @@ import numpy as np
 import jaxform
 from jaxform import InputError, Result, Scene
 from jaxform.results.part import part_elements
-from optimize import idle, reach
+from optimize import feasibility, sensitivity_check
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study
-from optimize.endings import STOPPED, Ending, SpentError, met
 from optimize.fixed_point import fixed_point, warm_start
 from optimize.journal import Answer, Journal
 from optimize.least_squares import least_squares
+from optimize.penalty_rounds import fall_back, rounds
 from optimize.price import price
-from optimize.rounds import fall_back, rounds
 from optimize.search import Search
+from optimize.termination import STOPPED, Ending, SpentError, check_goal
 from optimize.variables import SheetVariable
-from optimize.walls import formed
+from optimize.wall_statistics import formed_part
 
 __all__ = ["COLUMNS", "LIMIT_COLUMNS", "METHODS", "Design", "Search", "Study", "solve"]
 
@@ -53,7 +53,7 @@ class Design:
         history: A row per simulation of the search, with the columns `COLUMNS` (and `LIMIT_COLUMNS`).
         document: Of the study.
         message: Why the search ended, in words.
-        stopped_by: The same in one word: a key of the study, or one that `optimize.endings.Ending` names.
+        stopped_by: The same in one word: a key of the study, or one that `optimize.termination.Ending` names.
         broken: Which limits the design does not keep, by how much, and what to do about it; empty where it keeps all.
         warnings: What to mind about the study, a sentence each.
         objective: Of the best design.
@@ -145,7 +145,7 @@ def solve(
     check(study)
     if on_wait is not None:
         on_wait("simulating the scene to begin with")
-    first = formed(study.scene)
+    first = formed_part(study.scene)
     if int(first.status):
         raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
     if not np.asarray(part_elements(first, study.scene)).any():
@@ -163,10 +163,15 @@ def solve(
         if on_warning is not None:
             on_warning(sentence)
 
-    for sentence in reach.doubts(study):
+    for sentence in feasibility.doubts(study):
         warn(sentence)
     try:
-        ending = _searched(search, study, on_check, lambda point: idle.look(search, point, first, warn))
+        ending = _run_search(
+            search,
+            study,
+            on_check,
+            lambda point: sensitivity_check.warn_of_insensitive_variables(search, point, first, warn),
+        )
     except SpentError as spent:
         ending = spent.ending
         fall_back(search)
@@ -189,7 +194,7 @@ def solve(
         document=study.document,
         message=ending.words,
         stopped_by=ending.by,
-        broken=reach.broken(study, scene, result, best, ending),
+        broken=feasibility.broken_limits(study, scene, result, best, ending),
         warnings=warnings,
         objective=best.objective,
         violation=best.violation,
@@ -205,7 +210,7 @@ def _cost(scene: Scene) -> float:
     spent = []
     for _ in range(2):
         began = time.process_time()
-        formed(scene)
+        formed_part(scene)
         spent.append(time.process_time() - began)
     return max(min(spent), 1e-6)
 
@@ -213,7 +218,7 @@ def _cost(scene: Scene) -> float:
 def check(study: Study) -> None:
     """Raises InputError where method, objective and variables do not go together, or a limit is out of all reach."""
     _check_method(study)
-    reach.check(study)
+    feasibility.check(study)
 
 
 def _check_method(study: Study) -> None:
@@ -236,7 +241,7 @@ def _check_method(study: Study) -> None:
         raise InputError("changes the sheet, which is no variable here", remedy, rule)
 
 
-def _searched(
+def _run_search(
     search: Search,
     study: Study,
     on_check: Callable[[float], object] | None,
@@ -251,9 +256,9 @@ def _searched(
         search.updates, (last, _) = search.iteration, warm
         # Where there are limits the last one is the best, though it may break them by a few per cent more.
         free = last.free if search.limits is not None and np.isfinite(last.value) else search.best.free
-        if search.limits is None and not search.stopped and (reached := met(study, search.best)):
+        if search.limits is None and not search.stopped and (reached := check_goal(study, search.best)):
             return reached
-    point = search.plain(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
+    point = search.evaluate_forward(free)[0] if study.method in _WITHOUT_GRADIENT else search(free)
     if search.stopped:
         return STOPPED
     if not np.isfinite(point.value):
@@ -281,9 +286,9 @@ def _best_start(search: Search, study: Study) -> np.ndarray:
         values = []
         for k, row in enumerate(rows):
             result = jax.tree.map(lambda leaf, k=k: leaf[k], results)
-            value, report = search.judged(jaxform.replace(search.study.scene, row), result, search.limits)
+            value, report = search.judge(jaxform.replace(search.study.scene, row), result, search.limits)
             good = not int(report["status"]) and np.isfinite(value)
             values.append(float(value) if good else np.inf)
         return {"values": values, "spent": len(designs) * search.forward_seconds}
 
-    return designs[int(np.argmin(search.asked("starts", designs.ravel(), work)["values"]))]
+    return designs[int(np.argmin(search.ask("starts", designs.ravel(), work)["values"]))]

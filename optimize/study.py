@@ -14,20 +14,20 @@ import numpy as np
 
 import jaxform
 from jaxform import Scene
+from jaxform.core.atomic_write import atomic_path
 from jaxform.core.errors import InputError
 from jaxform.core.store import Store
-from jaxform.core.writing import whole
 from jaxform.io import fields, files, schema
 from jaxform.mesh import meshes
 from jaxform.mesh.profiles import Profile
-from jaxform.results.result import only_used
+from jaxform.results.result import drop_unused
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.heaters import HeaterZones
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
 from optimize.pressures import PressureKnots
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.variables import Scale, Variable
-from optimize.walls import formed
+from optimize.wall_statistics import formed_part
 
 _HOW_LONG = ("iterations", "max_simulations", "minutes", "rounds", "goal", "tolerance", "gradient_tolerance")
 
@@ -73,14 +73,14 @@ def _digest(document: files.StudyDocument, scene: Scene) -> str:
 def _variable(table: schema.Variable, scene: Scene) -> Variable:
     options: dict[str, Any] = table.model_dump(exclude={"kind"})
     options["bounds"] = tuple(options["bounds"])
-    if isinstance(table, schema.PressureKnots):
+    if isinstance(table, schema.PressureKnotsTable):
         options["end_time"] = None if table.end_time is None else tuple(table.end_time)
         return PressureKnots(scene, **options)
-    if isinstance(table, schema.ThicknessField):
+    if isinstance(table, schema.ThicknessFieldTable):
         return ThicknessField(scene, **options)
-    if isinstance(table, schema.HeaterZones):
+    if isinstance(table, schema.HeaterZonesTable):
         return HeaterZones(scene, **options)
-    return (Scale if isinstance(table, schema.Scale) else ThicknessProfile)(scene, **options)
+    return (Scale if isinstance(table, schema.ScaleTable) else ThicknessProfile)(scene, **options)
 
 
 def _objectives(document: files.StudyDocument, scene: Scene) -> Objective:
@@ -91,17 +91,17 @@ def _objectives(document: files.StudyDocument, scene: Scene) -> Objective:
     return parts[0][1] if len(parts) == 1 else Weighted(parts)
 
 
-def _objective(table: schema.Wanted, document: files.StudyDocument, scene: Scene) -> Objective:
-    if isinstance(table, schema.LeastMass):
+def _objective(table: schema.ObjectiveTable, document: files.StudyDocument, scene: Scene) -> Objective:
+    if isinstance(table, schema.LeastMassTable):
         return LeastMass(scene, table.minimum)
-    if isinstance(table, schema.FormingTime):
+    if isinstance(table, schema.FormingTimeTable):
         return FormingTime(scene, table.power)
-    if isinstance(table, schema.Target):
+    if isinstance(table, schema.TargetTable):
         return _target(table, document, scene)
-    return Uniform() if isinstance(table, schema.Uniform) else KineticEnergy()
+    return Uniform() if isinstance(table, schema.UniformTable) else KineticEnergy()
 
 
-def _target(table: schema.Target, document: files.StudyDocument, scene: Scene) -> Target:
+def _target(table: schema.TargetTable, document: files.StudyDocument, scene: Scene) -> Target:
     wanted, key = table.thickness, "objective.thickness"
     if isinstance(wanted, schema.TargetProfile):
         initial = wanted.along.startswith("initial-")
@@ -124,14 +124,16 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
         other = files.build(files.read_scene(name, document.folder))
     except InputError as error:
         raise error.within(key=key) from None
-    result = formed(other)
+    result = formed_part(other)
     if int(result.status):
         raise InputError(f"fails: {jaxform.explain(result)}", "remedy that scene first", key, name)
-    other, result = only_used(other, result)
+    other, result = drop_unused(other, result)
     places, triangles = np.asarray(other.parison.positions, float), np.asarray(result.triangles)
     try:
         wall = np.asarray(result.thickness, float)
-        return fields.carried(meshes.Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float))
+        return fields.transfer_values(
+            meshes.Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float)
+        )
     except InputError as error:
         raise error.within(key=key) from None
 
@@ -144,7 +146,7 @@ def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """
     rows = list(rows)
     limits = LIMIT_COLUMNS if rows and LIMIT_COLUMNS[0] in rows[0] else ()
-    with whole(path, "make room, then go on with --resume") as fresh, fresh.open("w", newline="") as file:
+    with atomic_path(path, "make room, then go on with --resume") as fresh, fresh.open("w", newline="") as file:
         writer = csv.DictWriter(file, [*COLUMNS, *limits], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

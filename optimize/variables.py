@@ -17,7 +17,7 @@ import numpy as np
 
 import jaxform
 from jaxform import InputError, Scene
-from jaxform.model.replacing import number_at
+from jaxform.model.replacement import number_at
 
 Bounds = tuple[float, float]
 
@@ -67,7 +67,7 @@ def check_bounds(bounds: Bounds, positive: bool = True) -> None:
 
 
 def full_reach(count: int) -> np.ndarray:
-    """The reach (n,) of numbers that `bounded` takes."""
+    """The reach (n,) of numbers that `apply_bounds` takes."""
     return np.full(count, 0.5 * SPAN)
 
 
@@ -79,7 +79,7 @@ def _share(free: jax.Array) -> jax.Array:
     return jnp.where(share < 0.0, 0.0, jnp.where(share > 1.0, 1.0, share))
 
 
-def bounded(free: jax.Array, bounds: Any) -> jax.Array:
+def apply_bounds(free: jax.Array, bounds: Any) -> jax.Array:
     """Values within the bounds, of their shape; exactly on them at the ends of the box and beyond."""
     share = _share(free)
     # Each half from its own bound, so that neither is missed by rounding.
@@ -87,14 +87,14 @@ def bounded(free: jax.Array, bounds: Any) -> jax.Array:
     return jnp.where(share <= 0.5, bounds[0] + width * share, bounds[1] - width * (1.0 - share))
 
 
-def unbounded(values: Any, bounds: Any) -> np.ndarray:
-    """Inverse of `bounded`; values beyond a bound are moved onto it, and where there is no room, 0."""
+def invert_bounds(values: Any, bounds: Any) -> np.ndarray:
+    """Inverse of `apply_bounds`; values beyond a bound are moved onto it, and where there is no room, 0."""
     low, width = np.asarray(bounds[0], float), np.asarray(bounds[1], float) - np.asarray(bounds[0], float)
     share = np.where(width > 0.0, (np.asarray(values, float) - low) / np.where(width > 0.0, width, 1.0), 0.5)
     return SPAN * (np.clip(share, 0.0, 1.0) - 0.5)
 
 
-def log_bounded(free: jax.Array, bounds: Bounds) -> jax.Array:
+def apply_log_bounds(free: jax.Array, bounds: Bounds) -> jax.Array:
     """The same between positive bounds, whose logarithms are divided evenly.
 
     A wall goes with its sheet in ratio: searched in logarithms, the one is nearly linear in the other.
@@ -103,12 +103,14 @@ def log_bounded(free: jax.Array, bounds: Bounds) -> jax.Array:
     return jnp.where(share <= 0.5, bounds[0] * jnp.exp(ratio * share), bounds[1] * jnp.exp(-ratio * (1.0 - share)))
 
 
-def log_unbounded(values: Any, bounds: Bounds) -> np.ndarray:
-    """Inverse of `log_bounded`; values beyond a bound are moved onto it."""
-    return unbounded(np.log(np.clip(values, *bounds)), np.log(bounds))
+def invert_log_bounds(values: Any, bounds: Bounds) -> np.ndarray:
+    """Inverse of `apply_log_bounds`; values beyond a bound are moved onto it."""
+    return invert_bounds(np.log(np.clip(values, *bounds)), np.log(bounds))
 
 
-def limited(free: jax.Array, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> jax.Array:
+def apply_step_limit(
+    free: jax.Array, bounds: Bounds, change: Any, first: Any = None, rising: bool = False
+) -> jax.Array:
     """Values within the bounds of which neighbours differ by a limit at most, for any numbers.
 
     Each lies between those bounds and the limits that its predecessor leaves.
@@ -127,21 +129,23 @@ def limited(free: jax.Array, bounds: Bounds, change: Any, first: Any = None, ris
         if last is not None:
             step = steps[k if first is not None else k - 1]
             room = _room(last, step, bounds, rising)
-        last = bounded(free[k], room)
+        last = apply_bounds(free[k], room)
         values.append(last)
     return jnp.stack(values)
 
 
-def unlimited(values: np.ndarray, bounds: Bounds, change: Any, first: Any = None, rising: bool = False) -> np.ndarray:
-    """Inverse of `limited`; values that break a limit are moved onto it."""
+def invert_step_limit(
+    values: np.ndarray, bounds: Bounds, change: Any, first: Any = None, rising: bool = False
+) -> np.ndarray:
+    """Inverse of `apply_step_limit`; values that break a limit are moved onto it."""
     free: list[float] = []
     last = first
     for k, value in enumerate(np.asarray(values, float)):
         room: Any = bounds
         if last is not None:
             room = [float(end) for end in _room(last, change[k if first is not None else k - 1], bounds, rising)]
-        free.append(float(unbounded(value, room)))
-        last = float(bounded(jnp.asarray(free[-1]), room))
+        free.append(float(invert_bounds(value, room)))
+        last = float(apply_bounds(jnp.asarray(free[-1]), room))
     return np.asarray(free)
 
 
@@ -176,15 +180,15 @@ class Scale:
         self._present = jnp.asarray(present)
         self._first_nodes = scene.first_nodes
         self._varies = part == "material" and name in scene.material.zones
-        self.start, self.reach = np.atleast_1d(unbounded(1.0, bounds)), full_reach(1)
+        self.start, self.reach = np.atleast_1d(invert_bounds(1.0, bounds)), full_reach(1)
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
         """The scaled number or numbers, in their own unit."""
-        return {self.of: bounded(free[0], self.bounds) * self._present}
+        return {self.of: apply_bounds(free[0], self.bounds) * self._present}
 
     def shares(self, free: jax.Array) -> jax.Array:
         """How far the factor (1,) is between its bounds."""
-        return bounded(free, (0.0, 1.0))
+        return apply_bounds(free, (0.0, 1.0))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
         """The same; what varies over the sheet at the nodes of its mesh, (..., n_node)."""

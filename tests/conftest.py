@@ -27,9 +27,9 @@ jax.config.update("jax_enable_x64", True)
 jax.devices()  # reads the flags
 os.environ["XLA_FLAGS"] = _FLAGS
 
-from jaxform.core import compiling  # noqa: E402
+from jaxform.core import compilation  # noqa: E402
 
-compiling._LEVEL = 0
+compilation._LEVEL = 0
 
 # The first example of a test compiles, so its time says nothing; the same examples in every run.
 hypothesis.settings.register_profile("jaxform", deadline=None, derandomize=True, database=None)

@@ -21,7 +21,7 @@ from jaxform.mesh.shapes import Sheet
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.runs import loop
-from jaxform.runs.padding import on_rungs
+from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet import active_set
 from jaxform.sheet.discretization import NEVER, Discretization
 from jaxform.sheet.state import State
@@ -78,15 +78,15 @@ def assert_slopes(
     return value
 
 
-def begun(scene: Scene) -> tuple[State, Discretization]:
+def begin_run(scene: Scene) -> tuple[State, Discretization]:
     """The first state and the sheet, each operation of which would be a program of its own."""
     return loop.begin(scene)[:2]
 
 
 def at_rest(scene: Scene) -> Result:
     """The part before the first step; by programs for all scenes of its rungs."""
-    room = on_rungs(scene)
-    state, sheet = begun(room.scene)
+    room = pad_to_bucket(scene)
+    state, sheet = begin_run(room.scene)
     return room.result(loop.result_of(state, room.scene, sheet))
 
 
@@ -147,7 +147,7 @@ def cup(elements: int = 60, end_time: float = 20.0) -> jaxform.Scene:
     )
 
 
-def loaded(pressure: jaxform.Loading) -> jaxform.Scene:
+def loaded_scene(pressure: jaxform.Loading) -> jaxform.Scene:
     """The cup under another loading."""
     plain = cup()
     parts = {"parison": plain.parison, "material": plain.material, "solver": plain.solver, "mold": plain.mold}
@@ -170,18 +170,18 @@ def refinable(sheet: Sheet, elements: int) -> Scene:
 
 
 @jax.jit
-def bisected(scene: Scene, state: State, sheet: Discretization, wanted: jax.Array) -> tuple[State, Discretization]:
+def bisect_scene(scene: Scene, state: State, sheet: Discretization, wanted: jax.Array) -> tuple[State, Discretization]:
     """A state with wanted elements (element_room,) bisected, and what that asks for; and its body."""
     mesh, adaptivity = state.refined_mesh, scene.adaptivity
     assert adaptivity is not None
     numbers = jnp.where(wanted, mesh.element, NEVER)
-    found = remeshing.closed(mesh.split_at, numbers, mesh.element_count, adaptivity.forest, state.windows)
-    return refinement._grown(state, scene, adaptivity, sheet, *found, None)
+    found = remeshing.close_queue(mesh.split_at, numbers, mesh.element_count, adaptivity.forest, state.windows)
+    return refinement._bisect_queue(state, scene, adaptivity, sheet, *found, None)
 
 
 @jax.jit
-def looked_at(state: State, scene: Scene, sheet: Discretization) -> tuple[State, Discretization]:
+def survey_of(state: State, scene: Scene, sheet: Discretization) -> tuple[State, Discretization]:
     """What a run makes of a state in the mesh's order at a border where it is time to look at the mesh."""
     packed = active_set.active_set_of(state, scene, sheet)
-    refined, sheet, packed = refinement.refined_in_place(packed.taken(state), scene, sheet, packed)
-    return packed.put_back(refined), sheet
+    refined, sheet, packed = refinement.refine_in_place(packed.pack_state(state), scene, sheet, packed)
+    return packed.unpack_state(refined), sheet

@@ -222,7 +222,7 @@ def show_dynamic_sphere(elements: int) -> Measured:
 
 
 @functools.cache
-def _stepped_sphere(elements: int) -> Scene:
+def _step_sphere(elements: int) -> Scene:
     """A quarter of a sphere with windows for the longest of the periods at the highest stiffness."""
     sheet = jaxform.shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
     return scene_of(sheet, mooney(0.5), jaxform.make_pressure([0.0], [0.05]), end_time=2.4)
@@ -236,7 +236,7 @@ def sphere_step_errors(
     The motion is symmetric in time about its largest stretch, which a polynomial through seven runs finds.
     """
     changes = {"material.alpha": alpha, "pressure.value": [0.01 * pressure]}
-    scene = jaxform.replace(_stepped_sphere(elements), changes)
+    scene = jaxform.replace(_step_sphere(elements), changes)
     off = period / 2 * np.linspace(-0.1, 0.1, 7)
     ends = [jaxform.replace(scene, {"solver.end_time": period / 2 + late}) for late in off]
     parts = [jaxform.run(end) for end in ends]
@@ -416,7 +416,7 @@ CASES: dict[str, Case] = {
 }
 
 
-def converged(case: Case) -> dict[str, Any]:
+def show_convergence(case: Case) -> dict[str, Any]:
     """A case at its three numbers of elements: errors, observed order of the last two in the element size, seconds."""
     rows = [case.show(size) for size in case.sizes]
     counts = [row.elements for row in rows]

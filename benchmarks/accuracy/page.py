@@ -51,13 +51,13 @@ def _cases(found: Found, folder: Path) -> str:
             f"|---|{'---|' * len(case['elements'])}---|",
         ]
         for quantity, errors in case["errors"].items():
-            shown = " | ".join(_signed(error, quantity) for error in errors)
+            shown = " | ".join(_format_signed(error, quantity) for error in errors)
             lines.append(f"| {quantity} | {shown} | {', '.join(_order(value) for value in case['order'][quantity])} |")
         lines.append("")
     return "\n".join([*lines, _orders(found)])
 
 
-def _signed(error: float, quantity: str) -> str:
+def _format_signed(error: float, quantity: str) -> str:
     return f"{100 * error:.2g} %" if "thickness" in quantity and "pole" not in quantity else f"{100 * error:+.2g} %"
 
 
@@ -245,7 +245,7 @@ def _slow(found: Found, folder: Path) -> str:
         else "",
         f"With `quasi_static = true` in [solver] a run that predicts more than {100 * SLOW_ENOUGH:.2g} % says so, "
         f"with what to do. Of the {len(off)} runs that are off by more than {200 * SLOW_ENOUGH:.2g} % it warns of "
-        f"{_warned(off)}, and of {_warned(fine)} of the {len(fine)} that are off by less than "
+        f"{_warning_count(off)}, and of {_warning_count(fine)} of the {len(fine)} that are off by less than "
         f"{50 * SLOW_ENOUGH:.2g} %. The kinetic energy that "
         "is left at the end, or with which the sheet hits the mold, predicts worse: "
         f"the latter is off by a factor of {_spread(seen, 'hit'):.0f} either way in nine out of ten, the peak alone by "
@@ -270,7 +270,7 @@ def _middles(rows: dict[str, list[Found]]) -> str:
     )
 
 
-def _warned(rows: list[Found]) -> int:
+def _warning_count(rows: list[Found]) -> int:
     return sum(row["haste"] > SLOW_ENOUGH for row in rows)
 
 

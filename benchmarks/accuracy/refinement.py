@@ -26,10 +26,10 @@ from jaxform.adapt import refinement
 from jaxform.dynamics import window as windows
 from jaxform.io import files
 from jaxform.model.scene import Scene
-from jaxform.results.result import Result, only_used
+from jaxform.results.result import Result, drop_unused
 from jaxform.runs import loop
 from jaxform.sheet import active_set, discretization
-from jaxform.sheet.state import State, finished
+from jaxform.sheet.state import State, is_finished
 
 Row = dict[str, Any]
 _JUMP = 1e-6  # a second difference beyond it: a node grazes the mold, and lands now or some steps later
@@ -87,7 +87,7 @@ def panel(elements: int, **limits: Any) -> Scene:
 
 def wall_at_points(scene: Scene, result: Result, part: float = 1.0) -> np.ndarray:
     """The nodes' thickness [m], linear in between, at points of the initial quarter, or of a part in its middle."""
-    scene, result = only_used(scene, result)
+    scene, result = drop_unused(scene, result)
     start = np.asarray(scene.parison.positions)
     low, high = start.min(0), start.max(0)
     share = (np.arange(_GRID) + 0.5) / _GRID
@@ -102,7 +102,7 @@ def exact_dish(scene: Scene, result: Result) -> float:
     """Relative rms error [%] of the dish's elements against the exact solution, the last of the corner left out."""
     reference = files.read_reference(files.read_scene("dish"))
     assert reference is not None
-    scene, result = only_used(scene, result)
+    scene, result = drop_unused(scene, result)
     triangles, start = np.asarray(result.triangles), np.asarray(scene.parison.positions)
     place = np.hypot(*start[triangles].mean(1)[:, :2].T)
     exact = exact_ratio(place, reference)
@@ -111,7 +111,7 @@ def exact_dish(scene: Scene, result: Result) -> float:
     return 100 * rms((ratio / exact - 1)[away], np.asarray(result.element_volume)[away])
 
 
-def timed(scene: Scene) -> tuple[Scene, Result, float]:
+def run_timed(scene: Scene) -> tuple[Scene, Result, float]:
     """The scene with room for what its run needs, the part, and the seconds of the run."""
     first = jaxform.run(scene)
     scene = jaxform.fitted(scene, int(first.used.sum()))
@@ -122,7 +122,7 @@ def timed(scene: Scene) -> tuple[Scene, Result, float]:
 def curve(make: Callable[..., Scene], error: Callable[[Scene, Result], float], cases: list[Row]) -> list[Row]:
     rows = []
     for case in cases:
-        scene, part, seconds = timed(make(**case))
+        scene, part, seconds = run_timed(make(**case))
         limits = {key: value for key, value in case.items() if key != "elements"}
         rows.append(
             {
@@ -211,15 +211,15 @@ def show_overhead() -> list[Row]:
         ("box-insert", box(128, angle=12.0, max_level=6, base_level=6, scaled_levels=2)),
         ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
     ):
-        scene, part, seconds = timed(scene)
+        scene, part, seconds = run_timed(scene)
         limits = scene.refinement
         assert limits is not None
         state, first, _ = loop.begin(scene)
         look = jax.jit(functools.partial(_look, scene))
         advance = jax.jit(lambda state, now, scene=scene: windows.window(state, scene, now, differentiable=False))
         now, spent, growths = discretization.present_discretization(scene, state.mesh, first), 0.0, 0
-        while not finished(state, scene):
-            if refinement.looks(state.windows, limits):
+        while not is_finished(state, scene):
+            if refinement.is_refinement_due(state.windows, limits):
                 # Calling the program, and copies of all it gives, take time too, which a run does not spend: so beside
                 # it the same program at a border where it is not time to look.
                 idle = dataclasses.replace(state, windows=state.windows + 1)
@@ -240,8 +240,8 @@ def _look(
     scene: jaxform.Scene, state: State, now: discretization.Discretization
 ) -> tuple[State, discretization.Discretization]:
     packed = active_set.active_set_of(state, scene, now)
-    refined, now, _ = refinement.refined_in_place(packed.taken(state), scene, now, packed)
-    return packed.put_back(refined), now
+    refined, now, _ = refinement.refine_in_place(packed.pack_state(state), scene, now, packed)
+    return packed.unpack_state(refined), now
 
 
 def _count(state: State) -> int:

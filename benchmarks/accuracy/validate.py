@@ -19,7 +19,7 @@ import numpy as np
 import jaxform
 import optimize
 from benchmarks.accuracy import cases, page, refinement
-from benchmarks.pages import DOCS, Found, keep, kept
+from benchmarks.pages import DOCS, Found, read_figures, store_figures
 from benchmarks.timing import one_core
 from jaxform.io import files
 from jaxform.model.scene import Scene
@@ -38,7 +38,7 @@ def show_cases(names: tuple[str, ...] = tuple(cases.CASES)) -> Found:
     found = {}
     for name in names:
         began = time.perf_counter()
-        found[name] = cases.converged(cases.CASES[name])
+        found[name] = cases.show_convergence(cases.CASES[name])
         print(f"  {name}: {time.perf_counter() - began:.0f} s", flush=True)
     return found
 
@@ -46,7 +46,9 @@ def show_cases(names: tuple[str, ...] = tuple(cases.CASES)) -> Found:
 # --- Error against time -----------------------------------------------------------------------------------------------
 
 
-def measured(scene: Scene, error: Callable[[Scene, Result], float], group: str, label: str, default: bool) -> Found:
+def measure_gradient(
+    scene: Scene, error: Callable[[Scene, Result], float], group: str, label: str, default: bool
+) -> Found:
     """A run's error [%] and its time [s], the fastest of some; room is left for no more elements than it needs."""
     part = jaxform.run(scene)
     if scene.refinement is not None:
@@ -79,7 +81,7 @@ def in_float32(make: Callable[[], Found]) -> Found:
         jax.config.update("jax_enable_x64", True)
 
 
-def _varied(scene: Scene, **factors: float) -> Scene:
+def _vary_scene(scene: Scene, **factors: float) -> Scene:
     """The scene with another safety, or with ramp and damping times a factor."""
     if "safety" in factors:
         return replace(scene, solver=replace(scene.solver, safety=factors["safety"]))
@@ -107,7 +109,9 @@ def _changes() -> Iterator[tuple[str, str, Found]]:
 
 def _varied_rows(long: Scene, error: Callable[[Scene, Result], float]) -> list[Found]:
     """Runs of a scene that has windows for twice its time, with one thing changed at a time."""
-    return [measured(_varied(long, **change), error, group, label, False) for group, label, change in _changes()]
+    return [
+        measure_gradient(_vary_scene(long, **change), error, group, label, False) for group, label, change in _changes()
+    ]
 
 
 def _longer(scene: Scene, factor: float = 4.0) -> Scene:
@@ -120,10 +124,10 @@ def show_dish(sizes: tuple[int, ...] = (150, 350, 600, 1350, 2400)) -> list[Foun
     read = files.read_scene("dish-refined").data
     default: Found = {"elements": read["parison"]["elements"]} | read["refinement"]
     error = refinement.exact_dish
-    rows = [measured(refinement.dish(n), error, "uniform", f"{n}", False) for n in sizes]
-    rows.append(measured(refinement.dish(**default), error, "refined", "as built in", True))
+    rows = [measure_gradient(refinement.dish(n), error, "uniform", f"{n}", False) for n in sizes]
+    rows.append(measure_gradient(refinement.dish(**default), error, "refined", "as built in", True))
     rows += [
-        measured(refinement.dish(**default | change), error, "refined", words, False)
+        measure_gradient(refinement.dish(**default | change), error, "refined", words, False)
         for change, words in (
             ({"max_level": 4, "base_level": 4, "scaled_levels": 0}, "to level 4"),
             ({"base_level": 6, "scaled_levels": 0}, "to level 6"),
@@ -132,10 +136,12 @@ def show_dish(sizes: tuple[int, ...] = (150, 350, 600, 1350, 2400)) -> list[Foun
         )
     ]
     rows += [
-        measured(refinement.dish(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
+        measure_gradient(refinement.dish(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
         for k in (0, 2, 6)
     ]
-    rows.append(in_float32(lambda: measured(refinement.dish(**default), error, "float32", "as built in", False)))
+    rows.append(
+        in_float32(lambda: measure_gradient(refinement.dish(**default), error, "float32", "as built in", False))
+    )
     return rows + _varied_rows(_longer(refinement.dish(**default)), error)
 
 
@@ -144,20 +150,20 @@ def show_box(sizes: tuple[int, ...] = (128, 500, 2000, 6000)) -> list[Found]:
     read = files.read_scene("box-insert").data
     default: Found = {"elements": read["parison"]["elements"]} | read["refinement"]
     error = refinement.against(refinement.box, _FINE)
-    rows = [measured(refinement.box(n), error, "uniform", f"{n}", False) for n in sizes]
-    rows.append(measured(refinement.box(**default), error, "refined", "as built in", True))
+    rows = [measure_gradient(refinement.box(n), error, "uniform", f"{n}", False) for n in sizes]
+    rows.append(measure_gradient(refinement.box(**default), error, "refined", "as built in", True))
     rows += [
-        measured(refinement.box(**default | change), error, "refined", words, False)
+        measure_gradient(refinement.box(**default | change), error, "refined", words, False)
         for change, words in (
             ({"max_level": 4, "base_level": 4}, "to level 4"),
             ({"angle": 8.0}, "to level 6, 8 degrees"),
         )
     ]
     rows += [
-        measured(refinement.box(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
+        measure_gradient(refinement.box(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
         for k in (0, 1, 4)
     ]
-    rows.append(in_float32(lambda: measured(refinement.box(**default), error, "float32", "as built in", False)))
+    rows.append(in_float32(lambda: measure_gradient(refinement.box(**default), error, "float32", "as built in", False)))
     return rows + _varied_rows(_longer(refinement.box(**default)), error)
 
 
@@ -176,12 +182,13 @@ def show_slow(
         rows: list[Found] = []
         slow = None
         for kind in ("cubic-ramp", "linear"):
-            scene, damping = _ramped(name, kind, longest)
+            scene, damping = _ramp_scene(name, kind, longest)
             if slow is None:
                 slow = jaxform.run(_after(scene, longest, damping))
             for ramp in ramps:
                 rows += [
-                    {"kind": kind, "ramp": ramp, "damping": share} | hurried(_after(scene, ramp, share * damping), slow)
+                    {"kind": kind, "ramp": ramp, "damping": share}
+                    | measure_inertia(_after(scene, ramp, share * damping), slow)
                     for share in dampings
                 ]
         found[name] = {"rows": rows, "damping": damping, "longest": longest}
@@ -189,7 +196,7 @@ def show_slow(
     return found
 
 
-def _ramped(name: str, kind: str, longest: float) -> tuple[Scene, float]:
+def _ramp_scene(name: str, kind: str, longest: float) -> tuple[Scene, float]:
     """A built-in scene with a ramp of a kind, and its damping [1/s]."""
     document = files.read_scene(name)
     shape = {"time": [0.0, longest], "value": [0.0, document.data["pressure"]["value"][-1]], "interpolation": kind}
@@ -203,7 +210,7 @@ def _after(scene: Scene, ramp: float, damping: float) -> Scene:
     return jaxform.replace(scene, times | {"solver.damping": damping})
 
 
-def hurried(scene: Scene, slow: Result) -> Found:
+def measure_inertia(scene: Scene, slow: Result) -> Found:
     """How far a wall is from the slow one, rms by material, with the energies that predict it."""
     result = jaxform.run(scene)
     energy, off = result.energy, np.asarray(result.element_thickness) / np.asarray(slow.element_thickness) - 1
@@ -244,5 +251,5 @@ def main(names: list[str]) -> None:
             print(f"{name}:", flush=True)
             began = time.perf_counter()
             found = PARTS[name]()
-            keep(_FILE, name, {"found": found, "seconds": time.perf_counter() - began})
-    page.write(kept(_FILE), DOCS)
+            store_figures(_FILE, name, {"found": found, "seconds": time.perf_counter() - began})
+    page.write(read_figures(_FILE), DOCS)

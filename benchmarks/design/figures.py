@@ -19,11 +19,11 @@ import jaxform
 import optimize
 from benchmarks.design import page
 from benchmarks.design.controls import ramp, show_heaters, show_melt
-from benchmarks.pages import DOCS, Found, keep, kept
+from benchmarks.pages import DOCS, Found, read_figures, store_figures
 from jaxform.io import catalog
 from jaxform.mesh.profiles import Profile
 from optimize.search import Search
-from optimize.walls import nodal_area
+from optimize.wall_statistics import nodal_area
 
 _FILE = DOCS / "design.json"
 BOUNDS = (0.3e-4, 1.5e-3)  # m, of the dish's sheet
@@ -133,7 +133,7 @@ def show_bottle() -> Found | None:
     return found | {"mean_absolute_deviation": float(np.average(apart, weights=area)), "knots": 20}
 
 
-def formed_at(result: jaxform.Result) -> float:
+def formed_part_at(result: jaxform.Result) -> float:
     """When a part counts as formed [s]: so much of its area touches the mold; infinite where it never does."""
     touched, area = np.asarray(result.contact_time), np.asarray(nodal_area(result))
     order = np.argsort(np.where(touched < 0, np.inf, touched))
@@ -158,23 +158,23 @@ def show_pressure(times: tuple[float, ...] = (3, 4, 5, 7, 10, 14, 20, 28, 40, 56
             results = [jaxform.run(ramp(base, kind, units * unit, part * most)) for part in (0.5, 0.75, 1.0)]
             errors = [float(target.error(base, result)) for result in results]
             best = int(np.argmin(errors))
-            rows.append({"units": units, "error": errors[best], "formed": formed_at(results[best]) / unit,
+            rows.append({"units": units, "error": errors[best], "formed": formed_part_at(results[best]) / unit,
                          "kinetic": hit(results[best])})  # fmt: skip
         ramps[kind] = rows
     return {
         "unit": unit,
         "ramps": ramps,
-        "designed": _designed(study, target, unit),
+        "designed": _design(study, target, unit),
     }
 
 
-def _designed(study: optimize.Study, target: optimize.Target, unit: float) -> Found:
+def _design(study: optimize.Study, target: optimize.Target, unit: float) -> Found:
     began = time.perf_counter()
     design = optimize.solve(study)
     return {
         "units": float(design.scene.solver.end_time) / unit,
         "error": float(target.error(design.scene, design.result)),
-        "formed": formed_at(design.result) / unit,
+        "formed": formed_part_at(design.result) / unit,
         "kinetic": hit(design.result),
         "time": np.asarray(design.scene.pressure.time).tolist(),
         "value": np.asarray(design.scene.pressure.value).tolist(),
@@ -282,7 +282,7 @@ class Tried:
         """The merit; a large number where the simulation fails, since not all of them can do with infinity."""
         if len(self.points) >= self._budget:
             raise _SpentError
-        point, _ = self._search.plain(np.asarray(free, float))
+        point, _ = self._search.evaluate_forward(np.asarray(free, float))
         merit = self._merit(self._search.history[-1]) if np.isfinite(point.value) else 1e6
         self.points.append((len(self.points) + 1.0, merit))
         return merit
@@ -342,10 +342,10 @@ def main(names: list[str]) -> None:
     races = {f"race-{name}": make for name, make in cases().items()}
     for name in names or [*PARTS, *races]:
         if name in PARTS:
-            keep(_FILE, name, PARTS[name]())
+            store_figures(_FILE, name, PARTS[name]())
         if name in races:
             case = name.removeprefix("race-")
-            keep(_FILE, "searches", compare(races[name](), BUDGETS[case]), case=case)
+            store_figures(_FILE, "searches", compare(races[name](), BUDGETS[case]), case=case)
         print(f"{name}: done", flush=True)
-    page.write(kept(_FILE), DOCS)
+    page.write(read_figures(_FILE), DOCS)
     print((DOCS / "design.md").read_text())

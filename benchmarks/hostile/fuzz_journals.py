@@ -69,13 +69,13 @@ def write(path: Path, asked: Questions) -> None:
 # --- Ways to damage a journal -----------------------------------------------------------------------------------------
 
 
-def _line_replaced(path: Path, random_: random.Random) -> None:
+def _replace_line(path: Path, random_: random.Random) -> None:
     lines = path.read_text().splitlines()
     lines[random_.randrange(len(lines))] = random_.choice(_ODD)
     path.write_text("\n".join(lines) + "\n")
 
 
-def _key_changed(path: Path, random_: random.Random) -> None:
+def _change_key(path: Path, random_: random.Random) -> None:
     """A key left out, or with a value of another kind, deep inside or at the top."""
     lines = path.read_text().splitlines()
     number = random_.randrange(len(lines))
@@ -95,20 +95,20 @@ def _cut(path: Path, random_: random.Random) -> None:
     os.truncate(path, random_.randrange(path.stat().st_size + 1))
 
 
-def _bytes_flipped(path: Path, random_: random.Random) -> None:
+def _flip_bytes(path: Path, random_: random.Random) -> None:
     content = bytearray(path.read_bytes())
     for _ in range(random_.randint(1, 5)):
         content[random_.randrange(len(content))] ^= 1 << random_.randrange(8)
     path.write_bytes(bytes(content))
 
 
-def _junk_put_in(path: Path, random_: random.Random) -> None:
+def _insert_junk(path: Path, random_: random.Random) -> None:
     content = path.read_bytes()
     at = random_.choice([0, len(content), random_.randrange(len(content))])
     path.write_bytes(content[:at] + random_.randbytes(random_.randint(1, 300)) + content[at:])
 
 
-def _lines_moved(path: Path, random_: random.Random) -> None:
+def _move_lines(path: Path, random_: random.Random) -> None:
     """Lines swapped, doubled or left out."""
     lines = path.read_bytes().splitlines(keepends=True)
     here, there = random_.randrange(len(lines)), random_.randrange(len(lines))
@@ -154,12 +154,12 @@ def _no_journal(path: Path, random_: random.Random) -> None:
 
 
 WAYS: list[Callable[[Path, random.Random], None]] = [
-    _line_replaced,
-    _key_changed,
+    _replace_line,
+    _change_key,
     _cut,
-    _bytes_flipped,
-    _junk_put_in,
-    _lines_moved,
+    _flip_bytes,
+    _insert_junk,
+    _move_lines,
     _another_study,
     _other_line_ends,
     _no_journal,

@@ -22,7 +22,7 @@ from PIL import Image
 
 import jaxform
 from benchmarks.accuracy import cases
-from benchmarks.pages import DOCS, keep, kept, save
+from benchmarks.pages import DOCS, read_figures, save, store_figures
 from benchmarks.paper import bottle as bottle_tables
 from benchmarks.timing import best_in_turns, one_core, say, whole_loop
 from jaxform import scenes
@@ -30,7 +30,7 @@ from jaxform.core.store import Store
 from jaxform.io import files, surfaces
 from jaxform.model.scene import Scene
 from jaxform.results import sections
-from jaxform.results.result import Result, only_used
+from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import summarize, wall_statistics
 
 Row = dict[str, Any]
@@ -64,7 +64,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
 # --- Runs -----------------------------------------------------------------------------------------------------------
 
 
-def watched(scene: Scene) -> list[Part]:
+def run_watched(scene: Scene) -> list[Part]:
     """The part after every window, each with the elements that are there.
 
     Windows are short where they do not decide what is refined.
@@ -72,7 +72,7 @@ def watched(scene: Scene) -> list[Part]:
     parts: list[Part] = []
     if scene.refinement is None:
         scene = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=np.int32(_LOOK)))
-    jaxform.run(scene, on_window=lambda moment: parts.append(only_used(scene, moment.result())))
+    jaxform.run(scene, on_window=lambda moment: parts.append(drop_unused(scene, moment.result())))
     return parts
 
 
@@ -85,13 +85,13 @@ def evenly(parts: Sequence[Part], count: int) -> list[Part]:
     return [parts[k] for k in found]
 
 
-def compiled_and_run(scene: Scene) -> Result:
+def time_run(scene: Scene) -> Result:
     """A run for which nothing is compiled yet; what was for the pictures would come for nothing."""
     jax.clear_caches()
     return jaxform.run(scene, store=Store())
 
 
-def counted(name: str, scene: Scene, first: Result) -> Row:
+def count_table_rows(name: str, scene: Scene, first: Result) -> Row:
     """Elements and seconds of a scene's first run, and how long others take on this process's cores."""
     assert first.seconds is not None and scene.mold is not None
     mold = len(scene.mold.triangles)
@@ -105,7 +105,7 @@ def counted(name: str, scene: Scene, first: Result) -> Row:
     if name == "dish":
         table = files.read_reference(files.read_scene(scene.name))
         assert table is not None
-        row["wall_error"] = cases.wall_error(*only_used(scene, jaxform.run(scene)), table)
+        row["wall_error"] = cases.wall_error(*drop_unused(scene, jaxform.run(scene)), table)
     say({"scene": scene.name} | row)
     return {"scene": scene.name} | row
 
@@ -142,8 +142,8 @@ def faces(scene: Scene, part: Result, *, whole: bool = True) -> tuple[np.ndarray
     if scene.name == "soap-bottle":
         images = [upright(corners), upright(corners * [1.0, 1.0, -1.0])] if whole else [upright(corners)]
     else:
-        images = [1e3 * image for image in surfaces.mirrored(scene, corners / 1e3, open_front=whole)]
-    return np.concatenate(images), np.tile(reduced(scene, part), len(images))
+        images = [1e3 * image for image in surfaces.mirror_points(scene, corners / 1e3, open_front=whole)]
+    return np.concatenate(images), np.tile(reduce_surface(scene, part), len(images))
 
 
 def upright(points: np.ndarray) -> np.ndarray:
@@ -151,7 +151,7 @@ def upright(points: np.ndarray) -> np.ndarray:
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 
 
-def reduced(scene: Scene, part: Result) -> np.ndarray:
+def reduce_surface(scene: Scene, part: Result) -> np.ndarray:
     """h/h0 of the elements (n,)."""
     start = np.asarray(scene.parison.thickness, float)[np.asarray(scene.parison.triangles)].mean(1)
     return np.asarray(part.element_thickness, float) / start
@@ -167,17 +167,17 @@ def view_of(name: str) -> Row:
 
 def colors_of(parts: Sequence[Part]) -> ScalarMappable:
     """One scale of h/h0 for all."""
-    walls = np.concatenate([reduced(*part) for part in parts])
+    walls = np.concatenate([reduce_surface(*part) for part in parts])
     return ScalarMappable(Normalize(float(walls.min()), float(walls.max())), "viridis")
 
 
-def finished_axes(axes: Any, **words: Any) -> None:
+def finish_axes(axes: Any, **words: Any) -> None:
     axes.set(**words)
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def saved(figure: Any, name: str) -> None:
+def save_figure(figure: Any, name: str) -> None:
     save(figure, DOCS / name)
 
 
@@ -193,7 +193,7 @@ def stages(name: str, parts: Sequence[Part]) -> None:
         words = f"{1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
         figure.text(0.94 * (k + 0.5) / _STAGES, 0.92, words, ha="center", fontsize=11)
     figure.colorbar(colors, cax=figure.add_axes((0.945, 0.2, 0.008, 0.6)), label="h / h$_0$")
-    saved(figure, f"{name.split('-')[0] if name != 'soap-bottle' else 'bottle'}-stages.png")
+    save_figure(figure, f"{name.split('-')[0] if name != 'soap-bottle' else 'bottle'}-stages.png")
 
 
 def bounds(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
@@ -264,15 +264,15 @@ def draw_dish(parts: Sequence[Part]) -> None:
     arc = 1e3 * sections.meridian_arc(scene, part)
     left.plot(arc, ratio, "o", color=OURS, markersize=3.5, alpha=0.6, label=f"{len(part.triangles)} elements, nodes")
     left.plot(1e3 * exact["arc"], exact["ratio"], color=THEIRS, label="exact")
-    finished_axes(left, xlabel="arc length from the axis [mm]", ylabel="h / h$_0$", ylim=(0, None))
+    finish_axes(left, xlabel="arc length from the axis [mm]", ylabel="h / h$_0$", ylim=(0, None))
     radius, radial, hoop = directional_stretches(scene, part)
     for axes, ours, name in ((middle, radial, "radial"), (right, hoop, "hoop")):
         axes.plot(1e3 * radius, ours, "o", color=OURS, markersize=3, alpha=0.5, label="elements")
         axes.plot(1e3 * exact["radius"], exact[name], color=THEIRS, label="exact")
-        finished_axes(axes, xlabel="initial radius [mm]", ylabel=f"{name} stretch", ylim=(0, None))
+        finish_axes(axes, xlabel="initial radius [mm]", ylabel=f"{name} stretch", ylim=(0, None))
     for axes in (left, middle, right):
         axes.legend(frameon=False)
-    saved(figure, "dish-figures.png")
+    save_figure(figure, "dish-figures.png")
 
 
 # --- The box (4.2) --------------------------------------------------------------------------------------------------
@@ -287,20 +287,20 @@ def draw_box(parts: Sequence[Part]) -> None:
     surface(view, *faces(scene, part), colors)
     frame(view, low, high, **view_of(scene.name) | {"elev": 44})
     figure.colorbar(colors, cax=figure.add_axes((0.88, 0.2, 0.02, 0.6)), label="h / h$_0$")
-    saved(figure, "box-thickness.png")
+    save_figure(figure, "box-thickness.png")
     figure, rooms = plt.subplots(2, 2, figsize=(12, 6), layout="constrained", height_ratios=(1, 1.2))
     for (shape, wall), axis in zip(rooms.T, (1, 0), strict=True):
         level = sections.symmetry_planes(scene)[axis]
         cut = sections.cuts(scene, part, axis, level)[0]
         along = 1 - axis
         colored_line(shape, 1e3 * cut.place[:, along], 1e3 * cut.place[:, 2], cut.thickness, colors, scene)
-        finished_axes(shape, xlabel=f"{'xy'[along]} [mm]", ylabel="z [mm]", aspect="equal")
+        finish_axes(shape, xlabel=f"{'xy'[along]} [mm]", ylabel="z [mm]", aspect="equal")
         shape.invert_yaxis()
         shape.set_title(f"plane {'xy'[axis]} = {1e3 * level:g} mm ({'yx'[axis]}z), from rim to middle", fontsize=11)
         arc = cut.arc if cut.place[0, along] < cut.place[-1, along] else cut.arc[-1] - cut.arc
         wall.plot(1e3 * arc, 1e3 * cut.thickness, color=OURS)
-        finished_axes(wall, xlabel="arc length from the rim [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
-    saved(figure, "box-sections.png")
+        finish_axes(wall, xlabel="arc length from the rim [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
+    save_figure(figure, "box-sections.png")
 
 
 def colored_line(axes: Any, x: np.ndarray, y: np.ndarray, wall: np.ndarray, colors: Any, scene: Scene) -> None:
@@ -346,13 +346,13 @@ def draw_bottle(parts: Sequence[Part]) -> None:
                     *at, letter, color="white", fontsize=13, path_effects=[withStroke(linewidth=3, foreground=LINE)]
                 )
     figure.colorbar(colors, cax=figure.add_axes((0.9, 0.2, 0.02, 0.6)), label="h / h$_0$")
-    saved(figure, "bottle-thickness.png")
+    save_figure(figure, "bottle-thickness.png")
     figure, rooms = plt.subplots(1, 2, figsize=(12, 4), layout="constrained", sharey=True)
     for axes, (name, cut) in zip(rooms, lines.items(), strict=True):
         axes.plot(1e3 * cut.arc, 1e3 * cut.thickness, ".-", color=OURS)
-        finished_axes(axes, xlabel="arc length from the bottom [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
+        finish_axes(axes, xlabel="arc length from the bottom [mm]", ylabel="wall thickness [mm]", ylim=(0, None))
         axes.set_title(name)
-    saved(figure, "bottle-lines.png")
+    save_figure(figure, "bottle-lines.png")
 
 
 DRAWINGS: dict[str, Callable[[Sequence[Part]], None]] = {
@@ -451,13 +451,13 @@ def with_tables(text: str, found: Row) -> str:
 
 def draw(name: str, scene: Scene) -> None:
     """All pictures of a scene."""
-    parts = watched(scene)
+    parts = run_watched(scene)
     stages(name, parts)
     DRAWINGS[name](parts)
     if name == "soap-bottle":
         # It moves within a few windows: with a fifth of the step there are enough to look at.
         solver = dataclasses.replace(scene.solver, safety=0.2 * scene.solver.safety)
-        parts = watched(dataclasses.replace(scene, solver=solver))
+        parts = run_watched(dataclasses.replace(scene, solver=solver))
     animation(name, parts)
 
 
@@ -473,11 +473,11 @@ def main(names: list[str]) -> None:
             draw(name, make())
     if "tables" in wanted and "soap-bottle" in chosen:
         for part, found in bottle_tables.tables().items():
-            keep(path, part, found)
+            store_figures(path, part, found)
     if "counts" in wanted:
         made = {name: make() for name, make in chosen.items()}
-        firsts = {name: compiled_and_run(scene) for name, scene in made.items()}
+        firsts = {name: time_run(scene) for name, scene in made.items()}
         one_core()
         for name, scene in made.items():
-            keep(path, "counts", counted(name, scene, firsts[name]), case=name)
-    page.write_text(with_tables(page.read_text(), kept(path)))
+            store_figures(path, "counts", count_table_rows(name, scene, firsts[name]), case=name)
+    page.write_text(with_tables(page.read_text(), read_figures(path)))

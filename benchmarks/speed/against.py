@@ -101,7 +101,7 @@ def _serve(names: list[str]) -> None:
         print(json.dumps({"": whole} | ({", loop": loop.run} if loop else {})), flush=True)
 
 
-def _served(folder: Path, names: list[str], programs: str) -> subprocess.Popen[str]:
+def _start_server(folder: Path, names: list[str], programs: str) -> subprocess.Popen[str]:
     """A process that times the package in a folder; of this checkout it sees this file alone.
 
     What it compiles is kept in the folder `programs`, for the next such process.
@@ -121,7 +121,7 @@ def _answer(process: subprocess.Popen[str]) -> Any:
     return json.loads(process.stdout.readline())
 
 
-def _timed(process: subprocess.Popen[str], name: str) -> dict[str, float]:
+def _time_answer(process: subprocess.Popen[str], name: str) -> dict[str, float]:
     """What a run takes [s], by what its name is followed by: all of it, and its loop alone."""
     assert process.stdin is not None
     print(name, file=process.stdin, flush=True)
@@ -139,12 +139,12 @@ class Pair(NamedTuple):
         return statistics.median(mine[part] / its[part] for mine, its in self.rounds[name])
 
 
-def _measured(other: Path, rounds: int, names: list[str], programs: str) -> Pair:
+def _measure_pair(other: Path, rounds: int, names: list[str], programs: str) -> Pair:
     """What two new processes take, in turns."""
-    processes = [_served(folder, names, programs) for folder in (_HERE, other)]
+    processes = [_start_server(folder, names, programs) for folder in (_HERE, other)]
     first = [_answer(process) for process in processes]
     both = [name for name in first[0] if name in first[1]]
-    taken = {name: [[_timed(process, name) for process in processes] for _ in range(rounds)] for name in both}
+    taken = {name: [[_time_answer(process, name) for process in processes] for _ in range(rounds)] for name in both}
     for process in processes:
         process.terminate()
         process.wait()
@@ -160,7 +160,7 @@ def main(arguments: list[str]) -> int:
         return 2
     other, rounds = Path(arguments[0]).resolve(), int(arguments[1]) if len(arguments) > 1 else _ROUNDS
     with tempfile.TemporaryDirectory() as programs:
-        pairs = [_measured(other, rounds, arguments[2:], programs) for _ in range(_PAIRS)]
+        pairs = [_measure_pair(other, rounds, arguments[2:], programs) for _ in range(_PAIRS)]
     # Only the first pair of processes had to compile.
     first = pairs[0].first
     for name in pairs[0].rounds:

@@ -29,14 +29,14 @@ from benchmarks.speed import contact, formulations, peers, sheets
 from benchmarks.timing import best_in_turns, best_seconds, one_core, say, whole_loop
 from jaxform import molds
 from jaxform.contact import candidates
-from jaxform.core.compiling import compiled, compiler_options
+from jaxform.core.compilation import compile_function, compiler_options
 from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows
 from jaxform.materials import ModifiedMooneyRivlin, MooneyRivlin
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.runs import loop
-from jaxform.sheet import account
-from jaxform.sheet.active_set import ActiveSet, active_set_of, packed_moving
+from jaxform.sheet import energy_balance
+from jaxform.sheet.active_set import ActiveSet, active_set_of, pack_moving
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import PackedState, State, can_move
 
@@ -62,9 +62,9 @@ def show_bare(sizes: tuple[int, ...] = SIZES) -> Table:
         single = jnp.float32
         runs: dict[str, Callable[[int], Any] | None] = {
             "C++": peers.cpp(sheet),
-            "jaxform": formulations.own(sheet),
+            "jaxform": formulations.own_formulation(sheet),
             "C++ float32": peers.cpp(sheet, np.float32),
-            "jaxform float32": formulations.own(sheet, single),
+            "jaxform float32": formulations.own_formulation(sheet, single),
             "numba": peers.with_numba(sheet),
             "NumPy": peers.with_numpy(sheet),
         }
@@ -87,8 +87,11 @@ def show_formulations(sizes: tuple[int, ...] = (2048, 32768)) -> Table:
     for size in sizes:
         sheet = sheets.sheet(size)
         ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
-        ways |= {f"jaxform, blocks of {block}": formulations.own(sheet, block=block) for block in (64, 96, 128, 256)}
-        ways["jaxform, elements one by one"] = formulations.own(sheet, paired=False)
+        ways |= {
+            f"jaxform, blocks of {block}": formulations.own_formulation(sheet, block=block)
+            for block in (64, 96, 128, 256)
+        }
+        ways["jaxform, elements one by one"] = formulations.own_formulation(sheet, paired=False)
         if (loop := peers.cpp(sheet)) is not None:
             ways["plain C++"] = loop
         for name, cost in _per_step(ways, len(sheet.triangles)).items():
@@ -137,12 +140,12 @@ def gradient_cost(
     unit = 1e-9 * steps * elements
     values = scene.parison.thickness, scene.pressure.value
     begin = time.perf_counter()
-    gradient = compiled(jax.jit(jax.value_and_grad(_loss(scene, adjoint), argnums=(0, 1))), *values)
+    gradient = compile_function(jax.jit(jax.value_and_grad(_loss(scene, adjoint), argnums=(0, 1))), *values)
     compiling = time.perf_counter() - begin
     memory = gradient.memory_analysis()
     runs = {"run": whole_loop(scene), "value and gradient": lambda: gradient(*values)}
     if forward_mode:
-        column = compiled(jax.jit(lambda h, p: jax.jvp(_loss(scene, adjoint), (h, p), (h, p))), *values)
+        column = compile_function(jax.jit(lambda h, p: jax.jvp(_loss(scene, adjoint), (h, p), (h, p))), *values)
         runs["forward mode"] = lambda: column(*values)
     sheet = sheets.sheet(elements)
     if (compiled_loop := peers.cpp(sheet)) is not None:
@@ -223,7 +226,7 @@ def show_skips() -> Table:
 def moving_share(scene: jaxform.Scene) -> tuple[int, int]:
     """Element steps of elements that can move, and steps, of a run."""
     state, body, taken = loop.begin(scene)
-    advance = loop.compiled_advance(state, scene, body, taken)
+    advance = loop.compile_advance(state, scene, body, taken)
     sheet = scene.tables.sheet
     count = jax.jit(lambda state: can_move(state.nodes.stuck, sheet.triangles, sheet.area).sum())
     moved, done = 0, False
@@ -242,7 +245,7 @@ def show_whole_run() -> Table:
     sheet, scene = sheets.sheet(2048), jaxform.load("dish")
     elements, count = len(sheet.triangles), 500
     law = ModifiedMooneyRivlin(jnp.asarray(sheets.C), jnp.asarray(sheets.ALPHA), jnp.asarray(1.0))
-    bare = {"bare": formulations.own(sheet), "with its law": formulations.own(sheet, law=law)}
+    bare = {"bare": formulations.own_formulation(sheet), "with its law": formulations.own_formulation(sheet, law=law)}
     moved, steps = moving_share(scene)
     double = jaxform.run(scene)
     runs = {name: lambda run=run: run(count) for name, run in bare.items()}
@@ -278,7 +281,7 @@ def show_parts(window: int = 20) -> Table:
     """Cost of the parts of a step and of a short window's border on the dish [us], all elements moving."""
     scene = with_windows_of(SHORT_WINDOW, jaxform.load("dish"))
     state, body, taken = loop.begin(scene)
-    state = loop.compiled_advance(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
+    state = loop.compile_advance(state, scene, body, taken)(state, scene, body, taken, jnp.int32(window))[0]
     free = dataclasses.replace(scene, mold=None, tables=dataclasses.replace(scene.tables, grid=None))
     undamped = dataclasses.replace(free, solver=dataclasses.replace(free.solver, damping=None))
     unsearched = dataclasses.replace(undamped, solver=dataclasses.replace(undamped.solver, sharp_step=False))
@@ -298,11 +301,13 @@ def show_parts(window: int = 20) -> Table:
         )
 
     def balance(state: State, scene: jaxform.Scene, active: ActiveSet) -> Any:
-        return account.account(state.nodes.positions, active.packed.elements, active.thickness, scene.material, None)
+        return energy_balance.element_energy(
+            state.nodes.positions, active.packed.elements, active.thickness, scene.material, None
+        )
 
     parts: dict[str, tuple[Callable[..., Any], jaxform.Scene]] = {
         "nothing": (lambda state, *_: state.nodes.positions[0, 0], scene),
-        "pack what can move": (lambda state, scene, _: _packed(state, scene, body), scene),
+        "pack what can move": (lambda state, scene, _: _pack_scene(state, scene, body), scene),
         "choose the step": (timestep.choose_step, scene),
         "list the nodes near the mold": (listed, scene),
         "energy account": (balance, scene),
@@ -315,8 +320,8 @@ def show_parts(window: int = 20) -> Table:
         "and without damping and search": (border, unsearched),
     }
     sheet = sheets.sheet(2048)
-    own, steps = formulations.own(sheet), _TIMES * SHORT_WINDOW
-    runs = {name: _repeated(*part, state) for name, part in parts.items()}
+    own, steps = formulations.own_formulation(sheet), _TIMES * SHORT_WINDOW
+    runs = {name: _repeat(*part, state) for name, part in parts.items()}
     seconds = best_in_turns({"bare": lambda: own(steps)} | runs, 15)
     bare = seconds.pop("bare") * len(scene.parison.triangles) / len(sheet.triangles)
     nothing = seconds.pop("nothing")
@@ -330,29 +335,29 @@ def show_parts(window: int = 20) -> Table:
 _TIMES = 200  # in one program: called by itself a part takes longer to start than to work
 
 
-def _packed(state: State, scene: jaxform.Scene, body: Discretization) -> Any:
+def _pack_scene(state: State, scene: jaxform.Scene, body: Discretization) -> Any:
     # Read from the positions, so that it is not taken out of the loop; in packed order, where nothing sticks, it is a
     # list of as many nodes.
     stuck = state.nodes.positions[0, : body.mass.size] > 1e9
-    return packed_moving(stuck, state.mesh, scene, body)
+    return pack_moving(stuck, state.mesh, scene, body)
 
 
-def _repeated(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> Callable[[], jax.Array]:
+def _repeat(part: Callable[..., Any], scene: jaxform.Scene, state: State) -> Callable[[], jax.Array]:
     """A part, several times in one program, each time at positions that follow from what the last one gave."""
     if not scene.solver.sharp_step:
-        state = state.with_nodes(mode=None)
+        state = state.replace_nodes(mode=None)
 
     @functools.partial(jax.jit, compiler_options=compiler_options())
     def several(state: State, scene: jaxform.Scene, active: ActiveSet) -> jax.Array:
         def once(_: jax.Array, last: jax.Array) -> jax.Array:
-            moved = state.with_nodes(positions=state.nodes.positions + 1e-30 * last)
+            moved = state.replace_nodes(positions=state.nodes.positions + 1e-30 * last)
             results = jax.tree.leaves(part(moved, scene, active))
             return sum((jnp.sum(result.ravel()[:3]) * 1.0 for result in results), jnp.zeros(()))
 
         return jax.lax.fori_loop(0, _TIMES, once, jnp.zeros(()))
 
     active = jax.jit(active_set_of)(state, scene, loop.begin(scene)[1])
-    taken = active.taken(state)
+    taken = active.pack_state(state)
     return lambda: several(taken, scene, active)
 
 
@@ -363,10 +368,10 @@ def show_batch(count: int = 16) -> Table:
     changes = {"parison.thickness": factors * np.asarray(scene.parison.thickness)}
     cores = os.cpu_count() or 1
 
-    def shared_out(workers: int) -> Callable[[], jax.Array]:
+    def shard_designs(workers: int) -> Callable[[], jax.Array]:
         return lambda: jaxform.simulate_batch(scene, changes, workers=workers).positions
 
-    seconds = best_in_turns({str(workers): shared_out(workers) for workers in (1, cores)}, _MANY)
+    seconds = best_in_turns({str(workers): shard_designs(workers) for workers in (1, cores)}, _MANY)
     table: Table = [{"workers": int(n), "designs per second": count / taken} for n, taken in seconds.items()]
     table[-1]["throughput over one"] = seconds["1"] / seconds[str(cores)]
     for row in table:

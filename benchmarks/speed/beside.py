@@ -19,13 +19,13 @@ import jax
 import numpy as np
 
 import jaxform
-from jaxform.cli import checking
+from jaxform.cli import check_command
 from jaxform.core.store import Store
 from jaxform.io import files, output, plots
 from jaxform.mesh import meshes
-from jaxform.results.filling import filling_of
-from jaxform.results.review import warnings_of_part
-from jaxform.results.summary import penetrated
+from jaxform.results.filling import measure_filling
+from jaxform.results.part_warnings import warnings_of_part
+from jaxform.results.summary import measure_penetration
 from jaxform.runs import padding
 from jaxform.tools.molds import MoldShape, revolved
 
@@ -44,7 +44,7 @@ def cup(triangles: int) -> MoldShape:
     return revolved(profile=profile, segments=round(triangles / (4 * stretches - 1)))
 
 
-def turned(triangles: int) -> MoldShape:
+def turn_mold(triangles: int) -> MoldShape:
     """A cup with a thin wall as CAD writes it: fine at the lip, slivers as long as the wall."""
     angle = np.linspace(0, np.pi, 10)
     lip = np.stack([0.0975 - 0.0025 * np.cos(angle), -0.0025 * np.sin(angle)], axis=1)
@@ -96,7 +96,7 @@ damping = 100.0
 """
 
 
-def timed(what: str, work: Callable[[], Any]) -> tuple[Any, float]:
+def run_timed(what: str, work: Callable[[], Any]) -> tuple[Any, float]:
     """What the work gives, and its seconds, which are printed."""
     begin, used = time.perf_counter(), time.process_time()
     found = work()
@@ -119,17 +119,17 @@ def show(
     rise, end = (1e-4, 3e-2 / np.sqrt(elements)) if end is None else (0.8 * end, end)
     scene_file.write_text(SCENE.format(elements=elements, mold=mold, scale=1.0, rise=rise, end=end))
     document = files.read_scene(scene_file)
-    scene, load = timed("load", lambda: files.build(document))
+    scene, load = run_timed("load", lambda: files.build(document))
     assert scene.mold is not None
     print(f"  {len(scene.parison.triangles)} elements, {len(scene.mold.triangles)} mold triangles", flush=True)
-    _, check = timed("check, beside loading", lambda: list(checking.scene_lines(document, scene, Store())))
-    _, roomy = timed("arrays of their rungs", lambda: padding.on_rungs(scene, recorded=True))
+    _, check = run_timed("check, beside loading", lambda: list(check_command.scene_lines(document, scene, Store())))
+    _, roomy = run_timed("arrays of their rungs", lambda: padding.pad_to_bucket(scene, recorded=True))
     result = become(jaxform.run(scene))
-    _, through = timed("penetration", lambda: penetrated(result, scene))
-    _, apart = timed("gaps", lambda: filling_of(result, scene))
-    _, told = timed("warnings", lambda: warnings_of_part(result, scene))
-    _, written = timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))
-    _, drawn = timed("pictures", lambda: plots.thickness_picture(folder / "thickness.png", scene, result, None))
+    _, through = run_timed("penetration", lambda: measure_penetration(result, scene))
+    _, apart = run_timed("gaps", lambda: measure_filling(result, scene))
+    _, told = run_timed("warnings", lambda: warnings_of_part(result, scene))
+    _, written = run_timed("VTU", lambda: output.write_part(scene, result, folder / "final.vtu"))
+    _, drawn = run_timed("pictures", lambda: plots.thickness_picture(folder / "thickness.png", scene, result, None))
     total = load + check + roomy + through + apart + told + written + drawn
     limit = _LIMITS.get(elements, _ASKED)
     asked = f" (asked: {limit:g} s)" if len(scene.mold.triangles) > 300 or elements in _LIMITS else ""
@@ -137,7 +137,7 @@ def show(
 
 
 _CASES: list[tuple[str, Callable[[int], MoldShape], Callable[[jaxform.Result], jaxform.Result]]] = [
-    ("a turned cup of slivers", turned, lambda result: result),
+    ("a turned cup of slivers", turn_mold, lambda result: result),
     ("a fan of slivers", fan, lambda result: result),
     ("a dome", dome, lambda result: result),
     ("a burst sheet over a dome", dome, burst),

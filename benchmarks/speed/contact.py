@@ -26,7 +26,7 @@ from jaxform.kernels.blocks import BLOCK
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene, Tool
-from jaxform.results.summary import penetrated
+from jaxform.results.summary import measure_penetration
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
 
@@ -97,20 +97,23 @@ def walk(
     begin, end = (jnp.pad(place, ((0, 0), (0, -count % BLOCK))) for place in (begin, end))
     stuck, way, once = jnp.arange(begin.shape[1]) >= count, end - begin, jnp.asarray(1.0)
     window = candidates.list_candidates(begin, way, ~stuck, once / 16, jnp.int32(16), grid)
-    due = broad_phase.watch(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
+    due = broad_phase.find_active_pairs(end, stuck, window, jnp.int32(stuck.size // BLOCK)).due
     none, mass = jnp.zeros(stuck.size, jnp.int32), jnp.ones(stuck.size)
-    nodes = Nodes(membrane.rows_of(end), way, stuck, -mass, none, None, {})
+    nodes = Nodes(membrane.unstack_rows(end), way, stuck, -mass, none, None, {})
     flying = sticking.Landing(nodes, none, jnp.asarray(0.0), jnp.zeros((6, stuck.size)))
-    now = sticking.Step(once, once, jnp.int32(0))
-    room = sticking.nothing_met(stuck.size, end.dtype)
-    landed, _ = sticking.land(flying, now, due, mass, window, Tool(wall, grid), room)
+    now = sticking.ContactStep(once, once, jnp.int32(0))
+    room = sticking.no_hits(stuck.size, end.dtype)
+    landed, _ = sticking.apply_contact(flying, now, due, mass, window, Tool(wall, grid), room)
     nodes = dataclasses.replace(landed.nodes, positions=jnp.asarray(landed.nodes.positions))
     landed = landed._replace(nodes=nodes)
     if differentiable:
         flying = flying._replace(nodes=dataclasses.replace(flying.nodes, positions=end))
-        landed = sticking.land_on(flying, now, jnp.abs(landed.nodes.wall) - 1, mass, wall)
+        landed = sticking.apply_known_contact(flying, now, jnp.abs(landed.nodes.wall) - 1, mass, wall)
     well = ~(
-        window.overflow | jnp.any(broad_phase.missed(end, stuck, broad_phase.spheres(window), broad_phase.unseen()))
+        window.overflow
+        | jnp.any(
+            broad_phase.may_have_missed(end, stuck, broad_phase.list_spheres(window), broad_phase.initial_check())
+        )
     )
     return jax.tree.map(lambda values: values[..., :count] if values.ndim else values, landed), well
 
@@ -329,7 +332,7 @@ def show_penetration() -> None:
     for scene in scenes:
         result = jaxform.run(scene)
         assert scene.tables.grid is not None
-        beyond = penetrated(result, scene)
+        beyond = measure_penetration(result, scene)
         print(
             f"{scene.name}: {len(scene.parison.triangles)} elements, {jaxform.explain(result)}: nodes beyond the mold "
             f"by {beyond.nodes / float(scene.tables.grid.size):.1e} of its size, "

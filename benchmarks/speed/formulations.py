@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.speed.sheets import ALPHA, PRESSURE, THICKNESS, C, Sheet
-from jaxform.core.compiling import compiled, compiler_options
+from jaxform.core.compilation import compile_function, compiler_options
 from jaxform.kernels import blocks
 from jaxform.materials import Law, MooneyRivlin
 from jaxform.mechanics.corners import Load, corner_forces
-from jaxform.mechanics.elements import Elements, Shares, assembled, no_corners
-from jaxform.mechanics.membrane import Vector, cross, metric, rows_of, stress, stress_factors, vector
+from jaxform.mechanics.elements import Elements, GatherTable, allocate_corner_forces, gather_shares
+from jaxform.mechanics.membrane import Vector, cross, metric, stress, stress_factors, unstack_rows, vector
 from jaxform.model import tables
 from jaxform.sheet import packing
 
@@ -88,10 +88,10 @@ def nine_scatters(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
     return nodal
 
 
-def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
+def gather_formulation(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
     """Nodes gather their shares, which lets XLA compile all steps into one function; no blocks."""
     triangles, inverse, weight = jnp.asarray(sheet.triangles.T), jnp.asarray(sheet.metric.T), _weight(sheet)
-    elements = packed(sheet, paired=False).elements
+    elements = packed_formulation(sheet, paired=False).elements
     room, count = elements.triangles.shape[1], len(sheet.triangles)
 
     def nodal(x: jax.Array) -> jax.Array:
@@ -99,15 +99,15 @@ def gathered(sheet: Sheet) -> Callable[[jax.Array], jax.Array]:
         u, w = ([a - b for a, b in zip(corner, first, strict=True)] for corner in (second, third))
         shares = jax.lax.optimization_barrier(_corners(u, w, inverse, weight, jax.lax.optimization_barrier))
         rows = [jnp.stack([jnp.pad(share[k], (0, room - count)) for share in shares]) for k in range(3)]
-        found = assembled(jax.lax.optimization_barrier(rows), _shares(elements))
+        found = gather_shares(jax.lax.optimization_barrier(rows), _shares(elements))
         return jnp.stack(found)[:, : x.shape[1]]
 
     return nodal
 
 
-def packed(sheet: Sheet, *, paired: bool = True) -> packing.Packed:
+def packed_formulation(sheet: Sheet, *, paired: bool = True) -> packing.Packed:
     """The sheet as `jaxform` steps it; or with elements one by one, as where they are bisected."""
-    geometry = tables.Sheet(
+    geometry = tables.ReferenceGeometry(
         jnp.asarray(sheet.triangles.T), jnp.asarray(sheet.metric.T), jnp.asarray(sheet.area), jnp.zeros(3)
     )
     if paired:
@@ -115,8 +115,8 @@ def packed(sheet: Sheet, *, paired: bool = True) -> packing.Packed:
     return packing.pack(None, geometry, packing.make_assembly(sheet.triangles, len(sheet.positions)))
 
 
-def _shares(elements: Elements) -> Shares:
-    return Shares(elements.slots, jnp.max(elements.row_count))
+def _shares(elements: Elements) -> GatherTable:
+    return GatherTable(elements.slots, jnp.max(elements.row_count))
 
 
 def _weight(sheet: Sheet) -> jax.Array:
@@ -128,7 +128,7 @@ LOSERS: dict[str, Callable[[Sheet], Callable[[jax.Array], jax.Array]]] = {
     "positions (3, n), three scatters, nothing kept": _columns(_free),
     "the same, edges and stress kept": _columns(jax.lax.optimization_barrier),
     "nine lookups, nine scatters, edges and stress kept": nine_scatters,
-    "nodes gather their shares, no blocks": gathered,
+    "nodes gather their shares, no blocks": gather_formulation,
 }
 
 
@@ -150,7 +150,7 @@ def stepper(nodal: Callable[[jax.Array], jax.Array], sheet: Sheet) -> Callable[[
     return lambda count: program(start, compliance, jnp.int32(count))
 
 
-def own(
+def own_formulation(
     sheet: Sheet,
     dtype: Any = jnp.float64,
     block: int | None = None,
@@ -162,7 +162,7 @@ def own(
     usual = blocks.BLOCK
     blocks.BLOCK = packing.BLOCK = block or usual
     try:
-        return _own(packed(sheet, paired=paired), sheet, dtype, law)
+        return _own(packed_formulation(sheet, paired=paired), sheet, dtype, law)
     finally:
         blocks.BLOCK = packing.BLOCK = usual
 
@@ -170,8 +170,8 @@ def own(
 def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Law) -> Callable[[int], Any]:
     cast = lambda tree: jax.tree.map(lambda a: a.astype(dtype) if a.dtype == jnp.float64 else a, tree)  # noqa: E731
     whole = cast(whole)
-    fixed = cast((whole.taken(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), law))
-    start = whole.taken(jnp.asarray(sheet.positions.T, dtype))
+    fixed = cast((whole.pack(jnp.asarray(sheet.compliance.T)), jnp.full(whole.element.size, THICKNESS), law))
+    start = whole.pack(jnp.asarray(sheet.positions.T, dtype))
     step, pressure = jnp.asarray(sheet.step, dtype), jnp.asarray(PRESSURE, dtype)
 
     def steps(x: jax.Array, whole: packing.Packed, fixed: Any, count: jax.Array) -> jax.Array:
@@ -181,13 +181,13 @@ def _own(whole: packing.Packed, sheet: Sheet, dtype: Any, law: Law) -> Callable[
             x, v, corners, volume = state
             load = Load(x, thickness, pressure, law)
             corners, volume = corner_forces(load, whole.elements, corners)
-            nodal = assembled(corners, _shares(whole.elements))
+            nodal = gather_shares(corners, _shares(whole.elements))
             v = [w + step * f * c for w, f, c in zip(v, nodal, compliance, strict=True)]
             return vector(a + step * w for a, w in zip(x, v, strict=True)), v, corners, volume
 
-        room = no_corners(x, whole.elements)
-        state = rows_of(x), list(jnp.zeros_like(x)), room, jnp.zeros((), dtype)
-        return whole.put_back(jnp.stack(jax.lax.fori_loop(0, count, advance, state)[0]))
+        room = allocate_corner_forces(x, whole.elements)
+        state = unstack_rows(x), list(jnp.zeros_like(x)), room, jnp.zeros((), dtype)
+        return whole.unpack(jnp.stack(jax.lax.fori_loop(0, count, advance, state)[0]))
 
-    program = compiled(jax.jit(steps), start, whole, fixed, jnp.int32(1))
+    program = compile_function(jax.jit(steps), start, whole, fixed, jnp.int32(1))
     return lambda count: program(start, whole, fixed, jnp.int32(count))

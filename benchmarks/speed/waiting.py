@@ -35,7 +35,7 @@ _compiled = [0]
 _NAMES = ("dish", "soap-bottle", "box-insert", "dish-refined")
 
 
-def profiled(depth: float, angle: float, segments: int = 96) -> MoldShape:
+def profile_call(depth: float, angle: float, segments: int = 96) -> MoldShape:
     """A truncated cone of a depth [m] and an angle [degrees] under a disc of radius 0.1 m."""
     base = 0.1 - depth / np.tan(np.deg2rad(angle))
     return molds.revolved(profile=[[0.0, depth], [base, depth], [0.1, 0.0]], segments=segments)
@@ -45,7 +45,7 @@ def dish(
     depth: float, angle: float, elements: int, knots: int = 2, stiffness: float = 2e5, end_time: float = 0.24
 ) -> Scene:
     """A quarter of a disc blown into it."""
-    sheet, wall = shapes.disc(radius=0.1, elements=elements, symmetry="quarter"), profiled(depth, angle)
+    sheet, wall = shapes.disc(radius=0.1, elements=elements, symmetry="quarter"), profile_call(depth, angle)
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 1e-3, sheet.clamped, sheet.fixed),
         material=jaxform.MooneyRivlin(jnp.asarray(stiffness), jnp.asarray(0.1), jnp.asarray(1e3)),
@@ -56,7 +56,7 @@ def dish(
     )
 
 
-def waited(scene: Scene) -> tuple[float, float, int]:
+def measure_waiting(scene: Scene) -> tuple[float, float, int]:
     """Seconds to the end of the first window and of the whole run, and how many programs were compiled."""
     before, begin, first = _compiled[0], time.perf_counter(), []
 
@@ -78,7 +78,7 @@ def show_second() -> None:
         ("another number of knots", dish(0.05, 70.0, 700, knots=11)),
         ("another stiffness", dish(0.05, 70.0, 700, stiffness=3e5)),
     ):
-        first, _, count = waited(scene)
+        first, _, count = measure_waiting(scene)
         print(f"  {words}: {first:.3f} s, {count}", flush=True)
 
 
@@ -101,7 +101,7 @@ def show_room() -> None:
     print("a run in the room of its rung over one in arrays as long as it needs", flush=True)
     for elements in (520, 1020, 1080, 2350, 2430):
         scene, store = dish(0.05, 70.0, elements), Store()
-        room = padding.on_rungs(scene, recorded=True).scene
+        room = padding.pad_to_bucket(scene, recorded=True).scene
         runs, ratios = [_whole(each, store) for each in (scene, room)], []
         for run in runs:
             run()
@@ -171,11 +171,11 @@ def _beside(source: str, folder: Path) -> float:
 
 def show_cold() -> None:
     """What a run waits for where nothing is kept; after a first small one, which pays for the libraries."""
-    waited(dish(0.05, 70.0, 20))
+    measure_waiting(dish(0.05, 70.0, 20))
     print("first scene of a kind, nothing kept: first step after [s]", flush=True)
     for name in _NAMES:
         scene = jaxform.load(name)
-        print(f"  {name}: {waited(scene)[0]:.1f} s", flush=True)
+        print(f"  {name}: {measure_waiting(scene)[0]:.1f} s", flush=True)
 
 
 def show_gradient() -> None:

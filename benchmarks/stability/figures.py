@@ -20,7 +20,7 @@ import numpy as np
 
 import jaxform
 from benchmarks.accuracy.cases import modified, mooney, real, scene_of
-from benchmarks.pages import DOCS, Found, keep, kept
+from benchmarks.pages import DOCS, Found, read_figures, store_figures
 from benchmarks.stability import page, slopes, stress
 from benchmarks.stability.random_scenes import FURTHER, NAMES, STRANGERS, VISCOUS, family_of
 from jaxform import shapes
@@ -35,7 +35,7 @@ from jaxform.results.summary import wall_statistics
 from jaxform.runs import loop, simulation
 from jaxform.sheet import packing
 from jaxform.sheet.discretization import discretize
-from jaxform.sheet.state import State, finished
+from jaxform.sheet.state import State, is_finished
 
 _FILE = DOCS / "stability.json"
 OUT = Path(__file__).parents[2] / "out" / "stability"
@@ -73,19 +73,19 @@ def edge_scene(sheet: Sheet, law: Law, *, sudden: bool, ratio: float, pressure: 
     return scene_of(sheet, law, ramp, thickness=0.01 * thin, end_time=end, damping=1.0)
 
 
-def _loaded(state: State, scene: Scene) -> tuple[Load, packing.Packed, jax.Array]:
+def _load_scene(state: State, scene: Scene) -> tuple[Load, packing.Packed, jax.Array]:
     """The whole sheet as it is: what makes its forces, its packed elements, and mobility over mass (3, place)."""
     discrete = discretize(scene)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-    load = Load(whole.taken(state.nodes.positions), discrete.thickness[whole.element], scene.pressure.at(state.time),
+    load = Load(whole.pack(state.nodes.positions), discrete.thickness[whole.element], scene.pressure.at(state.time),
                 scene.material)  # fmt: skip
-    return load, whole, whole.taken(discrete.compliance)
+    return load, whole, whole.pack(discrete.compliance)
 
 
 @jax.jit
 def true_limit(state: State, scene: Scene) -> jax.Array:
     """The longest stable step [s] of the assembled tangent, from all its eigenvalues."""
-    load, whole, compliance = _loaded(state, scene)
+    load, whole, compliance = _load_scene(state, scene)
     count = state.nodes.positions.shape[1]
     tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
     stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
@@ -98,7 +98,7 @@ def windows(scene: Scene, most: int = 10_000) -> Iterator[tuple[State, State]]:
     """The states before and after each window."""
     state, first, taken = loop.begin(scene)
     for _ in range(min(most, scene.tables.window_count)):
-        if bool(finished(state, scene)):
+        if bool(is_finished(state, scene)):
             return
         after, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(1))
         yield state, after
@@ -133,7 +133,7 @@ def blow_up(scene: Scene, most: int, factors: tuple[float, ...], steps: int = 40
     """The least of factors of the true limit at which a sheet, once inflated, leaves its shape; NaN where none."""
     *_, (_, state) = windows(scene, most)
     limit = float(true_limit(state, scene))
-    load, whole, compliance = _loaded(state, scene)
+    load, whole, compliance = _load_scene(state, scene)
 
     @jax.jit
     def away(length: jax.Array) -> jax.Array:
@@ -202,7 +202,7 @@ def measure_drift(steps: int, points: int = 200) -> Found:
     scene = ringing(steps)
     state, first, taken = loop.begin(scene)
     rows, began, most = [], time.perf_counter(), max(1, steps // SHORT_WINDOW // points)
-    while not bool(finished(state, scene)) and int(state.windows) < scene.tables.window_count:
+    while not bool(is_finished(state, scene)) and int(state.windows) < scene.tables.window_count:
         state, taken, _ = loop.advance(state, scene, first, taken, jnp.int32(most))
         result = loop.result_of(state, scene, first, taken)
         energy = result.energy
@@ -275,9 +275,9 @@ def show_float32(names: tuple[str, ...] = ("dish", "box-insert", "soap-bottle"),
     """Walls and times of both precisions, of built-in scenes and of random ones that end well in float64."""
     built = []
     for name in names:
-        double = _timed(lambda name=name: jaxform.load(name))
+        double = _run_timed(lambda name=name: jaxform.load(name))
         with jax.enable_x64(False):
-            single = _timed(lambda name=name: jaxform.load(name))
+            single = _run_timed(lambda name=name: jaxform.load(name))
         built.append({"scene": name} | _apart(double, single))
         _say(str(built[-1]))
     drawn, rows, seed = [], [], 0
@@ -299,7 +299,7 @@ def _in_both(seed: int) -> Found | None:
     return {"seed": seed} | _apart((double[1], 1.0), (single, 1.0))
 
 
-def _timed(make: Callable[[], Scene]) -> tuple[Result, float]:
+def _run_timed(make: Callable[[], Scene]) -> tuple[Result, float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scene = make()
@@ -344,5 +344,5 @@ def main(names: list[str]) -> None:
     jax.config.update("jax_enable_x64", True)
     for name in names or PARTS:
         if name in PARTS:
-            keep(_FILE, name, PARTS[name](), digits=5)
-    page.write(kept(_FILE), DOCS)
+            store_figures(_FILE, name, PARTS[name](), digits=5)
+    page.write(read_figures(_FILE), DOCS)

@@ -94,7 +94,7 @@ def _drift(found: Found, folder: Path) -> str:
         tenth = max(1, len(missed) // 10)
         first, last = missed[:tenth].mean(), missed[-tenth:].mean()
         lines.append(
-            f"| {name} | {part['elements']} | {part['steps']} | {_ended(part['status'])} "
+            f"| {name} | {part['elements']} | {part['steps']} | {_endings_table(part['status'])} "
             f"| {np.ptp(missed[:tenth]):.1e} | {first:.1e} | {last:.1e} | {last - first:.1e} |"
         )
         axes.plot(steps, missed, ".-", linewidth=0.6, markersize=3, label=name)
@@ -233,7 +233,7 @@ def _float32(found: Found, _: Path) -> str:
     return "\n".join(lines)
 
 
-def _ended(status: int) -> str:
+def _endings_table(status: int) -> str:
     return "ok" if status == 0 else str(Status(status).name).lower().replace("_", " ").replace("|", " and ")
 
 

@@ -25,7 +25,7 @@ from jaxform.core.store import Store
 from jaxform.materials import MODES, Law, Modes
 from jaxform.mesh.shapes import Sheet
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
-from jaxform.prepare import growing, planning
+from jaxform.prepare import refinement_setup, window_budget
 from jaxform.tools import search
 
 WINDOWS = 1500  # room for a run's schedule; scenes that plan for more are shortened
@@ -97,7 +97,7 @@ def draw(seed: int) -> Drawn:
         return normalised(name, scenes.from_file(random, tags), tags)
     if name in scenes.OWN_MESHES:
         return normalised(name, scenes.own_meshes(name, random, tags), tags)
-    return _drawn(name, FAMILIES[name], random)
+    return _draw_one(name, FAMILIES[name], random)
 
 
 def family_of(seed: int) -> str:
@@ -111,13 +111,13 @@ def family_of(seed: int) -> str:
     return names[seed % len(names)]
 
 
-def _drawn(name: str, family: Family, random: Generator) -> Drawn:
+def _draw_one(name: str, family: Family, random: Generator) -> Drawn:
     tags: list[str] = []
     # A mold is prepared once, for sheets of size 1.
     size, c = 10 ** random.uniform(-2.0, 0.3) if family.mold is None else 1.0, 10 ** random.uniform(4.0, 7.0)
     density, thin = random.uniform(300.0, 3000.0), 10 ** random.uniform(-3.5, -1.5)
     sheet = family.sheet()
-    positions = size * _distorted(sheet, family, random, tags)
+    positions = size * _distort(sheet, family, random, tags)
     thickness = size * thin * _thickness(positions / size, random, tags)
     unit, scale = size * np.sqrt(density / c), c * thin
     end, knots = _pressure(unit, scale, random, tags)
@@ -137,7 +137,7 @@ def _drawn(name: str, family: Family, random: Generator) -> Drawn:
     mold = None
     if family.mold is not None:
         of_mold = np.random.default_rng([list(FAMILIES).index(name), int(random.integers(_MOLDS))])
-        mold = _made(family.mold(of_mold, tags), size, of_mold, tags)
+        mold = _make_scene(family.mold(of_mold, tags), size, of_mold, tags)
     refinement = None
     if family.refinement is not None:
         jump = {} if "jump" not in family.refinement else {"jump": random.uniform(0.05, 1.0)}
@@ -168,14 +168,14 @@ def normalised(name: str, scene: jaxform.Scene, tags: list[str]) -> Drawn:
         share = 0.9 * WINDOWS / planned
         changes = {"solver.end_time": share * np.asarray(scene.solver.end_time)}
         scene = jaxform.replace(scene, changes | {"pressure.time": share * np.asarray(scene.pressure.time)})
-        planned = planning.planned_windows(scene.tables.bound, scene.law, scene.solver)
-        planned = min(planned + planning.spare_windows(scene.tables.grid), WINDOWS)
+        planned = window_budget.plan_windows(scene.tables.bound, scene.law, scene.solver)
+        planned = min(planned + window_budget.spare_windows(scene.tables.grid), WINDOWS)
         tags.append("shortened")
     grid = None if scene.mold is None else _common_grid(scene)
     longest = np.int32(LONG_WINDOW if scene.refinement is None else SHORT_WINDOW)
     tables = dataclasses.replace(scene.tables, grid=grid, window_count=WINDOWS, longest_window=longest)
     if tables.forest is not None and tables.forest.bend is not None and scene.mold is not None and grid is not None:
-        forest = dataclasses.replace(tables.forest, bend=growing.bends(scene.mold, grid))
+        forest = dataclasses.replace(tables.forest, bend=refinement_setup.bends(scene.mold, grid))
         tables = dataclasses.replace(tables, forest=forest)
     return Drawn(name, dataclasses.replace(scene, tables=tables), planned, tags)
 
@@ -188,7 +188,7 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
     assert np.all(shape >= np.asarray(grid.shape)), grid.shape
     middle = np.asarray(grid.corner) + 0.5 * float(grid.width) * np.asarray(grid.shape)
     corner = middle - 0.5 * float(grid.width) * shape
-    frame = search.Frame(corner, float(grid.width), float(grid.reach), shape)
+    frame = search.CellFrame(corner, float(grid.width), float(grid.reach), shape)
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)][np.asarray(grid.number)]
     place = np.array([*frame.corner, frame.width, frame.reach])
     lists = _STORE.arrays("grid", (corners, place, frame.shape), lambda: search._lists(corners, frame))
@@ -208,7 +208,7 @@ def _common_grid(scene: jaxform.Scene) -> search.SearchGrid:
 # --- What is drawn ----------------------------------------------------------------------------------------------------
 
 
-def _distorted(sheet: Sheet, family: Family, random: Generator, tags: list[str]) -> np.ndarray:
+def _distort(sheet: Sheet, family: Family, random: Generator, tags: list[str]) -> np.ndarray:
     """Node positions (n_node, 3): as they are, squeezed, graded towards a corner, or shaken."""
     positions = np.array(sheet.positions)
     kind = random.choice(["plain", "squeezed", "graded", "shaken", "shaken"])
@@ -332,7 +332,7 @@ def _cooling(wall: float, density: float, unit: float, random: Generator, tags: 
     return jaxform.Cooling(**numbers)
 
 
-def _made(mold: molds.MoldShape, size: float, random: Generator, tags: list[str]) -> jaxform.Mold:
+def _make_scene(mold: molds.MoldShape, size: float, random: Generator, tags: list[str]) -> jaxform.Mold:
     """The mold for a sheet of that size; some with triangles that turn any way, shaken, or where the sheet is."""
     vertices, triangles = size * np.array(mold.vertices), np.array(mold.triangles)
     if random.random() < 0.4:

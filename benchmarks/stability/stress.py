@@ -23,10 +23,10 @@ import jaxform
 from benchmarks.stability.random_scenes import Drawn, draw
 from benchmarks.strangers.scenes import OFF
 from jaxform.results.result import Result
-from jaxform.results.summary import penetrated, summarize, warnings_of_mold
+from jaxform.results.summary import measure_penetration, summarize, warnings_of_mold
 from jaxform.runs import loop
-from jaxform.runs.padding import on_rungs
-from jaxform.sheet.state import LOSSES, State, Status, finished
+from jaxform.runs.padding import pad_to_bucket
+from jaxform.sheet.state import LOSSES, State, Status, is_finished
 
 Row = dict[str, Any]
 LIMIT = 60.0  # s for a scene
@@ -37,18 +37,18 @@ _AT_ONCE = 100  # windows between two looks at the clock
 
 def run_drawn(drawn: Drawn, limit: float = LIMIT) -> tuple[State, Result]:
     """What `jaxform.run` does, with the windows that the scene had planned, looking at the clock."""
-    room, left = on_rungs(drawn.scene, recorded=True), drawn.planned
+    room, left = pad_to_bucket(drawn.scene, recorded=True), drawn.planned
     scene = room.scene
     state, first, taken = loop.begin(scene)
-    loop.compiled_advance(state, scene, first, taken)  # not counted
+    loop.compile_advance(state, scene, first, taken)  # not counted
     began = time.perf_counter()
-    while left > 0 and not bool(finished(state, scene)):
+    while left > 0 and not bool(is_finished(state, scene)):
         most = min(left, _AT_ONCE)
-        state, taken, _ = loop.compiled_advance(state, scene, first, taken)(state, scene, first, taken, jnp.int32(most))
+        state, taken, _ = loop.compile_advance(state, scene, first, taken)(state, scene, first, taken, jnp.int32(most))
         left -= most
         if time.perf_counter() - began > limit:
             state = dataclasses.replace(state, status=jnp.int32(state.status | Status.STOPPED))
-    return loop.closed(state, scene, first), room.result(loop.result_of(state, scene, first, taken, last=True))
+    return loop.finalize_state(state, scene, first), room.result(loop.result_of(state, scene, first, taken, last=True))
 
 
 def examine(drawn: Drawn, state: State, result: Result) -> Row:
@@ -63,7 +63,7 @@ def examine(drawn: Drawn, state: State, result: Result) -> Row:
     peak = max(float(state.account.peak_work), 1e-300)
     values = [np.asarray(leaf) for leaf in jax.tree.leaves(dataclasses.replace(result, schedule=None))]
     finite = all(np.isfinite(v).all() for v in values if v.dtype.kind == "f")
-    through = penetrated(result, drawn.scene) if finite else None
+    through = measure_penetration(result, drawn.scene) if finite else None
     return {
         "status": int(result.status),
         "finite": bool(finite and (wall[used] > 0).all()),

@@ -72,7 +72,7 @@ def scene_text(part: Part, name: str, mold: str, refined: bool) -> str:
     )
 
 
-def _called(*arguments: str) -> tuple[int, str, str, float]:
+def _call(*arguments: str) -> tuple[int, str, str, float]:
     """Exit status, what was printed, and the seconds of a command."""
     began = time.perf_counter()
     try:
@@ -82,7 +82,7 @@ def _called(*arguments: str) -> tuple[int, str, str, float]:
     return done.returncode, done.stdout, done.stderr, time.perf_counter() - began
 
 
-def tried(part: Part, name: str, form: str, refined: bool, folder: Path) -> Row:
+def try_part(part: Part, name: str, form: str, refined: bool, folder: Path) -> Row:
     """What `check` and `simulate` make of one scene."""
     stem = f"{name} {form} {'refined' if refined else 'uniform'}".replace(" ", "-")
     mold = folder / f"{name}-{form}".replace(" ", "-")
@@ -92,20 +92,20 @@ def tried(part: Part, name: str, form: str, refined: bool, folder: Path) -> Row:
     scene = folder / f"{stem}.toml"
     scene.write_text(scene_text(part, stem, mold.name, refined))
     row: Row = {"scene": stem}
-    code, said, complaint, _ = _called("check", str(scene))
+    code, said, complaint, _ = _call("check", str(scene))
     row |= {"check": code, "check says": (said + complaint).strip().splitlines()}
     out = folder / stem
-    code, _, complaint, seconds = _called("simulate", str(scene), "--out", str(out), "--force", "--quiet")
+    code, _, complaint, seconds = _call("simulate", str(scene), "--out", str(out), "--force", "--quiet")
     row |= {"simulate": code, "complaints": complaint.strip().splitlines(), "seconds": seconds}
     if not (out / "summary.json").exists():
         return row
     summary = json.loads((out / "summary.json").read_text())
     row |= {key: summary[key] for key in ("status", "warnings", "thickness", "penetration_max", "contact_fraction")}
     row |= {"elements": summary["elements_final"], "steps": summary["steps"]}
-    return row | measured(out / "final.vtu", part, summary["mass"])
+    return row | measure_part(out / "final.vtu", part, summary["mass"])
 
 
-def measured(path: Path, part: Part, mass: float) -> Row:
+def measure_part(path: Path, part: Part, mass: float) -> Row:
     """Mass kept and symmetry, from the file that a user would look at.
 
     Against the summary's mass [kg] the file's must be exact; against the sheet's as its mesh is now, it holds what lies
@@ -166,7 +166,7 @@ def main(options: list[str]) -> int:
         for name in names:
             for form in forms:
                 for refined in (False, True):
-                    rows.append(tried(PARTS[name], name, form, refined, Path(folder)))
+                    rows.append(try_part(PARTS[name], name, form, refined, Path(folder)))
                     print(words(rows[-1]), flush=True)
     print(f"{sum(map(well, rows))} of {len(rows)} run well")
     return int(not all(map(well, rows)))

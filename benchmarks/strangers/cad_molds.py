@@ -44,7 +44,7 @@ class Part:
     mirrors: Sequence[Callable[[np.ndarray], np.ndarray]] = field(default=())
 
 
-def _fused(occ: Any, solids: list[int]) -> list[int]:
+def _fuse(occ: Any, solids: list[int]) -> list[int]:
     made, _ = occ.fuse([(3, solids[0])], [(3, solid) for solid in solids[1:]])
     return [tag for _, tag in made]
 
@@ -65,7 +65,7 @@ def _pyramid(occ: Any, low: Sequence[float], high: Sequence[float], depth: float
     return next(tag for dim, tag in occ.addThruSections(loops, makeSolid=True, makeRuled=True) if dim == 3)
 
 
-def _rounded(occ: Any, solid: int, radius: float, *, above: float) -> list[int]:
+def _round_edges(occ: Any, solid: int, radius: float, *, above: float) -> list[int]:
     """The solid with the edges that lie at this z or beyond rounded."""
     occ.synchronize()
     edges = [tag for dim, tag in occ.getEntities(1) if occ.getBoundingBox(dim, tag)[5] > above]
@@ -74,7 +74,7 @@ def _rounded(occ: Any, solid: int, radius: float, *, above: float) -> list[int]:
 
 def _ribbed_cup(occ: Any) -> list[int]:
     """Eight ribs stand in it; a ring under its rim is wider than its opening."""
-    solids = _fused(occ, [occ.addCone(0, 0, 0, 0, 0, 45, 40, 34), occ.addCylinder(0, 0, 4, 0, 0, 4, 42)])
+    solids = _fuse(occ, [occ.addCone(0, 0, 0, 0, 0, 45, 40, 34), occ.addCylinder(0, 0, 4, 0, 0, 4, 42)])
     ribs = []
     for k in range(8):
         rib = occ.addBox(31, -1.5, 14, 20, 3, 40)
@@ -94,7 +94,7 @@ def _pockets(occ: Any) -> list[int]:
 
 def _tub(occ: Any) -> list[int]:
     """A bath, its bottom rounded."""
-    return _rounded(occ, _pyramid(occ, (100, 100), (1800, 700), 400, 60), 50.0, above=399.0)
+    return _round_edges(occ, _pyramid(occ, (100, 100), (1800, 700), 400, 60), 50.0, above=399.0)
 
 
 def _plug(occ: Any) -> list[int]:
@@ -106,7 +106,7 @@ def _bottle(occ: Any) -> list[int]:
     """Half a bottle along y with a handle beside it, round an island of the flange."""
     body, neck = occ.addCylinder(70, 20, 0, 0, 110, 0, 30), occ.addCylinder(70, 120, 0, 0, 60, 0, 12)
     arm = occ.addTorus(70, 100, 0, 40, 8)
-    whole = _fused(occ, [body, neck, arm])
+    whole = _fuse(occ, [body, neck, arm])
     half, _ = occ.intersect([(3, tag) for tag in whole], [(3, occ.addBox(0, 0, 0, 140, 190, 60))])
     return [tag for dim, tag in half if dim == 3]
 
@@ -178,19 +178,19 @@ def mold_mesh(part: Part, form: str) -> Surface:
         _cut(occ, [block], air)
         occ.synchronize()
         tags = [tag for _, tag in gmsh.model.getEntities(2)]
-        meshed = _meshed(gmsh, tags, part.mesh_size, form.startswith("quads"))
+        meshed = _mesh_solid(gmsh, tags, part.mesh_size, form.startswith("quads"))
         if not form.startswith("block"):
             # The block's outside reaches beyond the cavity; the boxes that the kernel gives are too large to tell.
             tags = [tag for tag in tags if _lowest(meshed[tag]) < bottom - 0.5 * _WALL]
         if form.startswith("pieces"):
-            finer = _meshed(gmsh, tags, 0.7 * part.mesh_size, False)
-            return _joined([(meshed if k % 2 else finer)[tag] for k, tag in enumerate(tags)])
-        return _joined([meshed[tag] for tag in tags])
+            finer = _mesh_solid(gmsh, tags, 0.7 * part.mesh_size, False)
+            return _join([(meshed if k % 2 else finer)[tag] for k, tag in enumerate(tags)])
+        return _join([meshed[tag] for tag in tags])
     finally:
         gmsh.finalize()
 
 
-def _meshed(gmsh: Any, tags: list[int], size: float, quads: bool) -> dict[int, Surface]:
+def _mesh_solid(gmsh: Any, tags: list[int], size: float, quads: bool) -> dict[int, Surface]:
     """Each face of the model meshed."""
     gmsh.model.mesh.clear()
     gmsh.option.setNumber("Mesh.MeshSizeMax", size)
@@ -213,7 +213,7 @@ def _lowest(surface: Surface) -> float:
     return max(surface.points[corners][..., 2].max() for corners in surface.faces)
 
 
-def _joined(pieces: list[Surface]) -> Surface:
+def _join(pieces: list[Surface]) -> Surface:
     """All of them in one file, nodes not shared between them where they do not share their points."""
     same = all(piece.points is pieces[0].points for piece in pieces)
     points = pieces[0].points if same else np.concatenate([piece.points for piece in pieces])

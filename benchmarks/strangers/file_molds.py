@@ -54,14 +54,14 @@ def _mesh(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.asarray(vertices, float), np.asarray(faces), process=False)
 
 
-def _joined(*parts: trimesh.Trimesh) -> trimesh.Trimesh:
+def _join(*parts: trimesh.Trimesh) -> trimesh.Trimesh:
     """Several shells in one mesh, not united."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
     return _mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
 
 
-def _merged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def _merge(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh = _mesh(mesh.vertices, mesh.faces)
     mesh.merge_vertices(digits_vertex=6)
     mesh.update_faces(mesh.nondegenerate_faces())
@@ -87,7 +87,7 @@ def blocks(x: ArrayLike, y: ArrayLike, z: ArrayLike, solid: NDArray[np.bool_]) -
     corners = np.concatenate(quads)
     number = 4 * np.arange(len(corners))[:, None]
     faces = np.concatenate([number + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
-    return _merged(_mesh(corners.reshape(-1, 3), faces))
+    return _merge(_mesh(corners.reshape(-1, 3), faces))
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> trimesh.Trimesh:
@@ -96,7 +96,7 @@ def box(low: Sequence[float], high: Sequence[float]) -> trimesh.Trimesh:
     return blocks(x, y, z, np.ones((1, 1, 1), bool))
 
 
-def turned(profile: ArrayLike, segments: int, share: float = 1.0) -> trimesh.Trimesh:
+def turn_mesh(profile: ArrayLike, segments: int, share: float = 1.0) -> trimesh.Trimesh:
     """The surface of revolution of a line of (radius, z), or a share of it."""
     line = np.asarray(profile, float)
     steps = round(segments * share)
@@ -111,7 +111,7 @@ def _sheet(points: Array) -> trimesh.Trimesh:
     number = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
     a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return _merged(_mesh(points.reshape(-1, 3), faces))
+    return _merge(_mesh(points.reshape(-1, 3), faces))
 
 
 def tube_along(way: ArrayLike, radius: float, segments: int = 16) -> trimesh.Trimesh:
@@ -155,10 +155,10 @@ def _frustum(low: Sequence[float], high: Sequence[float], height: float, chamfer
     return _sheet(np.stack([ends[0], *lines, ends[1]])[:, ::-1])
 
 
-def _divided(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
+def _divide(mesh: trimesh.Trimesh, size: float) -> trimesh.Trimesh:
     """The mesh in triangles of about a size."""
     finer = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size, max_iter=30)
-    return _merged(_mesh(finer[0], finer[1]))
+    return _merge(_mesh(finer[0], finer[1]))
 
 
 def _noisy_dome(fine: float, full: int, closed: bool = False) -> trimesh.Trimesh:
@@ -210,15 +210,15 @@ def _canopy(fine: float) -> trimesh.Trimesh:
 
 
 def _on_platen(buck: trimesh.Trimesh, half: float, thick: float = 10.0) -> trimesh.Trimesh:
-    return _joined(box([-half, -half, -thick], [half, half, 0.0]), buck)
+    return _join(box([-half, -half, -thick], [half, half, 0.0]), buck)
 
 
 def _cone(segments: int) -> trimesh.Trimesh:
-    return turned([[0, 0], [40, 0], [5, 55], [0, 55]], segments)
+    return turn_mesh([[0, 0], [40, 0], [5, 55], [0, 55]], segments)
 
 
 def _stepped(fine: float) -> trimesh.Trimesh:
-    return turned([[0, 0], [60, 0], [58, 30], [35, 30], [33, 60], [0, 60]], _count(fine, 96, 24))
+    return turn_mesh([[0, 0], [60, 0], [58, 30], [35, 30], [33, 60], [0, 60]], _count(fine, 96, 24))
 
 
 # Cups, mugs, bowls.
@@ -228,18 +228,18 @@ def _cup(fine: float, *, wall: float = 2.5, foot: float = 18.0, rim: float = 25.
     """A cup with a wall, upright on z = 0, open at its height."""
     outside = [[0, 0], [foot, 0], [rim, height]]
     inside = [[rim - wall, height], [foot - wall, wall * 2], [0, wall * 2]]
-    return turned(outside + inside, _count(fine, 96, 24))
+    return turn_mesh(outside + inside, _count(fine, 96, 24))
 
 
 def _mug(fine: float) -> trimesh.Trimesh:
     handle = tube_along(_arch([24, 0, 32], 34, 22, [1, 0, 0], [0, 0, 1]), 3.5)
-    return _joined(_cup(fine, foot=25.0), handle)
+    return _join(_cup(fine, foot=25.0), handle)
 
 
 def _two_ears(fine: float) -> trimesh.Trimesh:
     bowl = _bowl(fine)
     ears = [tube_along(_arch([side * 52, 0, 34], 44, 26, [side, 0, 0], [0, 1, 0]), 4.0) for side in (1.0, -1.0)]
-    return _joined(bowl, *ears)
+    return _join(bowl, *ears)
 
 
 def _bowl(fine: float, wall: float = 3.0) -> trimesh.Trimesh:
@@ -247,25 +247,25 @@ def _bowl(fine: float, wall: float = 3.0) -> trimesh.Trimesh:
     angle = np.linspace(0, np.pi / 2, _count(fine, 24, 10))
     outside = np.stack([60 * np.sin(angle), 45 * (1 - np.cos(angle))], axis=1)
     inside = np.stack([(60 - wall) * np.sin(angle), 45 - (45 - wall) * np.cos(angle)], axis=1)[::-1]
-    return turned(np.concatenate([outside, inside]), _count(fine, 96, 24))
+    return turn_mesh(np.concatenate([outside, inside]), _count(fine, 96, 24))
 
 
 def _shell_bowl(fine: float) -> trimesh.Trimesh:
     angle = np.linspace(0, np.pi / 2, _count(fine, 40, 10))
-    return turned(np.stack([200 * np.sin(angle), 120 * (1 - np.cos(angle))], axis=1), _count(fine, 160, 24))
+    return turn_mesh(np.stack([200 * np.sin(angle), 120 * (1 - np.cos(angle))], axis=1), _count(fine, 160, 24))
 
 
 def _rolled_lip(fine: float) -> trimesh.Trimesh:
     """A thin cup whose rim is rolled outwards and down: a beaker."""
     roll = np.linspace(np.pi, -np.pi / 4, 14)
     lip = np.stack([31 + 3 * np.cos(roll), 66 + 3 * np.sin(roll)], axis=1)
-    return turned(np.concatenate([[[0, 0], [20, 0]], lip]), _count(fine, 96, 24))
+    return turn_mesh(np.concatenate([[[0, 0], [20, 0]], lip]), _count(fine, 96, 24))
 
 
 def _skirted(fine: float) -> trimesh.Trimesh:
     """A cup in a skirt that hangs from its rim nearly to its foot."""
     line = [[0, 8], [22, 8], [30, 60], [36, 60], [46, 4], [43, 4], [34, 57], [33, 57], [25, 5], [0, 5]]
-    return turned(line, _count(fine, 96, 24))
+    return turn_mesh(line, _count(fine, 96, 24))
 
 
 def _slotted(fine: float) -> trimesh.Trimesh:
@@ -290,13 +290,15 @@ def _polar(radii: ArrayLike, angle: Array, levels: ArrayLike, solid: NDArray[np.
     flat = (np.ptp(mesh.vertices[mesh.faces][..., 1], axis=1) == 0) & ends.all(1)
     radius, turn, z = mesh.vertices.T
     at = np.interp(turn, number, angle)
-    return _merged(_mesh(np.stack([radius * np.cos(at), radius * np.sin(at), z], axis=1), mesh.faces[~flat]))
+    return _merge(_mesh(np.stack([radius * np.cos(at), radius * np.sin(at), z], axis=1), mesh.faces[~flat]))
 
 
 # Crates and trays.
 
 
-def _walled(half: Sequence[float], height: float, wall: float, holes: Sequence[tuple[int, float, float, float, float]]):
+def _wall_mesh(
+    half: Sequence[float], height: float, wall: float, holes: Sequence[tuple[int, float, float, float, float]]
+):
     """A box with walls, open at the top, with holes through pairs of walls.
 
     Args:
@@ -330,24 +332,24 @@ def _planes(low: float, high: float, wall: float) -> set[float]:
 def _crate(fine: float) -> trimesh.Trimesh:
     long = [(1, x, x + 22, z, z + 22) for x in (-130, -100, -70, -40, -10, 20, 50, 80, 110) for z in (20, 55)]
     short = [(0, y, y + 22, z, z + 22) for y in (-85, -55, -25, 5, 35, 65) for z in (20, 55)]
-    return _walled([150, 100], 110, 6, [*long, *short])
+    return _wall_mesh([150, 100], 110, 6, [*long, *short])
 
 
 def _basket(fine: float) -> trimesh.Trimesh:
     slots = [(1, x, x + 6, 15, 65) for x in range(-84, 80, 14)] + [(0, y, y + 6, 15, 65) for y in range(-56, 50, 14)]
     floor = [(2, x, x + 6, -50, 50) for x in range(-84, 80, 14)]
-    return _walled([100, 70], 80, 4, [*slots, *floor])
+    return _wall_mesh([100, 70], 80, 4, [*slots, *floor])
 
 
 def _holed_tray(fine: float) -> trimesh.Trimesh:
-    return _walled([100, 60], 40, 5, [(0, -20, 20, 22, 34)])
+    return _wall_mesh([100, 60], 40, 5, [(0, -20, 20, 22, 34)])
 
 
 def _flanged_tray(fine: float) -> trimesh.Trimesh:
     """An open shell: a tray with a flange and leaning walls."""
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     rings = [([120, 90], 35.0), ([100, 70], 35.0), ([90, 60], 0.0), ([0, 0], 0.0)]
-    return _divided(_sheet(np.stack([np.column_stack([corner * s, np.full(5, z)]) for s, z in rings])), 12.0 / fine)
+    return _divide(_sheet(np.stack([np.column_stack([corner * s, np.full(5, z)]) for s, z in rings])), 12.0 / fine)
 
 
 def _pockets(fine: float) -> trimesh.Trimesh:
@@ -366,7 +368,7 @@ _BOTTLE = [[0, 0], [30, 0], [32, 6], [32, 130], [14, 165], [12, 172], [12, 200]]
 def _bottle(fine: float, hollow: bool) -> trimesh.Trimesh:
     inside = [[r - 1.5, max(z, 2.0)] for r, z in _BOTTLE[1:]][::-1]
     line = [*_BOTTLE, *([*inside, [0, 2]] if hollow else [[0, 200]])]
-    return turned(line, _count(fine, 96, 24))
+    return turn_mesh(line, _count(fine, 96, 24))
 
 
 def _jerry_can(fine: float) -> trimesh.Trimesh:
@@ -375,24 +377,24 @@ def _jerry_can(fine: float) -> trimesh.Trimesh:
     x, y, z = ([-80, -77, 77, 80.0], [-45, -42, 42, 45.0], [0, 3, 197, 200.0])
     solid = np.ones((3, 3, 3), bool)
     solid[1, 1, 1] = False
-    neck = turned([[0, 199], [18, 199], [18, 230], [0, 230]], _count(fine, 48, 24))
+    neck = turn_mesh([[0, 199], [18, 199], [18, 230], [0, 230]], _count(fine, 48, 24))
     neck.apply_translation([50, 0, 0])
-    return _joined(blocks(x, y, z, solid), neck)
+    return _join(blocks(x, y, z, solid), neck)
 
 
 def _tube(fine: float) -> trimesh.Trimesh:
-    return turned([[28, 0], [30, 0], [30, 120], [28, 120], [28, 0]], _count(fine, 96, 24))
+    return turn_mesh([[28, 0], [30, 0], [30, 120], [28, 120], [28, 0]], _count(fine, 96, 24))
 
 
 # Faults of files.
 
 
-def _unshared(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def _unshare(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Each triangle with vertices of its own."""
     return _mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))
 
 
-def _mixed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def _mix_orientation(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """A third of the triangles turned over."""
     faces = mesh.faces.copy()
     over = np.random.default_rng(3).random(len(faces)) < 1 / 3
@@ -402,31 +404,33 @@ def _mixed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _several(fine: float) -> trimesh.Trimesh:
     """A buck of three shells that pass into each other."""
-    knob = turned([[0, 20], [12, 20], [9, 50], [0, 50]], _count(fine, 48, 24))
+    knob = turn_mesh([[0, 20], [12, 20], [9, 50], [0, 50]], _count(fine, 48, 24))
     other = knob.copy()
     knob.apply_translation([30, 0, 0])
     other.apply_translation([-30, 10, 0])
-    return _joined(_frustum([70, 45], [64, 40], 35.0), knob, other)
+    return _join(_frustum([70, 45], [64, 40], 35.0), knob, other)
 
 
 KINDS: dict[str, Kind] = {
-    "box buck": Kind(lambda f: _divided(box([-60, -40, 0], [60, 40, 30]), 25.0 / f)),
-    "drafted buck": Kind(lambda f: _divided(_frustum([60, 40], [54, 34], 40.0), 25.0 / f), suffix="ascii.stl"),
-    "chamfered buck": Kind(lambda f: _divided(_frustum([60, 40], [60, 40], 40.0, 5.0), 25.0 / f)),
-    "cylinder buck": Kind(lambda f: turned([[0, 0], [40, 0], [40, 50], [0, 50]], _count(f, 96, 24))),
+    "box buck": Kind(lambda f: _divide(box([-60, -40, 0], [60, 40, 30]), 25.0 / f)),
+    "drafted buck": Kind(lambda f: _divide(_frustum([60, 40], [54, 34], 40.0), 25.0 / f), suffix="ascii.stl"),
+    "chamfered buck": Kind(lambda f: _divide(_frustum([60, 40], [60, 40], 40.0, 5.0), 25.0 / f)),
+    "cylinder buck": Kind(lambda f: turn_mesh([[0, 0], [40, 0], [40, 50], [0, 50]], _count(f, 96, 24))),
     "cone buck": Kind(lambda f: _cone(_count(f, 96, 24)), suffix="obj"),
-    "dome buck": Kind(lambda f: turned([[0, 0], *_quarter(50.0, _count(f, 60, 12))], _count(f, 160, 24)), suffix="ply"),
+    "dome buck": Kind(
+        lambda f: turn_mesh([[0, 0], *_quarter(50.0, _count(f, 60, 12))], _count(f, 160, 24)), suffix="ply"
+    ),
     "stepped buck": Kind(_stepped, unit="inch"),
-    "box on a platen": Kind(lambda f: _divided(_on_platen(box([-40, -30, 0], [40, 30, 35]), 90.0), 40.0 / f)),
+    "box on a platen": Kind(lambda f: _divide(_on_platen(box([-40, -30, 0], [40, 30, 35]), 90.0), 40.0 / f)),
     "cone on a platen": Kind(lambda f: _on_platen(_cone(_count(f, 96, 24)), 90.0)),
     "buck of unshared vertices": Kind(
-        lambda f: _divided(_frustum([60, 40], [52, 32], 45.0), 20.0 / f), suffix="obj", damage=_unshared
+        lambda f: _divide(_frustum([60, 40], [52, 32], 45.0), 20.0 / f), suffix="obj", damage=_unshare
     ),
     "buck of mixed winding": Kind(
-        lambda f: _divided(_frustum([60, 40], [52, 32], 45.0), 20.0 / f), suffix="ply", damage=_mixed
+        lambda f: _divide(_frustum([60, 40], [52, 32], 45.0), 20.0 / f), suffix="ply", damage=_mix_orientation
     ),
     "buck of several shells": Kind(_several),
-    "buck in metres": Kind(lambda f: _divided(_frustum([300, 200], [280, 180], 150.0), 80.0 / f), unit="m"),
+    "buck in metres": Kind(lambda f: _divide(_frustum([300, 200], [280, 180], 150.0), 80.0 / f), unit="m"),
     "face": Kind(lambda f: _noisy_dome(f, 100)),
     "fine face": Kind(lambda f: _noisy_dome(f, 200), suffix="ply"),
     "face with a flat back": Kind(lambda f: _noisy_dome(f, 80, closed=True), suffix="obj"),
@@ -446,7 +450,7 @@ KINDS: dict[str, Kind] = {
     "crate": Kind(_crate),
     "basket": Kind(_basket),
     "tray with holes in its walls": Kind(_holed_tray, suffix="ascii.stl"),
-    "tray with a flange": Kind(_flanged_tray, damage=_mixed, suffix="ply"),
+    "tray with a flange": Kind(_flanged_tray, damage=_mix_orientation, suffix="ply"),
     "six pockets": Kind(_pockets, suffix="obj"),
     "solid bottle": Kind(lambda f: _bottle(f, False)),
     "hollow bottle": Kind(lambda f: _bottle(f, True)),
@@ -466,4 +470,4 @@ def _slivers(segments: int) -> trimesh.Trimesh:
     corner = np.linspace(0, np.pi / 2, 12)
     inside = np.stack([20 + 8 * np.sin(corner), 13 - 8 * np.cos(corner)], axis=1)[::1]
     line = [[0, 0], [31, 0], [34, 60], [32, 60], *inside[::-1].tolist(), [0, 5]]
-    return turned(line, segments)
+    return turn_mesh(line, segments)

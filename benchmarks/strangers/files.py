@@ -92,19 +92,19 @@ class Row:
         return line + "".join(f"\n    {sentence[:240]}" for sentence in [*self.said, *self.warnings])
 
 
-def tried(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit: float = _LIMIT) -> Row:
+def try_file(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit: float = _LIMIT) -> Row:
     """What `new` and `simulate` make of one kind of file, in a folder of its own."""
     row = Row(name)
     path = KINDS[name].write(folder, name, fine)
     row.triangles = len(_read(path).faces)
     scene = folder / path.name.split(".")[0]
-    code, complaint, row.seconds = _called(limit, "new", str(scene), "--mold", str(path))
+    code, complaint, row.seconds = _call(limit, "new", str(scene), "--mold", str(path))
     row.said = complaint
     if code == _REFUSED:
         row.refused = True
         flags = _FLAGS.findall(" ".join(complaint))
         for flag in flags:
-            code, complaint, more = _called(limit, "new", str(scene), "--mold", str(path), *flag.split(), "--force")
+            code, complaint, more = _call(limit, "new", str(scene), "--mold", str(path), *flag.split(), "--force")
             row.seconds += more
             if code == 0:
                 row.way = flag
@@ -116,7 +116,7 @@ def tried(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit
     text = size.sub(lambda found: f"element_size = {coarse * float(found[1]):.6g}", text)
     (scene / "scene.toml").write_text(text)
     out = scene / "formed"
-    code, complaint, more = _called(limit, "simulate", str(scene / "scene.toml"), "--out", str(out), "--quiet")
+    code, complaint, more = _call(limit, "simulate", str(scene / "scene.toml"), "--out", str(out), "--quiet")
     row.seconds += more
     if not (out / "summary.json").exists() or not (out / "final.vtu").exists():
         row.status = f"exit {code}: {' | '.join(complaint[-2:])}"
@@ -128,7 +128,7 @@ def tried(name: str, folder: Path, coarse: float = 1.0, fine: float = 1.0, limit
     return row
 
 
-def _called(limit: float, *arguments: str) -> tuple[int, list[str], float]:
+def _call(limit: float, *arguments: str) -> tuple[int, list[str], float]:
     """Exit status, the lines on standard error, and the seconds of a command."""
     began = time.perf_counter()
     try:
@@ -145,7 +145,7 @@ def share_within_an_element(scene: Path, part: Path) -> float:
     nothing of the mold before it, seen from the sheet.
     """
     table = tomllib.loads(scene.read_text())
-    mold = _placed(scene.parent, table["mold"])
+    mold = _place(scene.parent, table["mold"])
     mesh = meshio.read(part)
     triangles = mesh.cells_dict["triangle"]
     flat = np.asarray(mesh.point_data["reference"])[:, :2]
@@ -175,7 +175,7 @@ def _read(path: Path) -> Any:
     return trimesh.load(path, process=False, force="mesh")
 
 
-def _placed(folder: Path, table: dict[str, Any]) -> trimesh.Trimesh:
+def _place(folder: Path, table: dict[str, Any]) -> trimesh.Trimesh:
     """The mold of a scene [m], where it is at the end."""
     names = table["path"] if isinstance(table["path"], list) else [table["path"]]
     mesh: Any = trimesh.util.concatenate([_read(folder / name) for name in names])
@@ -229,7 +229,7 @@ def main(options: list[str]) -> int:
     names, rows = wanted.kinds or list(KINDS)[:: 5 if wanted.few else 1], []
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
-            rows.append(tried(name, Path(folder), wanted.coarse, wanted.fine, wanted.limit))
+            rows.append(try_file(name, Path(folder), wanted.coarse, wanted.fine, wanted.limit))
             print(rows[-1], flush=True)
     print(summary_line(rows))
     return int(not all(row.right for row in rows))

@@ -28,7 +28,7 @@ from jaxform import molds, shapes
 from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
-from jaxform.results.summary import penetrated, warnings_of_mold
+from jaxform.results.summary import measure_penetration, warnings_of_mold
 from jaxform.tools.molds import MoldShape
 
 DISTANCES = (0.0, 1e-9, -1e-9, 1e-6, -1e-6, 1e-5, 1e-4, 1e-3)
@@ -247,7 +247,7 @@ def examine(case: Case) -> Found:
     result = jaxform.run(scene)
     seconds = time.perf_counter() - began
     wall, _ = wall_at(scene, result, fine.place)
-    beyond = penetrated(result, scene)
+    beyond = measure_penetration(result, scene)
     used = np.asarray(result.used)
     return Found(
         jaxform.explain(result).split(";")[0],

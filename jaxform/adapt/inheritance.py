@@ -7,8 +7,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.model.tables import Forest
-from jaxform.sheet.discretization import Mesh
+from jaxform.model.tables import BisectionHierarchy
+from jaxform.sheet.discretization import RefinedMesh
 
 
 class Ancestry(NamedTuple):
@@ -24,7 +24,7 @@ class Ancestry(NamedTuple):
     parts: list[jax.Array]
 
 
-def ancestry(before: Mesh, after: Mesh, forest: Forest) -> Ancestry:
+def find_ancestry(before: RefinedMesh, after: RefinedMesh, forest: BisectionHierarchy) -> Ancestry:
     """Where the elements of a mesh come from in the mesh `before`."""
     old = jnp.arange(before.element.size) < before.element_count
     slot = jnp.full(forest.bound.size, -1, jnp.int32)
@@ -39,7 +39,7 @@ def ancestry(before: Mesh, after: Mesh, forest: Forest) -> Ancestry:
     return Ancestry(jnp.maximum(slot[triangle], 0), parts)
 
 
-def inherited(memory: jax.Array, ancestors: Ancestry) -> jax.Array:
+def inherit_stress(memory: jax.Array, ancestors: Ancestry) -> jax.Array:
     """The stress of modes (4 n_mode, n_element) of a mesh's elements, from that of their ancestors; differentiable.
 
     A triangle (peak, a, b) has the parts (middle, peak, a) and (middle, b, peak): their edges are halves of the sum and

@@ -18,19 +18,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.nearest import closest_place, nearest_triangle
+from jaxform.adapt.nearest_triangle import closest_place, nearest_triangle
 from jaxform.contact import cells
-from jaxform.contact.sight import Sight, seen
-from jaxform.kernels.blocks import BLOCK, cut, only_if, put
-from jaxform.kernels.keeping import decided
+from jaxform.contact.ray_crossings import Crossings, ray_crossings
+from jaxform.kernels.blocks import BLOCK, cut, lax_cond_once, put
+from jaxform.kernels.checkpoint_policy import save_decision
 from jaxform.mechanics.membrane import cross, dot
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Adaptivity, Scene, Tool
-from jaxform.model.tables import Forest
-from jaxform.sheet.discretization import Mesh
-from jaxform.sheet.state import State, at_start
+from jaxform.model.tables import BisectionHierarchy
+from jaxform.sheet.discretization import RefinedMesh
+from jaxform.sheet.state import State, initial_node_state
 from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Frame
+from jaxform.tools.motion import ToolFrame
 
 _BEFORE = 64  # times the distance at which a node touches, before its wall: where a node that sticks looks from
 _BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin wall
@@ -46,59 +46,59 @@ class _Insertions(NamedTuple):
     ends: tuple[jax.Array, jax.Array]
     differentiable: bool
 
-    def own(self, values: jax.Array) -> jax.Array:
+    def block_of(self, values: jax.Array) -> jax.Array:
         """The block of values (..., n_place)."""
         return cut(values, self.begin, self.new.size)
 
     def put(self, values: jax.Array, own: jax.Array) -> jax.Array:
         """The values with others at the new nodes' places."""
-        return put(values, jnp.where(self.new, own, self.own(values)), self.begin)
+        return put(values, jnp.where(self.new, own, self.block_of(values)), self.begin)
 
-    def chained(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
+    def join_ends(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
         """What is joined from the values (..., n) at both ends of the edges: those outside, at new nodes its own."""
         inside = [jnp.clip(end - self.begin, 0, self.new.size - 1) for end in self.ends]
         newer = [self.new & (end >= self.begin) & self.new[at] for end, at in zip(self.ends, inside, strict=True)]
 
-        def again(own: jax.Array) -> jax.Array:
+        def join_again(own: jax.Array) -> jax.Array:
             triples = zip(newer, inside, outside, strict=True)
             return join(*(jnp.where(new, own[..., at], other) for new, at, other in triples))
 
-        def still(waiting: jax.Array) -> jax.Array:
+        def is_waiting(waiting: jax.Array) -> jax.Array:
             waits = [new & waiting[at] for new, at in zip(newer, inside, strict=True)]
             return waits[0] | waits[1]
 
         def generation(carry: tuple[jax.Array, jax.Array], _: None) -> tuple[tuple[jax.Array, jax.Array], None]:
             own, waiting = carry
-            return (only_if(jnp.any(waiting), again, own, differentiable=True), still(waiting)), None
+            return (lax_cond_once(jnp.any(waiting), join_again, own, differentiable=True), is_waiting(waiting)), None
 
         start = join(*outside), newer[0] | newer[1]
         if self.differentiable:
             # At most as often as there can be generations at one border; mostly there are one or two.
             return jax.lax.scan(generation, start, length=depth)[0][0]
         return jax.lax.while_loop(
-            lambda carry: jnp.any(carry[1]), lambda carry: (again(carry[0]), still(carry[1])), start
+            lambda carry: jnp.any(carry[1]), lambda carry: (join_again(carry[0]), is_waiting(carry[1])), start
         )[0]
 
 
-class _Older(NamedTuple):
+class _PreviousMesh(NamedTuple):
     """The finer mesh, and how many of its nodes were there before."""
 
-    mesh: Mesh
+    mesh: RefinedMesh
     count: jax.Array
 
-    def ancestor(self, place: jax.Array, forest: Forest) -> jax.Array:
+    def ancestor(self, place: jax.Array, forest: BisectionHierarchy) -> jax.Array:
         """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
 
-        def up(place: jax.Array) -> jax.Array:
+        def move_up(place: jax.Array) -> jax.Array:
             above = self.mesh.place[forest.ends[0, self.mesh.node[place]]]
             return jnp.where(place < self.count, place, above)
 
-        return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), up, place)
+        return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), move_up, place)
 
 
 def insert_nodes(
     state: State,
-    mesh: Mesh,
+    mesh: RefinedMesh,
     scene: Scene,
     adaptivity: Adaptivity,
     volumes: jax.Array,
@@ -118,7 +118,7 @@ def insert_nodes(
     forest, old, tool = adaptivity.forest, state.refined_mesh, scene.tool
     size = min(BLOCK, mesh.node.size)
 
-    def births(block: jax.Array) -> _Insertions:
+    def make_insertions(block: jax.Array) -> _Insertions:
         nominal = old.node_count + block * size
         begin = jnp.minimum(nominal, mesh.node.size - size)
         place = begin + jnp.arange(size)
@@ -127,42 +127,49 @@ def insert_nodes(
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
         return _Insertions(begin, new, node, (first, second), differentiable)
 
-    def worked(nodes: Nodes, work: Callable[[Nodes, _Insertions], Nodes]) -> Nodes:
+    def map_blocks(nodes: Nodes, work: Callable[[Nodes, _Insertions], Nodes]) -> Nodes:
         if not differentiable:
             blocks = -(-(mesh.node_count - old.node_count) // size)
-            return jax.lax.fori_loop(0, blocks, lambda block, nodes: work(nodes, births(block)), nodes)
+            return jax.lax.fori_loop(0, blocks, lambda block, nodes: work(nodes, make_insertions(block)), nodes)
 
         def one(nodes: Nodes, block: jax.Array) -> tuple[Nodes, None]:
             any_left = old.node_count + block * size < mesh.node_count
-            return only_if(any_left, lambda nodes: work(nodes, births(block)), nodes, differentiable=True), None
+            return lax_cond_once(
+                any_left, lambda nodes: work(nodes, make_insertions(block)), nodes, differentiable=True
+            ), None
 
         return jax.lax.scan(one, nodes, jnp.arange(-(-mesh.node.size // size)))[0]
 
     # The loop over blocks carries no more than it changes.
-    frame, nodes = frame_of(state, scene), dataclasses.replace(state.nodes, mode=None)
+    frame, nodes = present_frame(state, scene), dataclasses.replace(state.nodes, mode=None)
     if frame is not None:
-        nodes = _seen_in(nodes, frame)
-    nodes = worked(nodes, lambda nodes, births: _between(nodes, births, scene, forest, volumes, frame))
+        nodes = _to_frame(nodes, frame)
+    nodes = map_blocks(nodes, lambda nodes, births: _interpolate_nodes(nodes, births, scene, forest, volumes, frame))
     if tool is not None:
-        older, time = _Older(mesh, old.node_count), state.time
-        nodes = worked(nodes, lambda nodes, births: _settled(nodes, births, tool, adaptivity, older, time))
+        older, time = _PreviousMesh(mesh, old.node_count), state.time
+        nodes = map_blocks(nodes, lambda nodes, births: _place_on_mold(nodes, births, tool, adaptivity, older, time))
     if frame is not None:
-        nodes = _seen_in(nodes, Frame(-frame.offset, -frame.velocity))
-    return dataclasses.replace(state, nodes=nodes).with_nodes(mode=state.nodes.mode)
+        nodes = _to_frame(nodes, ToolFrame(-frame.offset, -frame.velocity))
+    return dataclasses.replace(state, nodes=nodes).replace_nodes(mode=state.nodes.mode)
 
 
-def frame_of(state: State, scene: Scene) -> Frame | None:
+def present_frame(state: State, scene: Scene) -> ToolFrame | None:
     """The tool's frame of now; None where it rests."""
     return None if scene.motion is None else scene.motion.frame(state.time - state.control.last_length, state.time)
 
 
-def _seen_in(nodes: Nodes, frame: Frame) -> Nodes:
+def _to_frame(nodes: Nodes, frame: ToolFrame) -> Nodes:
     positions, velocities = jnp.stack(frame.places(nodes.positions)), jnp.stack(frame.speeds(nodes.velocities))
     return dataclasses.replace(nodes, positions=positions, velocities=velocities)
 
 
-def _between(
-    nodes: Nodes, births: _Insertions, scene: Scene, forest: Forest, volumes: jax.Array, frame: Frame | None
+def _interpolate_nodes(
+    nodes: Nodes,
+    births: _Insertions,
+    scene: Scene,
+    forest: BisectionHierarchy,
+    volumes: jax.Array,
+    frame: ToolFrame | None,
 ) -> Nodes:
     """The nodes with the block's new ones in the middle of their edges, moving as these did.
 
@@ -173,14 +180,14 @@ def _between(
     reference = scene.parison.positions
     begins = [jnp.where(births.new, reference[end].T, 0.0) for end in forest.ends[:, births.node]]
     moved = [nodes.positions[:, end] - begin for end, begin in zip(births.ends, begins, strict=True)]
-    middle = births.chained(moved, lambda first, second: 0.5 * (first + second), forest.depth)
+    middle = births.join_ends(moved, lambda first, second: 0.5 * (first + second), forest.depth)
     weight = _weight(volumes, forest.owner[births.node], forest.ends[0, births.node], forest)
-    velocities = births.chained(
+    velocities = births.join_ends(
         [nodes.velocities[:, end] for end in births.ends],
         lambda first, second: weight[None] * first + (1.0 - weight)[None] * second,
         forest.depth,
     )
-    start = at_start(scene, births.node)
+    start = initial_node_state(scene, births.node)
     moves, speeds = jnp.where(start.stuck, 0.0, middle), jnp.where(start.stuck, 0.0, velocities)
     if frame is not None:
         # In the frame of the tool it is what is clamped that moves.
@@ -189,7 +196,7 @@ def _between(
         speeds = jnp.where(clamped, -frame.velocity[:, None], speeds)
     fields = {
         name: births.put(
-            values, births.chained([values[end] for end in births.ends], scene.fields[name].between, forest.depth)
+            values, births.join_ends([values[end] for end in births.ends], scene.fields[name].between, forest.depth)
         )
         for name, values in nodes.fields.items()
     }
@@ -204,7 +211,7 @@ def _between(
     )
 
 
-def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest) -> jax.Array:
+def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: BisectionHierarchy) -> jax.Array:
     """Share (n,) of an edge's first end in the velocity of its middle: of the mass that both lose."""
     lost = jnp.zeros((2, owner.size), volumes.dtype)
     for triangle, there in ((owner, True), (forest.partner[owner], forest.partner[owner] != owner)):
@@ -216,41 +223,41 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Forest
     return lost[0] / (lost[0] + lost[1])
 
 
-class _Outlook(NamedTuple):
+class _NodeViews(NamedTuple):
     """What new nodes (n,) see of the mold from the sheet: where they look from (3, n) [m], and what is between."""
 
     begin: jax.Array
-    seen: Sight
+    seen: Crossings
 
 
-def _settled(
-    nodes: Nodes, births: _Insertions, tool: Tool, adaptivity: Adaptivity, older: _Older, time: jax.Array
+def _place_on_mold(
+    nodes: Nodes, births: _Insertions, tool: Tool, adaptivity: Adaptivity, older: _PreviousMesh, time: jax.Array
 ) -> Nodes:
     """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
     (mold, grid), (limits, forest) = tool, adaptivity
-    points, stuck = births.own(nodes.positions), births.own(nodes.stuck)
+    points, stuck = births.block_of(nodes.positions), births.block_of(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
-    found = decided(nearest_triangle(places, free, grid))
-    outlook = decided(_outlook(places, free, nodes, births, older, tool, forest))
+    found = save_decision(nearest_triangle(places, free, grid))
+    outlook = save_decision(_outlook(places, free, nodes, births, older, tool, forest))
     touches = free & (found.distance <= cells.touch_distance(grid))
     beyond = free & ~touches & (outlook.seen.count % 2 == 1)
     ends = [nodes.stuck[at] for at in births.ends]
-    sticks = births.chained(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
+    sticks = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
     # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
     last = outlook.seen.triangle
     both, known = jnp.append(found.triangle, last), jnp.append(free & (found.triangle >= 0), free & (last >= 0))
     nearest, front = jnp.split(closest_place(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
-    turned = beyond & _on_its_back(nearest - places, found.triangle, outlook.seen, mold)
+    turned = beyond & _is_behind(nearest - places, found.triangle, outlook.seen, mold)
     chosen = jnp.where(turned, jnp.maximum(last, 0), found.triangle)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
-    velocities = jnp.where(lands, 0.0, births.own(nodes.velocities))
+    velocities = jnp.where(lands, 0.0, births.block_of(nodes.velocities))
     if limits.at_rest:
         edge = nodes.positions[:, births.ends[0]] - nodes.positions[:, births.ends[1]]
         length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
-        velocities = jnp.where(flies, _kept(gap, size), 1.0)[None] * velocities
+        velocities = jnp.where(flies, _velocity_share(gap, size), 1.0)[None] * velocities
     # It is on the side of the place that it looks from; what is beyond may look from another wall.
     above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
     side = jnp.where(above < 0.0, -1, 1)
@@ -259,8 +266,8 @@ def _settled(
         positions=births.put(nodes.positions, jnp.where(lands, point, points)),
         velocities=births.put(nodes.velocities, velocities),
         stuck=births.put(nodes.stuck, stuck | lands),
-        contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.own(nodes.contact_time))),
-        wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.own(nodes.wall))),
+        contact_time=births.put(nodes.contact_time, jnp.where(lands, time, births.block_of(nodes.contact_time))),
+        wall=births.put(nodes.wall, jnp.where(lands, side * (triangle + 1), births.block_of(nodes.wall))),
     )
 
 
@@ -269,10 +276,10 @@ def _outlook(
     free: jax.Array,
     nodes: Nodes,
     births: _Insertions,
-    older: _Older,
+    older: _PreviousMesh,
     tool: Tool,
-    forest: Forest,
-) -> _Outlook:
+    forest: BisectionHierarchy,
+) -> _NodeViews:
     """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
 
     One that flies is looked from; of nodes that stick, one that is known to, a little before its wall.
@@ -286,11 +293,11 @@ def _outlook(
     off = _BEFORE * cells.touch_distance(grid) * jnp.sign(there)
     begin = jax.lax.stop_gradient(nodes.positions[:, place] + off[None] * _normal(mold, triangle))
     way = begin - points
-    _, bound = cells.looked_up(points, grid)
-    return _Outlook(begin, seen(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
+    _, bound = cells.cell_bounds(points, grid)
+    return _NodeViews(begin, ray_crossings(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
 
 
-def _on_its_back(gap: jax.Array, nearest: jax.Array, seen: Sight, mold: Mold) -> jax.Array:
+def _is_behind(gap: jax.Array, nearest: jax.Array, seen: Crossings, mold: Mold) -> jax.Array:
     """Of points (n,) beyond the mold whether the nearest triangle, a gap (3, n) [m] away, is the back of a thin wall.
 
     Or is not known. Its front is what the way from the sheet crosses last.
@@ -312,7 +319,7 @@ def _height(points: jax.Array, mold: Mold, triangle: jax.Array) -> jax.Array:
     return jax.lax.stop_gradient(dot(points - mold.vertices[mold.triangles[triangle, 0]].T, _normal(mold, triangle)))
 
 
-def _kept(gap: jax.Array, size: jax.Array) -> jax.Array:
+def _velocity_share(gap: jax.Array, size: jax.Array) -> jax.Array:
     """Share (n,) of its velocity that a new node keeps with a gap (3, n) to the mold, beside sizes (n,) [m].
 
     A replay would jump where a node that moves on lands just before a border or just after.

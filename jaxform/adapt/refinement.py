@@ -13,28 +13,35 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.inheritance import ancestry, inherited
-from jaxform.adapt.insertion import frame_of, insert_nodes
-from jaxform.adapt.remeshing import Queue, bisected, closed, queued, with_sides
+from jaxform.adapt.inheritance import find_ancestry, inherit_stress
+from jaxform.adapt.insertion import insert_nodes, present_frame
+from jaxform.adapt.remeshing import Queue, add_sides, bisect_mesh, close_queue, make_queue
 from jaxform.contact.cells import cell_of
-from jaxform.kernels import sizes
-from jaxform.kernels.blocks import BLOCK, listed, only_if, over_blocks, padded
-from jaxform.kernels.keeping import decided
+from jaxform.kernels import capacities
+from jaxform.kernels.blocks import BLOCK, compact_indices, lax_cond_once, over_blocks, padded_length
+from jaxform.kernels.checkpoint_policy import save_decision
 from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
-from jaxform.model.tables import SHORT_WINDOW, Bend, Forest
-from jaxform.sheet.account import kinetic_energy
-from jaxform.sheet.active_set import ActiveSet, held_by
-from jaxform.sheet.discretization import NEVER, Discretization, Mesh, levels, node_room, refined_discretization
-from jaxform.sheet.scheme import caught_up
+from jaxform.model.tables import SHORT_WINDOW, Bend, BisectionHierarchy
+from jaxform.sheet.active_set import ActiveSet, totals_of
+from jaxform.sheet.discretization import (
+    NEVER,
+    Discretization,
+    RefinedMesh,
+    element_levels,
+    node_room,
+    refined_discretization,
+)
+from jaxform.sheet.energy_balance import kinetic_energy
+from jaxform.sheet.scheme import synchronize_velocity
 from jaxform.sheet.state import PackedState, Schedule, State, Status
 from jaxform.tools.search import SearchGrid
 
 _SPARE_BLOCKS = 2
 
 
-def refined(
+def refine(
     state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None = None
 ) -> tuple[State, Discretization]:
     """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
@@ -53,25 +60,25 @@ def refined(
     if schedule is not None and schedule.split_at is not None:
         planned = schedule.split_at <= schedule.upcoming(state.replay.row)
         due = jnp.any(planned & (mesh.split_at == NEVER))
-        wanted = functools.partial(_planned, planned=planned)
+        wanted = functools.partial(_planned_queue, planned=planned)
     else:
-        due, wanted = _is_due(state, adaptivity), functools.partial(_wanted, scene=scene)
+        due, wanted = _is_due(state, adaptivity), functools.partial(_requested_queue, scene=scene)
 
-    def look(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
+    def refine_now(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         state, body = now
-        state = dataclasses.replace(state, mesh=with_sides(state.refined_mesh, adaptivity.forest))
-        state, body = _grown(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
-        return without_sides(state), body
+        state = dataclasses.replace(state, mesh=add_sides(state.refined_mesh, adaptivity.forest))
+        state, body = _bisect_queue(state, scene, adaptivity, body, *wanted(state, body, adaptivity), None)
+        return drop_sides(state), body
 
-    return only_if(decided(due), look, (state, discrete), differentiable=True)
+    return lax_cond_once(save_decision(due), refine_now, (state, discrete), differentiable=True)
 
 
-def without_sides(state: State) -> State:
+def drop_sides(state: State) -> State:
     """The state, with a mesh that has no `side`."""
     return state if state.mesh is None else dataclasses.replace(state, mesh=dataclasses.replace(state.mesh, side=None))
 
 
-def refined_in_place(
+def refine_in_place(
     state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet
 ) -> tuple[PackedState, Discretization, ActiveSet]:
     """The same of a state in the order of the last window's active set; no derivative is taken.
@@ -82,42 +89,48 @@ def refined_in_place(
     if state.mesh is None or adaptivity is None:
         return state, discrete, active
 
-    def look(now: Any) -> tuple[PackedState, Discretization, Any]:
+    def refine_now(now: Any) -> tuple[PackedState, Discretization, Any]:
         packed, body, _ = now
-        state = active.put_back(packed)
-        state, body = _grown(state, scene, adaptivity, body, *_wanted(state, body, adaptivity, scene), active)
+        state = active.unpack_state(packed)
+        state, body = _bisect_queue(
+            state, scene, adaptivity, body, *_requested_queue(state, body, adaptivity, scene), active
+        )
         idle = active.idle
         if idle is not None and state.memory is not None:
             idle = dataclasses.replace(idle, stress=state.memory[:, idle.element], since=state.time)
-        return active.taken(state), body, (state.memory, idle, state.heat)
+        return active.pack_state(state), body, (state.memory, idle, state.heat)
 
     begun = state, discrete, (active.memory, active.idle, active.heat)
-    state, discrete, (memory, idle, heat) = only_if(_is_due(state, adaptivity), look, begun)
+    state, discrete, (memory, idle, heat) = lax_cond_once(_is_due(state, adaptivity), refine_now, begun)
     return state, discrete, dataclasses.replace(active, memory=memory, idle=idle, heat=heat)
 
 
 def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
     # A window that is retried begins with the mesh that it had.
-    return looks(state.windows, adaptivity.limits) & ((state.control.last_count > 0) | (state.windows == 0))
+    return is_refinement_due(state.windows, adaptivity.limits) & ((state.control.last_count > 0) | (state.windows == 0))
 
 
-def looks(window: jax.Array, limits: Refinement) -> jax.Array:
+def is_refinement_due(window: jax.Array, limits: Refinement) -> jax.Array:
     """Whether it is time to look at the mesh at the border before a window, where no schedule says so."""
     return window % -(-limits.interval // SHORT_WINDOW) == 0
 
 
-def _planned(state: State, _: Discretization, adaptivity: Adaptivity, planned: jax.Array) -> tuple[jax.Array, Queue]:
+def _planned_queue(
+    state: State, _: Discretization, adaptivity: Adaptivity, planned: jax.Array
+) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) where that is planned by now, and those of it that are not yet."""
     mesh, forest = state.refined_mesh, adaptivity.forest
     new = planned & (mesh.split_at == NEVER)
-    return jnp.where(new, state.windows, mesh.split_at), queued(*listed(new, mesh.element.size), forest)
+    return jnp.where(new, state.windows, mesh.split_at), make_queue(*compact_indices(new, mesh.element.size), forest)
 
 
-def _wanted(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> tuple[jax.Array, Queue]:
+def _requested_queue(
+    state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene
+) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
     mesh = state.refined_mesh
-    place, count = listed(_marked(state, discrete, adaptivity, scene), mesh.element.size)
-    return closed(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
+    place, count = compact_indices(_mark_elements(state, discrete, adaptivity, scene), mesh.element.size)
+    return close_queue(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
 
 
 def _within_reach(
@@ -133,7 +146,7 @@ def _within_reach(
     return reach * jnp.sqrt(square) - gather(bend.distance, cell)
 
 
-def can_have_more_room(adaptivity: Adaptivity) -> bool:
+def can_enlarge_capacity(adaptivity: Adaptivity) -> bool:
     """Whether the forest has more elements than there is room for."""
     limits, forest = adaptivity
     return limits.elements < forest.root_count << forest.depth
@@ -150,59 +163,62 @@ def fitted(scene: Scene, used: int) -> Scene:
     blocks = min(_SPARE_BLOCKS + -(-used // BLOCK), -(-(forest.root_count << forest.depth) // BLOCK))
     if used <= limits.elements <= blocks * BLOCK:
         return scene
-    return _with(scene, _with_room(scene.adaptivity, blocks))
+    return _replace_adaptivity(scene, _enlarge(scene.adaptivity, blocks))
 
 
-def _with_room(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
+def _enlarge(adaptivity: Adaptivity, blocks: int) -> Adaptivity:
     elements, (limits, forest) = blocks * BLOCK, adaptivity
     nodes = node_room(elements, forest.first_nodes, forest.owner.size)
     return Adaptivity(dataclasses.replace(limits, elements=elements), dataclasses.replace(forest, node_room=nodes))
 
 
-def _with(scene: Scene, adaptivity: Adaptivity) -> Scene:
+def _replace_adaptivity(scene: Scene, adaptivity: Adaptivity) -> Scene:
     tables = dataclasses.replace(scene.tables, forest=adaptivity.forest)
     return dataclasses.replace(scene, tables=tables, refinement=adaptivity.limits)
 
 
-def with_more_room(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
+def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
     """A scene with twice the room for elements, and a state that found too little as it was before it did."""
-    more, mesh = _with_room(adaptivity, sizes.grown(2 * adaptivity.limits.elements) // BLOCK), state.refined_mesh
+    more, mesh = (
+        _enlarge(adaptivity, capacities.refined_capacity(2 * adaptivity.limits.elements) // BLOCK),
+        state.refined_mesh,
+    )
     elements, nodes = more.limits.elements, more.forest.node_room
-    beyond = _padded(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
+    beyond = _pad(mesh.corner, nodes).at[:, mesh.node.size :].set(-1)
     grown = dataclasses.replace(
         mesh,
-        element=_padded(mesh.element, elements),
-        node=_padded(mesh.node, nodes),
+        element=_pad(mesh.element, elements),
+        node=_pad(mesh.node, nodes),
         corner=beyond,
-        corner_count=_padded(mesh.corner_count, nodes),
-        row=_padded(mesh.row, elements),
+        corner_count=_pad(mesh.corner_count, nodes),
+        row=_pad(mesh.row, elements),
     )
     status = state.status & ~int(Status.REFINEMENT_OVERFLOW)
-    memory, heat = jax.tree.map(lambda own: _padded(own, elements), (state.memory, state.heat))
-    nodes = state.nodes.with_room(nodes)
+    memory, heat = jax.tree.map(lambda own: _pad(own, elements), (state.memory, state.heat))
+    nodes = state.nodes.pad(nodes)
     state = dataclasses.replace(state, nodes=nodes, mesh=grown, memory=memory, heat=heat, status=status)
-    return _with(scene, more), state
+    return _replace_adaptivity(scene, more), state
 
 
-def _padded(values: jax.Array, count: int) -> jax.Array:
+def _pad(values: jax.Array, count: int) -> jax.Array:
     return jnp.concatenate([values, jnp.zeros((*values.shape[:-1], count - values.shape[-1]), values.dtype)], axis=-1)
 
 
-def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
+def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
     """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
     state, discrete, adaptivity, scene = jax.lax.stop_gradient((state, discrete, adaptivity, scene))
-    (limits, forest), mesh, frame = adaptivity, state.refined_mesh, frame_of(state, scene)
+    (limits, forest), mesh, frame = adaptivity, state.refined_mesh, present_frame(state, scene)
     positions = state.nodes.positions if frame is None else frame.places(state.nodes.positions)
     shapes = _shapes(positions, discrete, adaptivity, scene.tables.grid)
     sheet, fine = discrete.sheet, 0.5 * discrete.sheet.area < limits.min_area
-    room = padded(mesh.element.size)
+    room = padded_length(mesh.element.size)
     blocks = mesh.element_count // BLOCK + 1
 
     def work(element: jax.Array, neighbor: jax.Array, own: jax.Array, fine: jax.Array, area: jax.Array) -> Any:
-        level = levels(element, forest)
-        wanted = _bent(own, neighbor, shapes, limits.angle) & (level < limits.max_level)
+        level = element_levels(element, forest)
+        wanted = _is_bent(own, neighbor, shapes, limits.angle) & (level < limits.max_level)
         if limits.jump is not None:
-            wanted |= _uneven(own, neighbor, shapes, limits.jump) & (level < limits.max_level)
+            wanted |= _is_uneven(own, neighbor, shapes, limits.jump) & (level < limits.max_level)
         if forest.bend is not None:
             # A bent part of the mold is nearer than so many longest sides.
             wanted |= (own[4] > 0.0) & (level < limits.base_level)
@@ -218,7 +234,7 @@ def _marked(state: State, discrete: Discretization, adaptivity: Adaptivity, scen
 def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
     """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
     elements, bend = discrete.whole.elements, adaptivity.forest.bend
-    rows = membrane.rows_of(positions)
+    rows = membrane.unstack_rows(positions)
     thickness = discrete.thickness[discrete.whole.element]
 
     def work(triangles: jax.Array, area: jax.Array, thickness: jax.Array) -> Any:
@@ -237,7 +253,7 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
     return found
 
 
-def _bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
+def _is_bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
     """Whether a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
     normal = own[0], own[1], own[2]
     beside = []
@@ -253,7 +269,7 @@ def _bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Arr
     return bent
 
 
-def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
+def _is_uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
     """Whether an element (n,) is that much thicker or thinner than a neighbour."""
     uneven = jnp.zeros(own.shape[1], bool)
     for side in neighbor:
@@ -263,7 +279,7 @@ def _uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Ar
     return uneven
 
 
-def _grown(
+def _bisect_queue(
     state: State,
     scene: Scene,
     adaptivity: Adaptivity,
@@ -280,24 +296,26 @@ def _grown(
     full = jnp.where(fits, 0, Status.REFINEMENT_OVERFLOW).astype(state.status.dtype)
     state = dataclasses.replace(state, status=state.status | full)
 
-    def grow(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
+    def bisect(now: tuple[State, Discretization]) -> tuple[State, Discretization]:
         state, body = now
-        return _with_parts(state, scene, adaptivity, body, split_at, queue, active)
+        return _bisect_state(state, scene, adaptivity, body, split_at, queue, active)
 
-    return only_if(decided(fits & (queue.count > 0)), grow, (state, discrete), differentiable=active is None)
+    return lax_cond_once(
+        save_decision(fits & (queue.count > 0)), bisect, (state, discrete), differentiable=active is None
+    )
 
 
-def _with_inheritance(new: State, state: State, mesh: Mesh, forest: Forest) -> State:
+def _inherit_state(new: State, state: State, mesh: RefinedMesh, forest: BisectionHierarchy) -> State:
     """The state on a new mesh, with what its elements have from those of the old one."""
     if state.memory is None and state.heat is None:
         return new
-    ancestors = ancestry(state.refined_mesh, mesh, forest)
-    memory = None if state.memory is None else inherited(state.memory, ancestors)
-    heat = None if state.heat is None else state.heat.taken(ancestors.element)
+    ancestors = find_ancestry(state.refined_mesh, mesh, forest)
+    memory = None if state.memory is None else inherit_stress(state.memory, ancestors)
+    heat = None if state.heat is None else state.heat.select(ancestors.element)
     return dataclasses.replace(new, memory=memory, heat=heat)
 
 
-def _with_parts(
+def _bisect_state(
     state: State,
     scene: Scene,
     adaptivity: Adaptivity,
@@ -307,14 +325,14 @@ def _with_parts(
     active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
     """The state with the queue's triangles bisected."""
-    differentiable, forest, wood = active is None, adaptivity.forest, discrete.wood
-    before, state = state, caught_up(state, scene, discrete, active)
-    mesh = dataclasses.replace(bisected(state.refined_mesh, queue, forest), split_at=split_at)
+    differentiable, forest, wood = active is None, adaptivity.forest, discrete.forest_properties
+    before, state = state, synchronize_velocity(state, scene, discrete, active)
+    mesh = dataclasses.replace(bisect_mesh(state.refined_mesh, queue, forest), split_at=split_at)
     body = refined_discretization(scene, forest, mesh, wood)
     new = insert_nodes(state, mesh, scene, adaptivity, wood.volumes, differentiable=differentiable)
-    new = _with_inheritance(new, state, mesh, forest)
+    new = _inherit_state(new, state, mesh, forest)
     # What concerns the account alone carries no derivative.
-    held, new_held = (held_by(s, scene, b) for s, b in ((state, discrete), (new, body)))
+    held, new_held = (totals_of(s, scene, b) for s, b in ((state, discrete), (new, body)))
     kinetic, new_kinetic = (
         jax.lax.stop_gradient(kinetic_energy(s, b.mass)) for s, b in ((state, discrete), (new, body))
     )
@@ -330,5 +348,5 @@ def _with_parts(
         ),
     )
     # A new node that the mold flattens an element with would end the run: the mesh stays as it is.
-    sound = decided(jnp.isfinite(loss))
-    return only_if(~sound, lambda _: (before, discrete), (made, body), differentiable=differentiable)
+    sound = save_decision(jnp.isfinite(loss))
+    return lax_cond_once(~sound, lambda _: (before, discrete), (made, body), differentiable=differentiable)

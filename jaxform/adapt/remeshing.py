@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import pytree
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 from jaxform.mesh import bisection
 from jaxform.model.scene import Adaptivity, Scene
-from jaxform.model.tables import Forest
-from jaxform.sheet.discretization import NEVER, Mesh, first_mesh, sides_of
+from jaxform.model.tables import BisectionHierarchy
+from jaxform.sheet.discretization import NEVER, RefinedMesh, first_mesh, half_edge_elements
 
 
 @pytree
@@ -35,12 +35,12 @@ class Queue:
     node_count: jax.Array
 
 
-def no_queue(room: int) -> Queue:
+def empty_queue(room: int) -> Queue:
     """Nothing to be bisected."""
     return Queue(jnp.full(room, NEVER, jnp.int32), jnp.int32(0), jnp.int32(0))
 
 
-def queued(found: jax.Array, count: jax.Array, forest: Forest | bisection.Forest) -> Queue:
+def make_queue(found: jax.Array, count: jax.Array, forest: BisectionHierarchy | bisection.TriangleForest) -> Queue:
     """A queue of triangles (room,) of which `count` are meant, in any order; closed already."""
     there = jnp.arange(found.size) < count
     triangle = jnp.sort(jnp.where(there, found, NEVER))
@@ -49,8 +49,12 @@ def queued(found: jax.Array, count: jax.Array, forest: Forest | bisection.Forest
     return Queue(triangle, count, jnp.sum(there & (own <= jnp.asarray(forest.partner)[own]), dtype=jnp.int32))
 
 
-def closed(
-    split_at: jax.Array, wanted: jax.Array, count: jax.Array, forest: Forest | bisection.Forest, window: jax.Array
+def close_queue(
+    split_at: jax.Array,
+    wanted: jax.Array,
+    count: jax.Array,
+    forest: BisectionHierarchy | bisection.TriangleForest,
+    window: jax.Array,
 ) -> tuple[jax.Array, Queue]:
     """What is bisected (n_triangle,) when those wanted are, so that no node hangs on a side; and those that are new.
 
@@ -70,21 +74,21 @@ def closed(
     def push(growing: _Growing, triangle: jax.Array, meant: jax.Array | bool) -> _Growing:
         split_at, queue, count = growing
         number = jnp.clip(triangle, 0, last)
-        before = _at(split_at, number)
+        before = _read_entry(split_at, number)
         new = meant & (before == NEVER)
-        split_at = _with(split_at, jnp.where(new, window, before), number)
+        split_at = _write_entry(split_at, jnp.where(new, window, before), number)
         # The last entry is for whatever is not meant.
-        queue = _with(queue, number, jnp.where(new, jnp.minimum(count, room), room))
+        queue = _write_entry(queue, number, jnp.where(new, jnp.minimum(count, room), room))
         return split_at, queue, count + new.astype(jnp.int32)
 
     def ask(i: jax.Array, carry: _Growing) -> _Growing:
-        triangle = _at(wanted, i)
+        triangle = _read_entry(wanted, i)
         return push(carry, triangle, triangle <= last)
 
     def follow(carry: tuple[jax.Array, _Growing]) -> tuple[jax.Array, _Growing]:
         i, growing = carry
-        triangle = _at(growing[1], jnp.minimum(i, room))
-        growing = push(growing, _at(partner, triangle), True)
+        triangle = _read_entry(growing[1], jnp.minimum(i, room))
+        growing = push(growing, _read_entry(partner, triangle), True)
         return i + 1, push(growing, (triangle - forest.root_count) // 2, triangle >= forest.root_count)
 
     start = split_at, jnp.zeros(room + 1, jnp.int32), jnp.int32(0)
@@ -92,92 +96,95 @@ def closed(
     _, (split_at, queue, found) = jax.lax.while_loop(
         lambda carry: carry[0] < carry[1][2], follow, (jnp.int32(0), growing)
     )
-    return split_at, queued(queue[:room], found, forest)
+    return split_at, make_queue(queue[:room], found, forest)
 
 
 _Growing = tuple[jax.Array, jax.Array, jax.Array]  # split_at, the queue with a spare entry, its count
 
 
-def bisected(mesh: Mesh, queue: Queue, forest: Forest) -> Mesh:
+def bisect_mesh(mesh: RefinedMesh, queue: Queue, forest: BisectionHierarchy) -> RefinedMesh:
     """The mesh with the queue's triangles bisected, for which there must be room; `split_at` is left to the caller."""
 
-    def bisect(i: jax.Array, mesh: Mesh) -> Mesh:
-        triangle = _at(queue.triangle, i)
-        mesh, middle = _with_middle(mesh, _at(forest.middle, triangle))
-        mesh, element = _with_parts(mesh, triangle, forest)
-        places = [_at(mesh.place, _at(forest.sheet.triangles, k, triangle)) for k in range(3)]
-        return _with_corners(mesh, places, middle, element)
+    def bisect(i: jax.Array, mesh: RefinedMesh) -> RefinedMesh:
+        triangle = _read_entry(queue.triangle, i)
+        mesh, middle = _add_middle_node(mesh, _read_entry(forest.middle, triangle))
+        mesh, element = _split_element(mesh, triangle, forest)
+        places = [_read_entry(mesh.place, _read_entry(forest.sheet.triangles, k, triangle)) for k in range(3)]
+        return _add_corners(mesh, places, middle, element)
 
     return jax.lax.fori_loop(0, queue.count, bisect, mesh)
 
 
-def with_sides(mesh: Mesh, forest: Forest) -> Mesh:
+def add_sides(mesh: RefinedMesh, forest: BisectionHierarchy) -> RefinedMesh:
     """The mesh with `side`, from the elements that there are."""
-    return dataclasses.replace(mesh, side=sides_of(mesh.element, mesh.element_count, forest))
+    return dataclasses.replace(mesh, side=half_edge_elements(mesh.element, mesh.element_count, forest))
 
 
-def started_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
+def initial_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
     """The mesh when a run begins: that of the scene, fine at once where its tables say so."""
     mesh, forest = first_mesh(scene, adaptivity), adaptivity.forest
     if forest.fine_at_once is None:
         return mesh
     found = forest.fine_at_once
-    queue = queued(found, jnp.sum(found < NEVER, dtype=jnp.int32), forest)
+    queue = make_queue(found, jnp.sum(found < NEVER, dtype=jnp.int32), forest)
     split_at = mesh.split_at.at[found].set(0, mode="drop")
-    return dataclasses.replace(bisected(mesh, queue, forest), split_at=split_at)
+    return dataclasses.replace(bisect_mesh(mesh, queue, forest), split_at=split_at)
 
 
 # One entry is read and written as a slice, which XLA does in place; `.at` would make it a scatter. What is read before
 # a list is written to goes through a barrier together, or XLA would copy the list.
 
 
-def _at(values: jax.Array, *index: jax.Array | int) -> jax.Array:
+def _read_entry(values: jax.Array, *index: jax.Array | int) -> jax.Array:
     place = [jnp.asarray(i, jnp.int32) for i in index]
-    return once(jax.lax.dynamic_slice(values, place, (1,) * values.ndim)).reshape(())
+    return materialize(jax.lax.dynamic_slice(values, place, (1,) * values.ndim)).reshape(())
 
 
-def _with(values: jax.Array, new: jax.Array | int, *index: jax.Array | int) -> jax.Array:
+def _write_entry(values: jax.Array, new: jax.Array | int, *index: jax.Array | int) -> jax.Array:
     one = jnp.asarray(new, values.dtype).reshape((1,) * values.ndim)
     return jax.lax.dynamic_update_slice(values, one, [jnp.asarray(i, jnp.int32) for i in index])
 
 
-def _with_middle(mesh: Mesh, node: jax.Array) -> tuple[Mesh, jax.Array]:
+def _add_middle_node(mesh: RefinedMesh, node: jax.Array) -> tuple[RefinedMesh, jax.Array]:
     """The mesh with a node, and its place; it may have it already."""
-    before = _at(mesh.place, node)
+    before = _read_entry(mesh.place, node)
     place = jnp.where(before == 0, mesh.node_count, before)
     return dataclasses.replace(
         mesh,
-        place=_with(mesh.place, place, node),
-        node=_with(mesh.node, node, place),
+        place=_write_entry(mesh.place, place, node),
+        node=_write_entry(mesh.node, node, place),
         node_count=mesh.node_count + (before == 0).astype(jnp.int32),
     ), place
 
 
-def _with_parts(mesh: Mesh, triangle: jax.Array, forest: Forest) -> tuple[Mesh, jax.Array]:
+def _split_element(mesh: RefinedMesh, triangle: jax.Array, forest: BisectionHierarchy) -> tuple[RefinedMesh, jax.Array]:
     """The mesh with two triangles for one, and which element that was; the second part comes last in the list."""
     half_edges, first = forest.half_edges, 2 * triangle + forest.root_count
-    last, cut = mesh.element_count, _at(half_edges, 1, triangle)
-    element, cut = once((_at(mesh.sides, _at(half_edges, 0, triangle)), cut))
-    side = _with(mesh.sides, -1, cut)
+    last, cut = mesh.element_count, _read_entry(half_edges, 1, triangle)
+    element, cut = materialize((_read_entry(mesh.sides, _read_entry(half_edges, 0, triangle)), cut))
+    side = _write_entry(mesh.sides, -1, cut)
     for part, number in ((first, element), (first + 1, last)):
         for k in range(3):
-            side = _with(side, number, _at(half_edges, k, part))
-    elements = _with(_with(mesh.element, first, element), first + 1, last)
+            side = _write_entry(side, number, _read_entry(half_edges, k, part))
+    elements = _write_entry(_write_entry(mesh.element, first, element), first + 1, last)
     return dataclasses.replace(mesh, element=elements, element_count=last + 1, side=side), element
 
 
-def _with_corners(mesh: Mesh, places: list[jax.Array], middle: jax.Array, element: jax.Array) -> Mesh:
+def _add_corners(mesh: RefinedMesh, places: list[jax.Array], middle: jax.Array, element: jax.Array) -> RefinedMesh:
     """The mesh with the corners of both parts, (middle, peak, a) and (middle, b, peak), at their nodes."""
     peak, a, b = places
     last, corner, row = mesh.element_count - 1, mesh.corner, mesh.row
-    rows, counts = [_at(row, k, element) for k in range(3)], [_at(mesh.corner_count, node) for node in (middle, peak)]
-    (peak_row, a_row, b_row), (middle_row, second_row) = once((rows, counts))
-    count = _with(_with(mesh.corner_count, middle_row + 2, middle), second_row + 1, peak)
+    rows, counts = (
+        [_read_entry(row, k, element) for k in range(3)],
+        [_read_entry(mesh.corner_count, node) for node in (middle, peak)],
+    )
+    (peak_row, a_row, b_row), (middle_row, second_row) = materialize((rows, counts))
+    count = _write_entry(_write_entry(mesh.corner_count, middle_row + 2, middle), second_row + 1, peak)
     for number, corners in (
         (element, ((middle, middle_row), (peak, peak_row), (a, a_row))),
         (last, ((middle, middle_row + 1), (b, b_row), (peak, second_row))),
     ):
         for k, (node, own) in enumerate(corners):
-            corner = _with(corner, 4 * number + k, own, node)
-            row = _with(row, own, k, number)
+            corner = _write_entry(corner, 4 * number + k, own, node)
+            row = _write_entry(row, own, k, number)
     return dataclasses.replace(mesh, corner=corner, corner_count=count, row=row)

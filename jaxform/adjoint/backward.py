@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import Part, once, over_blocks
+from jaxform.kernels.blocks import ArraySlice, materialize, over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics.corners import Load, corner_forces
-from jaxform.mechanics.elements import Corners, assembled, shares
+from jaxform.mechanics.elements import Corners, gather_shares, gather_table
 from jaxform.mechanics.membrane import Vector, dot, vector
 from jaxform.model.scene import Scene
 from jaxform.sheet.packing import Packed
 
 
-class Window(NamedTuple):
+class ReverseWindow(NamedTuple):
     """What stays the same within a window, in packed order; as in `step`, and when nodes landed (place,).
 
     The law has its zones for each element. Beyond the steps that were taken, pressure and kick are 0.
@@ -29,15 +29,15 @@ class Window(NamedTuple):
     material: Law
     mass: jax.Array
     compliance: jax.Array
-    landed: jax.Array
+    landing_step: jax.Array
     pressure: jax.Array
     kick: jax.Array
     length: jax.Array
     count: jax.Array
 
 
-class End(NamedTuple):
-    """Where the way back begins, in packed order: as in `_Kept`, and the velocities of each step where they are kept.
+class ReverseStart(NamedTuple):
+    """The start of the reverse steps, in packed order: as in `_WindowResiduals`, with each step's velocities if kept.
 
     Attributes:
         before: Of nodes that landed, before that step (3, place) [m].
@@ -51,12 +51,12 @@ class End(NamedTuple):
     speeds: jax.Array | None = None
     keeps: jax.Array | bool = False
 
-    def speeds_of(self, number: jax.Array) -> Part | None:
+    def velocities_before(self, number: jax.Array) -> ArraySlice | None:
         """Velocities before a step; where none are kept, it is the same part for all of them, which costs least."""
         if self.speeds is None:
             return None
         places = self.before.shape[1]
-        return Part(self.speeds, jnp.where(self.keeps, number, 0) * places, places)
+        return ArraySlice(self.speeds, jnp.where(self.keeps, number, 0) * places, places)
 
 
 class BackwardNodes(NamedTuple):
@@ -84,7 +84,7 @@ class BackwardNodes(NamedTuple):
     vertices: jax.Array | None
 
 
-class Turn(NamedTuple):
+class AdjointStep(NamedTuple):
     """Between two steps: the number of the earlier one and its length, and the kicks of both [s].
 
     Before the first step there is one of no length.
@@ -96,18 +96,18 @@ class Turn(NamedTuple):
     later_kick: jax.Array
 
 
-def _half(kick: jax.Array, damping: jax.Array | None) -> jax.Array | float:
+def _half_damping(kick: jax.Array, damping: jax.Array | None) -> jax.Array | float:
     return 0.0 if damping is None else 0.5 * kick * damping
 
 
-def _speeds_before(
+def _velocities_before(
     nodal: Sequence[jax.Array],
     after: Any,
     speeds: Any,
     node: tuple[jax.Array, Any],
     kick: jax.Array,
-    now: Window,
-    end: End,
+    now: ReverseWindow,
+    end: ReverseStart,
 ) -> Vector:
     """Velocities before a step, (n,) each, from its force and those `after` it; or as they were kept, `speeds`.
 
@@ -121,33 +121,33 @@ def _speeds_before(
         end: Its end.
     """
     flies, compliance = node
-    half = _half(kick, now.scene.solver.damping)
+    half = _half_damping(kick, now.scene.solver.damping)
     rest = 1.0 / (1.0 - half)
 
-    def taken_back(v: jax.Array, f: jax.Array, c: jax.Array) -> jax.Array:
+    def invert_update(v: jax.Array, f: jax.Array, c: jax.Array) -> jax.Array:
         before = ((1.0 + half) * v - kick * (f * c)) * rest
         return jnp.where(flies, before, v)
 
-    found = [taken_back(*each) for each in zip(after, nodal, compliance, strict=True)]
+    found = [invert_update(*each) for each in zip(after, nodal, compliance, strict=True)]
     if speeds is not None:
         found = [jnp.where(end.keeps, old, v) for old, v in zip(speeds, found, strict=True)]
     return vector(found)
 
 
-def force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: Window) -> list[jax.Array]:
+def force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: ReverseWindow) -> list[jax.Array]:
     """Of the force in a step, from those of the velocities after it."""
-    factor = kick / (1.0 + _half(kick, now.scene.solver.damping))
+    factor = kick / (1.0 + _half_damping(kick, now.scene.solver.damping))
     return [factor * c * g for g, c in zip(velocities, compliance, strict=True)]
 
 
-def with_loss(
+def add_loss_cotangents(
     nodes: BackwardNodes,
     corners: Corners,
     load: Load,
-    turn: Turn,
+    turn: AdjointStep,
     damping: jax.Array,
-    now: Window,
-    end: End,
+    now: ReverseWindow,
+    end: ReverseStart,
     loss: jax.Array,
 ) -> tuple[BackwardNodes, Corners]:
     """Adds to the cotangents of a step's velocities and force what its damping loss has of them.
@@ -160,38 +160,38 @@ def with_loss(
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, after: Any, kept: Any) -> Any:
         flies = landed > turn.number
-        nodal = assembled(forces, own)
-        before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
+        nodal = gather_shares(forces, own)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
         share = jnp.where(flies, 0.5 * loss * kick * mass * damping, 0.0)
         more = [share * (v + w) for v, w in zip(before, after, strict=True)]
         more = [more, force_cotangent(more, compliance, kick, now)]
         return [[x + own for x, own in zip(*pair, strict=True)] for pair in zip(old, more, strict=True)], []
 
-    kept = end.speeds_of(turn.number + 1)
-    inputs = shares(elements), now.landed, now.mass, now.compliance, nodes.speeds, kept
+    kept = end.velocities_before(turn.number + 1)
+    inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, nodes.speeds, kept
     into = [nodes.velocities, nodes.force]
     new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=2)
     return nodes._replace(velocities=new[0], force=new[1]), [*corners[:3], *forces]
 
 
-def over_nodes(
-    nodes: BackwardNodes, corners: Corners, turn: Turn, now: Window, end: End, loss: jax.Array
+def step_nodes_back(
+    nodes: BackwardNodes, corners: Corners, turn: AdjointStep, now: ReverseWindow, end: ReverseStart, loss: jax.Array
 ) -> BackwardNodes:
     """From what the elements pulled back and their forces, goes from one step to the one before.
 
     Nodes that landed in the earlier one are left for `_landings`.
     """
     elements, damping = now.packed.elements, now.scene.solver.damping
-    kick, half = turn.later_kick, _half(turn.later_kick, damping)
+    kick, half = turn.later_kick, _half_damping(turn.later_kick, damping)
 
     def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, kept: Any) -> Any:
         at, after, position, velocity, (power,), *more = old
         flies = landed > turn.number
-        both = assembled(corners, own)
+        both = gather_shares(corners, own)
         pulled, nodal = both[:3], both[3:]
-        before = _speeds_before(nodal, after, kept, (flies, compliance), kick, now, end)
+        before = _velocities_before(nodal, after, kept, (flies, compliance), kick, now, end)
         position = [x + own for x, own in zip(position, pulled, strict=True)]
-        before, position = once((before, position))
+        before, position = materialize((before, position))
         ratio = (1.0 - half) / (1.0 + half)
         gains = vector(jnp.where(flies, v - ratio * w, 0.0) for v, w in zip(after, before, strict=True))
         power, sums = [power + dot(vector(velocity), gains)], []
@@ -202,13 +202,13 @@ def over_nodes(
             sums = [rate * mass - 0.5 * kick / (1.0 + half) * dot(vector(velocity), twice)]
             velocity = [ratio * g + share * both for g, both in zip(velocity, twice, strict=True)]
         velocity = [g + turn.length * x for g, x in zip(velocity, position, strict=True)]
-        velocity = once(velocity)
+        velocity = materialize(velocity)
         force = [jnp.where(flies, f, 0.0) for f in force_cotangent(velocity, compliance, turn.kick, now)]
         at = [x - jnp.where(flies, turn.length * v, 0.0) for x, v in zip(at, before, strict=True)]
         return [at, before, position, velocity, power, *more, force], sums
 
-    kept = end.speeds_of(turn.number + 1)
-    inputs = shares(elements), now.landed, now.mass, now.compliance, kept
+    kept = end.velocities_before(turn.number + 1)
+    inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, kept
     updated = [nodes.at, nodes.speeds, nodes.positions, nodes.velocities, nodes.compliance[None]]
     updated += [nodes.mass[None]] if damping is not None else []
     count = int(damping is not None)

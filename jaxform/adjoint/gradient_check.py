@@ -81,9 +81,9 @@ def check_gradient(
         raise InputError("are not positive numbers", "give fractions such as (1e-3, 1e-5)", "steps", steps)
     if direction is None:
         direction = _random_direction(numbers, seed)
-    direction = jax.tree.map(_shaped, numbers, direction)
+    direction = jax.tree.map(_check_shape, numbers, direction)
     gradient = jax.grad(function)(numbers)
-    slope = sum(float(jnp.vdot(*pair)) for pair in _paired(gradient, direction))
+    slope = sum(float(jnp.vdot(*pair)) for pair in _pair_leaves(gradient, direction))
     differences = [
         (float(function(_move(numbers, direction, step))) - float(function(_move(numbers, direction, -step))))
         / (2 * step)
@@ -98,7 +98,7 @@ def _random_direction(numbers: Any, seed: int) -> Any:
     return jax.tree.map(lambda values: random.standard_normal(np.shape(values)) * np.asarray(values), numbers)
 
 
-def _shaped(numbers: Any, direction: Any) -> NDArray[np.float64]:
+def _check_shape(numbers: Any, direction: Any) -> NDArray[np.float64]:
     """A leaf of the direction as an array; InputError if its shape is not that of the numbers."""
     array = np.asarray(direction, float)
     if array.shape != np.shape(numbers):
@@ -107,7 +107,7 @@ def _shaped(numbers: Any, direction: Any) -> NDArray[np.float64]:
     return array
 
 
-def _paired(gradient: Any, direction: Any) -> list[tuple[jax.Array, jax.Array]]:
+def _pair_leaves(gradient: Any, direction: Any) -> list[tuple[jax.Array, jax.Array]]:
     """The leaves of a gradient with those of a direction."""
     leaves = zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
     return [(slope, jnp.asarray(way, slope.dtype)) for slope, way in leaves]

@@ -17,30 +17,37 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.adjoint.backward import BackwardNodes, End, Turn, Window, over_nodes, with_loss
-from jaxform.adjoint.landings import back_over_landings
-from jaxform.adjoint.moving_rims import at_rim, back_over_rim, ends_of
-from jaxform.core.parameters import ranges_of
+from jaxform.adjoint.backward import (
+    AdjointStep,
+    BackwardNodes,
+    ReverseStart,
+    ReverseWindow,
+    add_loss_cotangents,
+    step_nodes_back,
+)
+from jaxform.adjoint.contact_adjoint import pull_back_landings
+from jaxform.adjoint.moving_rims import add_rim_cotangents, pull_back_rim, rim_end_positions
+from jaxform.core.parameters import parameter_ranges
 from jaxform.core.pytree import pytree
 from jaxform.dynamics.timestep import LEAST_LEFT
 from jaxform.dynamics.window import window, window_and_impacts
-from jaxform.kernels.blocks import Part, only_if, over_blocks
-from jaxform.kernels.derivatives import Cotangents, Rule
+from jaxform.kernels.blocks import ArraySlice, lax_cond_once, over_blocks
+from jaxform.kernels.derivatives import Cotangents, DerivativeRule
 from jaxform.mechanics.corners import Load, corner_forces
-from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
+from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table
+from jaxform.mechanics.force_vjp import corner_cotangents, zero_sums, zone_cotangents
 from jaxform.mechanics.membrane import dot
-from jaxform.mechanics.pullback import corner_cotangents, no_sums, zone_cotangents
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.sheet.active_set import idle_volume, packed_moving
-from jaxform.sheet.discretization import NEVER, Discretization, Mesh, present_discretization
+from jaxform.sheet.active_set import inactive_volume, pack_moving
+from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh, present_discretization
 from jaxform.sheet.rim import rim_places
-from jaxform.sheet.scheme import Timing, kicked, kicks, pressures
-from jaxform.sheet.state import LOSSES, Schedule, State, carries
+from jaxform.sheet.scheme import WindowTiming, pressures, update_velocity, velocity_steps
+from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves
 
 
 @pytree
-class _Kept:
+class _WindowResiduals:
     """What the reverse derivative of a window needs.
 
     Of its begin stuck, time [s], step [s], volume and rim [m^3], and mesh, as in `State`; of its end the positions
@@ -59,10 +66,10 @@ class _Kept:
     before: jax.Array
     volume: jax.Array
     rim: jax.Array | None
-    mesh: Mesh | None
+    mesh: RefinedMesh | None
     end: jax.Array
     wall: jax.Array
-    landed: jax.Array
+    landing_step: jax.Array
     length: jax.Array
     count: jax.Array
     positions: jax.Array
@@ -76,20 +83,20 @@ def _value(
     discrete: Discretization,
     first: Discretization,
     schedule: Schedule | None,
-) -> tuple[State, _Kept]:
+) -> tuple[State, _WindowResiduals]:
     end, landed, impact = window_and_impacts(state, scene, discrete, schedule)
     positions, velocities, control = end.nodes.positions, end.nodes.velocities, end.control
     if impact is not None:
         positions, velocities = impact[:3], jnp.where(landed < NEVER, impact[3:], velocities)
     damping = scene.solver.damping
     if damping is not None:
-        timing = Timing(state.time, state.control.step_length, control.last_length)
-        back = _can_be_taken_back(damping, timing, control.last_count)
+        timing = WindowTiming(state.time, state.control.step_length, control.last_length)
+        back = _is_reversible(damping, timing, control.last_count)
         positions, velocities = (
             jnp.where(back, late, early)
             for late, early in ((positions, state.nodes.positions), (velocities, state.nodes.velocities))
         )
-    kept = _Kept(
+    kept = _WindowResiduals(
         scene=scene,
         first=first,
         stuck=state.nodes.stuck,
@@ -100,7 +107,7 @@ def _value(
         mesh=state.mesh,
         end=end.nodes.positions,
         wall=end.nodes.wall,
-        landed=landed,
+        landing_step=landed,
         length=control.last_length,
         count=control.last_count,
         positions=positions,
@@ -109,25 +116,27 @@ def _value(
     return end, kept
 
 
-def _can_be_taken_back(damping: jax.Array, timing: Timing, count: jax.Array) -> jax.Array:
+def _is_reversible(damping: jax.Array, timing: WindowTiming, count: jax.Array) -> jax.Array:
     """Whether the steps of a window leave enough of a velocity to find it again: a longer one is as long as they do."""
     half = 0.5 * damping * jnp.maximum(timing.before, timing.length)
     return (count > SHORT_WINDOW) | (1.0 - half > LEAST_LEFT ** (1.0 / SHORT_WINDOW) * (1.0 + half))
 
 
 @jax.checkpoint
-def _plain(state: State, scene: Scene, discrete: Discretization, _: Discretization, schedule: Schedule | None) -> State:
+def _plain_window(
+    state: State, scene: Scene, discrete: Discretization, _: Discretization, schedule: Schedule | None
+) -> State:
     return window(state, scene, discrete, schedule)
 
 
-def _end_of(kept: _Kept, now: Window) -> End:
+def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
     """Where steps cannot be taken back, they are worked out once more."""
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
-    begin, end = packed.taken(kept.positions), packed.taken(kept.end)
-    velocities = jnp.where(packed.exists, packed.taken(kept.velocities), 0.0)
+    begin, end = packed.pack(kept.positions), packed.pack(kept.end)
+    velocities = jnp.where(packed.exists, packed.pack(kept.velocities), 0.0)
     if damping is None:
-        return End(begin, velocities)
-    keeps = ~_can_be_taken_back(damping, Timing(kept.time, kept.before, kept.length), kept.count)
+        return ReverseStart(begin, velocities)
+    keeps = ~_is_reversible(damping, WindowTiming(kept.time, kept.before, kept.length), kept.count)
     places, count = now.mass.size, jnp.where(keeps, now.count, 0)
 
     def advance(carry: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -137,46 +146,46 @@ def _end_of(kept: _Kept, now: Window) -> End:
 
         def work(old: Any, own: Any, landed: Any, mass: Any, compliance: Any, end: Any) -> Any:
             positions, velocities, before = old
-            nodal = assembled(corners, own)
-            new, _ = kicked(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
+            nodal = gather_shares(corners, own)
+            new, _ = update_velocity(nodal, velocities, (landed < n, mass, compliance), now.kick[n], damping)
             new = [jnp.where(landed < n, old, v) for old, v in zip(velocities, new, strict=True)]
             before = [jnp.where(landed == n, x, at) for x, at in zip(positions, before, strict=True)]
             ways = zip(positions, new, end, strict=True)
             moved = [jnp.where(landed <= n, to, x + now.length * v) for x, v, to in ways]
             return [moved, new, before, new], []
 
-        inputs = shares(elements), now.landed, now.mass, now.compliance, end
-        into = [positions, velocities, before, Part(speeds, (n + 1) * places, places)]
+        inputs = gather_table(elements), now.landing_step, now.mass, now.compliance, end
+        into = [positions, velocities, before, ArraySlice(speeds, (n + 1) * places, places)]
         new, _ = over_blocks(work, elements.node_block_count, inputs, into, update=3)
         return n + 1, *new, corners
 
     speeds = jnp.zeros((3, (SHORT_WINDOW + 1) * places), begin.dtype).at[:, :places].set(velocities)
-    carry = jnp.int32(0), begin, velocities, begin, speeds, no_corners(begin, elements)
+    carry = jnp.int32(0), begin, velocities, begin, speeds, allocate_corner_forces(begin, elements)
     carry = jax.lax.while_loop(lambda carry: carry[0] < count, advance, carry)
-    return End(carry[3], carry[2], carry[4], keeps)
+    return ReverseStart(carry[3], carry[2], carry[4], keeps)
 
 
-def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
+def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
     """Of a window's begin and of all that it depends on, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
     discrete = present_discretization(scene, kept.mesh, kept.first)
-    packed = packed_moving(kept.stuck, kept.mesh, scene, discrete)
-    timing, longest = Timing(kept.time, kept.before, kept.length), scene.tables.window_room
+    packed = pack_moving(kept.stuck, kept.mesh, scene, discrete)
+    timing, longest = WindowTiming(kept.time, kept.before, kept.length), scene.tables.window_room
     (pressure, mean), pull_pressure = jax.vjp(lambda pressure: pressures(pressure, timing, longest), scene.pressure)
     number = jnp.arange(longest)
     taken = number < kept.count
-    held = packed.taken(kept.stuck) | ~packed.exists
+    held = packed.pack(kept.stuck) | ~packed.exists
     own = discrete.of_elements(packed.element)
-    now = Window(
+    now = ReverseWindow(
         scene=scene,
         packed=packed,
         thickness=own.thickness,
         material=scene.material.with_zones(own.zones),
-        mass=packed.taken(discrete.mass),
-        compliance=packed.taken(discrete.compliance),
-        landed=jnp.where(held, -1, packed.taken(kept.landed)),
+        mass=packed.pack(discrete.mass),
+        compliance=packed.pack(discrete.compliance),
+        landing_step=jnp.where(held, -1, packed.pack(kept.landing_step)),
         pressure=jnp.append(pressure, 0.0),
-        kick=jnp.append(jnp.where(taken, kicks(timing, longest), 0.0), 0.0),
+        kick=jnp.append(jnp.where(taken, velocity_steps(timing, longest), 0.0), 0.0),
         length=kept.length,
         count=kept.count,
     )
@@ -185,17 +194,17 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     work = end.account.external_work
     after = jnp.where(number == kept.count - 1, end.account.volume, -work * jnp.append(mean[1:], 0.0))
     volume = jnp.append(jnp.where(taken, work * mean + after, 0.0), 0.0)
-    idle, pull_idle = jax.vjp(lambda positions: idle_volume(positions, scene, discrete, packed), kept.end)
-    back = _steps_back(kept, now, cotangents, end, volume, mean)
+    idle, pull_idle = jax.vjp(lambda positions: inactive_volume(positions, scene, discrete, packed), kept.end)
+    back = _reverse_steps(kept, now, cotangents, end, volume, mean)
     nodes, gains = back.nodes, jnp.diff(back.volumes[:-1] + idle, prepend=kept.volume)
     if back.rim is not None and kept.rim is not None:
         gains += back.rim[:-1].at[0].set(kept.rim)
     gains = jnp.where(taken, work * gains, 0.0)
 
     put, of = cotangents.put, cotangents.of
-    put(begun.nodes.positions, packed.put_back(nodes.positions) + pull_idle(jnp.sum(volume))[0])
-    put(begun.nodes.velocities, packed.put_back(nodes.velocities))
-    put(begun.nodes.contact_time, packed.put_back(nodes.contact_time))
+    put(begun.nodes.positions, packed.unpack(nodes.positions) + pull_idle(jnp.sum(volume))[0])
+    put(begun.nodes.velocities, packed.unpack(nodes.velocities))
+    put(begun.nodes.contact_time, packed.unpack(nodes.contact_time))
     put(begun.account.volume, jnp.where(kept.count > 0, -work * mean[0], end.account.volume))
     if end.account.rim is not None:
         put(begun.account.rim, jnp.where(kept.count > 0, work * mean[0], end.account.rim))
@@ -207,24 +216,24 @@ def _pull(kept: _Kept, cotangents: Cotangents, end: State) -> None:
     put(of[1].solver.damping, None if scene.solver.damping is None else nodes.damping)
     if scene.mold is not None and nodes.vertices is not None:
         put(of[1].mold.vertices, nodes.vertices)
-    put(of[2].mass, packed.put_back(nodes.mass))
+    put(of[2].mass, packed.unpack(nodes.mass))
     # In proportion, since mass alone changes it: the mobility is given.
     square = dot(now.compliance, now.compliance)
     share = jnp.where(square > 0.0, nodes.compliance / jnp.where(square > 0.0, square, 1.0), 0.0)
-    put(of[2].compliance, packed.put_back(share[None] * now.compliance))
+    put(of[2].compliance, packed.unpack(share[None] * now.compliance))
     element = packed.element
     if cotangents.want(of[2].thickness):
-        put(of[2].thickness, _spread(back.summed[0][0] / now.thickness, element, discrete.thickness))
+        put(of[2].thickness, _scatter_sums(back.summed[0][0] / now.thickness, element, discrete.thickness))
     for name, values in back.zones.items():
-        put(of[2].zones[name], _spread(values, element, discrete.zones[name]))
+        put(of[2].zones[name], _scatter_sums(values, element, discrete.zones[name]))
 
 
-def _spread(values: jax.Array, element: jax.Array, like: jax.Array) -> jax.Array:
+def _scatter_sums(values: jax.Array, element: jax.Array, like: jax.Array) -> jax.Array:
     """Sums (..., n_element) of values (..., room) of elements with these numbers."""
     return jnp.zeros_like(like).at[..., element].add(values)
 
 
-class _Back(NamedTuple):
+class _ReverseState(NamedTuple):
     """On the way back: the next step, the nodes, and room for corner forces.
 
     With them the elements' sums; at every step, and after the last, the cotangents of the pressure, and the volume
@@ -243,7 +252,7 @@ class _Back(NamedTuple):
     rim: jax.Array | None
 
 
-def _rim_cotangents(kept: _Kept, end: State, mean: jax.Array) -> jax.Array | None:
+def _rim_cotangents(kept: _WindowResiduals, end: State, mean: jax.Array) -> jax.Array | None:
     """Of what moving rims sweep in the step before each (steps + 1,), and in the last one; None without such."""
     if end.account.rim is None:
         return None
@@ -253,17 +262,17 @@ def _rim_cotangents(kept: _Kept, end: State, mean: jax.Array) -> jax.Array | Non
     return found.at[0].set(0.0)
 
 
-def _steps_back(
-    kept: _Kept, now: Window, cotangents: Cotangents, end: State, volume: jax.Array, mean: jax.Array
-) -> _Back:
+def _reverse_steps(
+    kept: _WindowResiduals, now: ReverseWindow, cotangents: Cotangents, end: State, volume: jax.Array, mean: jax.Array
+) -> _ReverseState:
     """To the window's begin, with the cotangents of the volume at every step."""
     scene, packed, elements, of = now.scene, now.packed, now.packed.elements, cotangents.of
-    start, positions, real = _end_of(kept, now), packed.taken(kept.end), now.thickness.dtype
+    start, positions, real = _recompute_end(kept, now), packed.pack(kept.end), now.thickness.dtype
     loss = end.account
     rim, places = _rim_cotangents(kept, end, mean), rim_places(scene, kept.mesh, packed)
     thickens = cotangents.want(of[2].thickness)
     presses, zones = cotangents.want(of[1].pressure), now.material.zones
-    numbers = {name: getattr(scene.material, name) for name in ranges_of(scene.material)}
+    numbers = {name: getattr(scene.material, name) for name in parameter_ranges(scene.material)}
     single = [name for name in numbers if name not in zones]
     varies = any(cotangents.want(getattr(of[1].material, name)) for name in single)
     wanted = [True, thickens, presses]
@@ -272,24 +281,24 @@ def _steps_back(
     mold = scene.mold
     vertices = mold.vertices if mold is not None and cotangents.want(of[1].mold.vertices) else None
     at_every_step = jnp.zeros(scene.tables.window_room + 1, real)
-    landed = jnp.where(now.landed < 0, NEVER, now.landed)
+    landed = jnp.where(now.landing_step < 0, NEVER, now.landing_step)
     lands = jnp.zeros(at_every_step.size, bool).at[landed].set(True, mode="drop")
-    last = _Back(
+    last = _ReverseState(
         number=now.count,
         nodes=BackwardNodes(
             at=positions,
             speeds=start.velocities,
-            positions=jnp.where(packed.exists, packed.taken(end.nodes.positions), 0.0),
-            velocities=jnp.where(packed.exists, packed.taken(end.nodes.velocities), 0.0),
+            positions=jnp.where(packed.exists, packed.pack(end.nodes.positions), 0.0),
+            velocities=jnp.where(packed.exists, packed.pack(end.nodes.velocities), 0.0),
             force=jnp.zeros_like(positions),
             mass=jnp.zeros_like(now.mass),
             compliance=jnp.zeros_like(now.mass),
-            contact_time=jnp.where(packed.exists, packed.taken(end.nodes.contact_time), 0.0),
+            contact_time=jnp.where(packed.exists, packed.pack(end.nodes.contact_time), 0.0),
             damping=jnp.zeros((), real),
             vertices=None if vertices is None else jnp.zeros_like(vertices),
         ),
-        corners=no_corners(positions, elements) + no_corners(positions, elements),
-        summed=no_sums(first, wanted),
+        corners=allocate_corner_forces(positions, elements) + allocate_corner_forces(positions, elements),
+        summed=zero_sums(first, wanted),
         pressing=at_every_step,
         volumes=at_every_step,
         law={name: jnp.zeros_like(numbers[name]) for name in single},
@@ -297,18 +306,18 @@ def _steps_back(
         rim=None if rim is None else at_every_step,
     )
 
-    def back(carry: _Back) -> _Back:
+    def reverse_step(carry: _ReverseState) -> _ReverseState:
         n, nodes, corners = carry.number, carry.nodes, carry.corners
         first = n == 0
-        turn = Turn(
+        turn = AdjointStep(
             n - 1, jnp.where(first, 0.0, now.length), jnp.where(first, 0.0, now.kick[n - 1]), later_kick=now.kick[n]
         )
         load = Load(nodes.at, now.thickness, now.pressure[n], now.material)
         damping = scene.solver.damping
         if damping is not None:
-            nodes, corners = only_if(
+            nodes, corners = lax_cond_once(
                 loss.damping_loss != 0.0,
-                lambda both: with_loss(*both, load, turn, damping, now, start, loss.damping_loss),
+                lambda both: add_loss_cotangents(*both, load, turn, damping, now, start, loss.damping_loss),
                 (nodes, corners),
             )
         corners, summed, sums = corner_cotangents(
@@ -319,26 +328,28 @@ def _steps_back(
         law = carry.law
         if varies:
             law = {name: carry.law[name] + more for name, more in zip(single, sums, strict=True)}
-        after = None if places is None else ends_of(nodes, places)
-        nodes = over_nodes(nodes, corners, turn, now, start, loss.damping_loss)
+        after = None if places is None else rim_end_positions(nodes, places)
+        nodes = step_nodes_back(nodes, corners, turn, now, start, loss.damping_loss)
         early, swept = None, carry.rim
         if rim is not None and places is not None and after is not None and swept is not None:
-            nodes, early, own = back_over_rim(nodes, start.before, after, turn, places, now, rim[n])
+            nodes, early, own = pull_back_rim(nodes, start.before, after, turn, places, now, rim[n])
             swept = swept.at[n].set(own)
         if mold is not None:
-            back_over = functools.partial(back_over_landings, mold=mold, now=now, loss=loss.contact_loss)
-            nodes = only_if(
+            back_over = functools.partial(pull_back_landings, mold=mold, now=now, loss=loss.contact_loss)
+            nodes = lax_cond_once(
                 lands[n - 1],
-                lambda nodes: back_over(nodes, start.before, turn, (packed.taken(kept.wall), kept.time)),
+                lambda nodes: back_over(nodes, start.before, turn, (packed.pack(kept.wall), kept.time)),
                 nodes,
             )
         if early is not None and places is not None:
-            nodes = at_rim(nodes, early, places)
+            nodes = add_rim_cotangents(nodes, early, places)
         volumes = carry.volumes.at[n].set(enclosed)
-        return _Back(n - 1, nodes, corners, summed, pressing, volumes, law, {}, swept)
+        return _ReverseState(n - 1, nodes, corners, summed, pressing, volumes, law, {}, swept)
 
-    done = jax.lax.while_loop(lambda carry: carry.number >= 0, back, last)
+    done = jax.lax.while_loop(lambda carry: carry.number >= 0, reverse_step, last)
     return done._replace(zones=zone_cotangents(first, wanted, done.summed))
 
 
-differentiable_window = Rule(_value, _plain, _pull, lambda state, *_: state, carries, lasting=True)
+differentiable_window = DerivativeRule(
+    _value, _plain_window, _pull, lambda state, *_: state, differentiable_leaves, lasting=True
+)

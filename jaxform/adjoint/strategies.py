@@ -14,12 +14,12 @@ import jax
 from jaxform.adjoint.reversed_scheme import differentiable_window
 from jaxform.core.errors import InputError
 from jaxform.dynamics.window import window
-from jaxform.kernels.blocks import only_if
+from jaxform.kernels.blocks import lax_cond_once
 from jaxform.kernels.branches import branch
-from jaxform.kernels.keeping import taken_again
+from jaxform.kernels.checkpoint_policy import checkpoint
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
-from jaxform.sheet.state import Schedule, State, carries
+from jaxform.sheet.state import Schedule, State, differentiable_leaves
 
 Look = Callable[[State], tuple[State, Discretization]]
 
@@ -44,13 +44,13 @@ class Adjoint:
     def check(self, scene: Scene) -> None:
         """Raises InputError where a scene has a part that this cannot go back over."""
 
-    def border(self, look: Look) -> Look:
+    def apply_boundary(self, look: Look) -> Look:
         """What a window's border does, with what is kept of it."""
-        return taken_again(look)
+        return checkpoint(look)
 
-    def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
+    def cond_once(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
         """The state after work where that is asked for, else as it is."""
-        return only_if(asked, work, state, differentiable=True)
+        return lax_cond_once(asked, work, state, differentiable=True)
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
@@ -72,13 +72,13 @@ class Reversed(Adjoint):
             problem = f"cannot step this scene backwards: {', '.join(scene.irreversible_parts)}"
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
 
-    def only_if(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
+    def cond_once(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
         """The same, left out where several runs go side by side and none asks for it.
 
         Not for JAX's derivative of a window, which goes back over those results alone that have an influence: here it
         would go back over all.
         """
-        return branch(asked, work, state, carries)
+        return branch(asked, work, state, differentiable_leaves)
 
     def window(
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
@@ -98,14 +98,14 @@ class Checkpointed(Adjoint):
         self, state: State, scene: Scene, discrete: Discretization, first: Discretization, schedule: Schedule | None
     ) -> State:
         """The state after a window, of which the begin is kept."""
-        return taken_again(window)(state, scene, discrete, schedule)
+        return checkpoint(window)(state, scene, discrete, schedule)
 
 
 @dataclass(frozen=True)
 class Stored(Adjoint):
     """JAX's own derivative, with every step kept: for short runs, and to check the others with."""
 
-    def border(self, look: Look) -> Look:
+    def apply_boundary(self, look: Look) -> Look:
         """All of it is kept."""
         return look
 
@@ -116,7 +116,7 @@ class Stored(Adjoint):
         return window(state, scene, discrete, schedule)
 
 
-def adjoint_of(scene: Scene, chosen: Adjoint | None) -> Adjoint:
+def choose_adjoint(scene: Scene, chosen: Adjoint | None) -> Adjoint:
     """The strategy that was chosen, or the fastest that a scene allows.
 
     Raises:

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import exporting, fitting, session, starting
-from jaxform.core import disk, lastresort, release
-from jaxform.core.errors import InputError, heard
+from jaxform.cli import export_command, fit_command, new_command, session
+from jaxform.core import disk, release, system_errors
+from jaxform.core.errors import InputError, collect_warnings
 from jaxform.io import catalog
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = _parser().parse_args(argv)
         arguments.own_process = argv is None
-        with heard(session.warn) as arguments.warned:
+        with collect_warnings(session.warn) as arguments.warned:
             return arguments.command(arguments)
     except InputError as error:
         _complain(str(error))
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain("interrupted")
         return session.INTERRUPTED
     except (OSError, MemoryError, RuntimeError) as error:
-        words = lastresort.in_words(error)
+        words = system_errors.describe_system_error(error)
         if words is None:
             raise
         _complain(words)
@@ -115,16 +115,16 @@ def _parser() -> argparse.ArgumentParser:
     warm.set_defaults(command=_warm)
     words = "write the wall of a formed part for the next analysis, on its own mesh or on one of yours"
     exported = commands.add_parser("export", help=words, description=words)
-    exporting.add_arguments(exported)
-    exported.set_defaults(command=exporting.export)
+    export_command.add_arguments(exported)
+    exported.set_defaults(command=export_command.export)
     words = "find the numbers of a material from tables of tests"
     fit = commands.add_parser("fit", help=words, description=words)
-    fitting.add_arguments(fit)
-    fit.set_defaults(command=fitting.fit)
+    fit_command.add_arguments(fit)
+    fit.set_defaults(command=fit_command.fit)
     words = "write a folder with a first scene for a mold, which runs as it is"
     new = commands.add_parser("new", help=words, description=words)
-    starting.add_arguments(new)
-    new.set_defaults(command=starting.start)
+    new_command.add_arguments(new)
+    new.set_defaults(command=new_command.start)
     return parser
 
 
@@ -138,18 +138,18 @@ def _scenes(_: argparse.Namespace) -> int:
 
 def _check(arguments: argparse.Namespace) -> int:
     say, store = session.prepare(arguments)
-    from jaxform.cli import checking
+    from jaxform.cli import check_command
     from jaxform.io import files
 
     if catalog.kind_of(arguments.source) == "study":
-        document, scene, lines = checking.read_study(arguments.source, store)
+        document, scene, lines = check_command.read_study(arguments.source, store)
     else:
         document, lines = files.read_scene(arguments.source), []
         scene = files.build(document, store)
     files.read_reference(document)
     if arguments.out is not None:
         session.open_folder(arguments.out, arguments.force)
-    for line in [*lines, *checking.scene_lines(document, scene, store)]:
+    for line in [*lines, *check_command.scene_lines(document, scene, store)]:
         say(line)
     if arguments.out is not None:
         from jaxform.io import preview
@@ -160,15 +160,15 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
-    from jaxform.cli import simulating
+    from jaxform.cli import simulate_command
 
-    return simulating.simulate(arguments)
+    return simulate_command.simulate(arguments)
 
 
 def _optimize(arguments: argparse.Namespace) -> int:
-    from jaxform.cli import designing
+    from jaxform.cli import optimize_command
 
-    return designing.optimize_study(arguments)
+    return optimize_command.optimize_study(arguments)
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -183,7 +183,7 @@ def _report(arguments: argparse.Namespace) -> int:
 def _render(arguments: argparse.Namespace) -> int:
     from jaxform.io.rendering import render
 
-    path = arguments.folder / "part.png" if arguments.out is None else disk.located(arguments.out)
+    path = arguments.folder / "part.png" if arguments.out is None else disk.expand_path(arguments.out)
     render(arguments.folder, path)
     if not arguments.quiet:
         session.say(f"picture in {path}")
@@ -191,6 +191,6 @@ def _render(arguments: argparse.Namespace) -> int:
 
 
 def _warm(arguments: argparse.Namespace) -> int:
-    from jaxform.cli import warming
+    from jaxform.cli import precompile
 
-    return warming.warm(arguments)
+    return precompile.warm(arguments)

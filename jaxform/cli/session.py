@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxform.cli.aside import Begun, Here, aside
+from jaxform.cli.worker_process import DirectCaller, PendingCall, make_caller
 from jaxform.core import cachefolder, disk
+from jaxform.core.atomic_write import PREFIX
 from jaxform.core.errors import InputError
-from jaxform.core.writing import PREFIX
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -51,7 +51,7 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
         use_compile_cache(folder / cachefolder.COMPILED)
     store = Store(None if folder is None else folder / cachefolder.MADE)
     if subject:
-        store.foresee(subject)
+        store.preload(subject)
     gc.freeze()
     if arguments.own_process:
         gc.set_threshold(*_SELDOM)
@@ -61,14 +61,14 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
 
 def cache_folder() -> Path | None:
     """In the user's cache folder; None where that is not the user's alone, or cannot be written."""
-    return cachefolder.own_folder()
+    return cachefolder.user_cache_folder()
 
 
 def use_compile_cache(folder: Path) -> None:
     """Keeps compiled programs between runs, in a folder or where the environment says."""
     import warnings
 
-    from jaxform.core.compiling import keep_programs, keep_programs_in
+    from jaxform.core.compilation import keep_programs, keep_programs_in
 
     if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
         keep_programs()
@@ -94,7 +94,7 @@ def open_folder(folder: Path, force: bool) -> None:
     except InputError:
         raise
     except (OSError, ValueError) as error:
-        problem = f"cannot be written ({disk.reason(error)})"
+        problem = f"cannot be written ({disk.error_reason(error)})"
         raise InputError(problem, "choose another folder", "--out", str(folder)) from None
 
 
@@ -119,7 +119,7 @@ def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | 
 
 
 @contextlib.contextmanager
-def waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
+def report_waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
     """Says what is being waited for, where it takes longer than a moment."""
     from threading import Timer
 
@@ -134,7 +134,7 @@ def waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
+def run_in_background[T](work: Callable[[], T]) -> Iterator[Future[T]]:
     """Does something on another thread; much of a run, and of writing, is spent outside of Python."""
     from concurrent.futures import ThreadPoolExecutor
 
@@ -142,9 +142,9 @@ def meanwhile[T](work: Callable[[], T]) -> Iterator[Future[T]]:
         yield pool.submit(work)
 
 
-def drawing(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[Here]:
+def start_picture(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[DirectCaller]:
     """What has a picture drawn, meanwhile and elsewhere where the process is the command's own."""
-    return aside("jaxform.io.canvas", "warm_up", arguments.own_process)
+    return make_caller("jaxform.io.canvas", "warm_up", arguments.own_process)
 
 
 def picture(
@@ -152,20 +152,20 @@ def picture(
     scene: Scene,
     result: Result,
     reference: dict[str, Any] | None,
-    draw: Here | None = None,
-) -> Begun:
+    draw: DirectCaller | None = None,
+) -> PendingCall:
     """The picture of a part, which is being drawn where there is a process for it."""
     from jaxform.io import canvas, plots
 
     part = plots.part_picture(scene, result, reference)
-    return (draw or Here()).begin(canvas.draw_part, arguments.out / "thickness.png", part)
+    return (draw or DirectCaller()).start_call(canvas.draw_part, arguments.out / "thickness.png", part)
 
 
 def write_part(
     arguments: argparse.Namespace,
     scene: Scene,
     result: Result,
-    picture: Begun,
+    picture: PendingCall,
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
     then: Callable[[], object] = lambda: None,
     *,
@@ -180,11 +180,11 @@ def write_part(
     folder, told = arguments.out, list(arguments.warned)
 
     def write() -> tuple[dict[str, Any], Exception | None]:
-        with waiting(arguments, "measuring the part against the mold; its files are written"):
+        with report_waiting(arguments, "measuring the part against the mold; its files are written"):
             summary = output.write_result(scene, result, folder, told, amend, there=there)
         return summary, _failure(then) if picture.elsewhere else None
 
-    with meanwhile(write) as written, waiting(arguments, "drawing the part"):
+    with run_in_background(write) as written, report_waiting(arguments, "drawing the part"):
         picture.wait()
     summary, failure = written.result()
     if not picture.elsewhere:

@@ -22,7 +22,7 @@ LOOK_EVERY = 4  # steps
 _AHEAD = 2.0  # times as far as a node goes at its speed until the next look: where it may be before that
 
 
-class Seen(NamedTuple):
+class BroadPhaseCheck(NamedTuple):
     """What a look at the nodes finds.
 
     Whether any can touch a listed triangle, or leave its sphere, before the next look, so that every step watches till
@@ -33,39 +33,39 @@ class Seen(NamedTuple):
     missed: jax.Array
 
 
-class Due(NamedTuple):
+class DueBlocks(NamedTuple):
     """Blocks of listed pairs that are tested: their numbers (n_block,), and how many they are."""
 
     block: jax.Array
     count: jax.Array
 
 
-class Watched(NamedTuple):
+class ActivePairs(NamedTuple):
     """What is found in a step that watches: the pairs that are tested, and whether a node may soon leave its sphere."""
 
-    due: Due
+    due: DueBlocks
     leaving: jax.Array
 
 
-def unseen() -> Seen:
+def initial_check() -> BroadPhaseCheck:
     """Before the first look at the nodes: every step watches."""
-    return Seen(jnp.asarray(True), jnp.asarray(False))
+    return BroadPhaseCheck(jnp.asarray(True), jnp.asarray(False))
 
 
-def unwatched(candidates: Candidates) -> Watched:
+def no_active_pairs(candidates: Candidates) -> ActivePairs:
     """Of a step that does not watch: nothing."""
-    return Watched(every_block(candidates)._replace(count=jnp.int32(0)), jnp.asarray(False))
+    return ActivePairs(all_blocks(candidates)._replace(count=jnp.int32(0)), jnp.asarray(False))
 
 
-def look(
+def check_nodes(
     positions: Any,
     velocities: jax.Array,
     stuck: jax.Array,
     till_next: jax.Array,
     candidates: Candidates,
-    last: Seen,
+    last: BroadPhaseCheck,
     node_block_count: jax.Array,
-) -> Seen:
+) -> BroadPhaseCheck:
     """Looks at every node in use, and ahead.
 
     Args:
@@ -83,9 +83,9 @@ def look(
         there, beyond = (
             [x + ahead * till_next * v for x, v in zip(positions, velocities, strict=True)] for ahead in (1.0, _AHEAD)
         )
-        close = _gone(positions, start, near_square) | _gone(beyond, start, near_square)
-        close |= _gone(positions, center, unwatched_square) | _gone(there, center, alarm_square)
-        return [], [~stuck & close, ~stuck & _gone(positions, start, clear_square)]
+        close = _has_moved(positions, start, near_square) | _has_moved(beyond, start, near_square)
+        close |= _has_moved(positions, center, unwatched_square) | _has_moved(there, center, alarm_square)
+        return [], [~stuck & close, ~stuck & _has_moved(positions, start, clear_square)]
 
     spheres = (
         candidates.start,
@@ -97,34 +97,38 @@ def look(
     )
     inputs = stuck, positions, velocities, spheres
     _, (close, touching) = over_blocks(work, node_block_count, inputs, [], sums=2)
-    return Seen(close > 0, (touching > 0) & ~last.close)
+    return BroadPhaseCheck(close > 0, (touching > 0) & ~last.close)
 
 
-def spheres(candidates: Candidates) -> tuple[jax.Array, ...]:
-    """What `missed` needs of a list, node by node."""
+def list_spheres(candidates: Candidates) -> tuple[jax.Array, ...]:
+    """What `may_have_missed` needs of a list, node by node."""
     return candidates.start, candidates.clear_square, candidates.center, candidates.limit_square
 
 
-def missed(positions: Any, stuck: jax.Array, spheres: Any, last: Seen) -> jax.Array:
+def may_have_missed(positions: Any, stuck: jax.Array, spheres: Any, last: BroadPhaseCheck) -> jax.Array:
     """Which nodes (n,) may have missed the mold: out of their spheres, or so far that they may have touched unseen.
 
     Args:
         positions: (3, n) [m].
         stuck: Nodes (n,) that do not move any more.
-        spheres: What are `spheres` of the list at these nodes.
+        spheres: What are `list_spheres` of the list at these nodes.
         last: What the last look found.
     """
     start, clear_square, center, limit_square = spheres
-    return ~stuck & (~last.close & _gone(positions, start, clear_square) | _gone(positions, center, limit_square))
+    return ~stuck & (
+        ~last.close & _has_moved(positions, start, clear_square) | _has_moved(positions, center, limit_square)
+    )
 
 
-def every_block(candidates: Candidates) -> Due:
+def all_blocks(candidates: Candidates) -> DueBlocks:
     """All listed pairs."""
     blocks = candidates.lists.node.size // TEST_BLOCK
-    return Due(jnp.arange(blocks, dtype=jnp.int32), -(-candidates.count // TEST_BLOCK))
+    return DueBlocks(jnp.arange(blocks, dtype=jnp.int32), -(-candidates.count // TEST_BLOCK))
 
 
-def watch(positions: Any, stuck: jax.Array, candidates: Candidates, node_block_count: jax.Array) -> Watched:
+def find_active_pairs(
+    positions: Any, stuck: jax.Array, candidates: Candidates, node_block_count: jax.Array
+) -> ActivePairs:
     """Which free nodes have gone far enough from where the window began to touch, and whether one is about to leave.
 
     Args:
@@ -136,25 +140,25 @@ def watch(positions: Any, stuck: jax.Array, candidates: Candidates, node_block_c
 
     def work(stuck: Any, positions: Any, spheres: Any) -> Any:
         start, clear_square, center, alarm_square = spheres
-        touching = ~stuck & _gone(positions, start, clear_square)
-        return [[touching]], [touching, ~stuck & _gone(positions, center, alarm_square)]
+        touching = ~stuck & _has_moved(positions, start, clear_square)
+        return [[touching]], [touching, ~stuck & _has_moved(positions, center, alarm_square)]
 
-    def add(block: jax.Array, due: Due) -> Due:
+    def add(block: jax.Array, due: DueBlocks) -> DueBlocks:
         first = block * TEST_BLOCK
         node = cut(candidates.lists.node, first, TEST_BLOCK)
         used = first + jnp.arange(TEST_BLOCK) < candidates.count
         # What is not due is written over by the next one.
         blocks = put(due.block, block[None], due.count)
-        return Due(blocks, due.count + jnp.any(used & gather(touching[0], node)))
+        return DueBlocks(blocks, due.count + jnp.any(used & gather(touching[0], node)))
 
     inputs = stuck, positions, (candidates.start, candidates.clear_square, candidates.center, candidates.alarm_square)
     into = [jnp.zeros((1, stuck.size), bool)]
     (touching,), (count, leaving) = over_blocks(work, node_block_count, inputs, into, sums=2)
-    blocks, none = jnp.where(count > 0, every_block(candidates).count, 0), unwatched(candidates).due
-    return Watched(jax.lax.fori_loop(0, blocks, add, none), leaving > 0)
+    blocks, none = jnp.where(count > 0, all_blocks(candidates).count, 0), no_active_pairs(candidates).due
+    return ActivePairs(jax.lax.fori_loop(0, blocks, add, none), leaving > 0)
 
 
-def _gone(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:
+def _has_moved(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:
     """Which nodes (n,) are as far from a place (3, n) [m] as the root of these squares (n,) [m^2], or farther."""
     gap = minus(positions, place)
     return dot(gap, gap) >= square

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.cells import distance, distance_bound, rows_of_table, touch_distance
-from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, Candidates, Lists, no_lists
-from jaxform.contact.spheres import Ahead, Spheres, bounding_spheres, squares_of
-from jaxform.kernels.blocks import BLOCK, cut, listed, lowered, once, only_if, put
+from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, CandidateLists, Candidates, allocate_lists
+from jaxform.contact.spheres import BoundingSpheres, ListHorizon, bounding_spheres, candidate_squares
+from jaxform.kernels.blocks import BLOCK, compact_indices, cut, lax_cond_once, materialize, put, scatter_min
 from jaxform.mechanics.membrane import gather
 from jaxform.mechanics.nodes import highest_speed
 from jaxform.tools.search import SearchGrid
@@ -27,7 +27,7 @@ _WORTH = 8  # for so many steps of a node a list may look at one triangle
 _MOST_ATTEMPTS = 13  # to shorten the paths, then to shrink the spheres, until the pairs find room
 
 
-class _Pairs(NamedTuple):
+class _CandidatePairs(NamedTuple):
     """Pairs of node and triangle, each (room + block,), and how many; beyond the room they are only counted."""
 
     node: jax.Array
@@ -35,21 +35,23 @@ class _Pairs(NamedTuple):
     count: jax.Array
 
 
-def _with(found: _Pairs, node: jax.Array, triangle: jax.Array, more: jax.Array) -> _Pairs:
+def _append_block(found: _CandidatePairs, node: jax.Array, triangle: jax.Array, more: jax.Array) -> _CandidatePairs:
     """With a block of pairs (n,) after those found, of which the first `more` count; what finds no room is lost."""
-    return _Pairs(put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more)
+    return _CandidatePairs(
+        put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more
+    )
 
 
-class _Found(NamedTuple):
+class _SearchState(NamedTuple):
     """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance.
 
-    And the spheres, as `Lists` has them; and whether the pairs were not even looked for, since they are too many.
+    And the spheres, as `CandidateLists` has them; and whether the pairs were not searched, since they are too many.
     """
 
     attempts: jax.Array
-    dear: jax.Array
-    coarse: _Pairs
-    kept: _Pairs
+    too_expensive: jax.Array
+    coarse: _CandidatePairs
+    pairs: _CandidatePairs
     planes: jax.Array
     clear: jax.Array
     spheres: tuple[jax.Array, jax.Array, jax.Array]
@@ -63,7 +65,7 @@ def list_candidates(
     steps: jax.Array,
     grid: SearchGrid,
     skip_far: bool = True,
-    into: Lists | None = None,
+    into: CandidateLists | None = None,
     blocks: jax.Array | None = None,
 ) -> Candidates:
     """Lists the pairs of free nodes and triangles that may meet.
@@ -79,23 +81,23 @@ def list_candidates(
         into: What is written over, such as an old list's; a new one by default.
         blocks: How many blocks of nodes are in use; all by default.
     """
-    into = into or no_lists(free.size, positions.dtype)
+    into = into or allocate_lists(free.size, positions.dtype)
     blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
-    ahead = Ahead(length, steps, highest_speed(velocities, blocks))
-    found, full = _found((positions, velocities, free), ahead, grid, skip_far, into, blocks)
+    ahead = ListHorizon(length, steps, highest_speed(velocities, blocks))
+    found, full = _search_pairs((positions, velocities, free), ahead, grid, skip_far, into, blocks)
     arrays = found.spheres, found.clear
-    squares = squares_of((velocities, free), ahead, found.attempts - 1, arrays, into.squares, blocks)
+    squares = candidate_squares((velocities, free), ahead, found.attempts - 1, arrays, into.squares, blocks)
     return Candidates(
-        lists=Lists(
-            node=found.kept.node,
-            triangle=found.kept.triangle,
+        lists=CandidateLists(
+            node=found.pairs.node,
+            triangle=found.pairs.triangle,
             planes=found.planes,
             coarse=(found.coarse.node, found.coarse.triangle),
             spheres=found.spheres,
             clear=found.clear,
             squares=squares,
         ),
-        count=jnp.minimum(found.kept.count, _room(into)),
+        count=jnp.minimum(found.pairs.count, _capacity(into)),
         start=positions,
         center=found.spheres[0][:3],
         clear_square=squares[0],
@@ -107,58 +109,62 @@ def list_candidates(
     )
 
 
-def _room(into: Lists) -> int:
+def _capacity(into: CandidateLists) -> int:
     return into.node.size - TEST_BLOCK
 
 
-def _found(
+def _search_pairs(
     nodes: tuple[jax.Array, jax.Array, jax.Array],
-    ahead: Ahead,
+    ahead: ListHorizon,
     grid: SearchGrid,
     skip_far: bool,
-    into: Lists,
+    into: CandidateLists,
     blocks: jax.Array,
-) -> tuple[_Found, jax.Array]:
+) -> tuple[_SearchState, jax.Array]:
     """What the last attempt finds for nodes (positions, velocities, free), and whether pairs found no room in it."""
     most = into.coarse[0].size - LANES * DEPTH
 
-    def full(found: _Found) -> jax.Array:
-        return (found.coarse.count > most) | (found.kept.count > _room(into))
+    def is_full(found: _SearchState) -> jax.Array:
+        return (found.coarse.count > most) | (found.pairs.count > _capacity(into))
 
     # Where there are too many pairs the list is made for fewer steps, then the spheres shrink: it will end the sooner.
-    def too_many(found: _Found) -> jax.Array:
-        return (found.attempts == 0) | (found.dear | full(found)) & (found.attempts < _MOST_ATTEMPTS)
+    def needs_attempt(found: _SearchState) -> jax.Array:
+        return (found.attempts == 0) | (found.too_expensive | is_full(found)) & (found.attempts < _MOST_ATTEMPTS)
 
-    def attempt(found: _Found) -> _Found:
+    def attempt(found: _SearchState) -> _SearchState:
         room = *found.spheres, found.clear[None]
         arrays, clear, looks = bounding_spheres(nodes, ahead, found.attempts, grid, skip_far, blocks, room)
-        worth = ahead.steps_of(found.attempts) * BLOCK * blocks
+        worth = ahead.steps_in_attempt(found.attempts) * BLOCK * blocks
         dear = (_WORTH * looks > worth) & (found.attempts < ahead.halvings)
 
-        def examine(found: _Found) -> _Found:
-            spheres = Spheres.of(found.spheres)
+        def examine(found: _SearchState) -> _SearchState:
+            spheres = BoundingSpheres.from_lists(found.spheres)
             coarse = _coarse_pairs(spheres, grid, found.coarse, blocks)
-            last, room = jnp.minimum(coarse.count, most), (found.kept, found.planes, found.clear)
-            kept, planes, clear = _examined(coarse, last, nodes[0], spheres, grid, *room)
-            return found._replace(coarse=coarse, kept=kept, planes=planes, clear=clear)
+            last, room = jnp.minimum(coarse.count, most), (found.pairs, found.planes, found.clear)
+            kept, planes, clear = _filter_pairs(coarse, last, nodes[0], spheres, grid, *room)
+            return found._replace(coarse=coarse, pairs=kept, planes=planes, clear=clear)
 
         attempts = found.attempts + 1
-        return only_if(~dear, examine, found._replace(attempts=attempts, dear=dear, clear=clear, spheres=arrays))
+        return lax_cond_once(
+            ~dear, examine, found._replace(attempts=attempts, too_expensive=dear, clear=clear, spheres=arrays)
+        )
 
-    coarse, kept = _Pairs(*into.coarse, jnp.int32(0)), _Pairs(into.node, into.triangle, jnp.int32(0))
-    begun = _Found(jnp.int32(0), jnp.asarray(False), coarse, kept, into.planes, into.clear, into.spheres)
-    found = jax.lax.while_loop(too_many, attempt, begun)
-    return found, full(found)
+    coarse, kept = _CandidatePairs(*into.coarse, jnp.int32(0)), _CandidatePairs(into.node, into.triangle, jnp.int32(0))
+    begun = _SearchState(jnp.int32(0), jnp.asarray(False), coarse, kept, into.planes, into.clear, into.spheres)
+    found = jax.lax.while_loop(needs_attempt, attempt, begun)
+    return found, is_full(found)
 
 
-def _coarse_pairs(spheres: Spheres, grid: SearchGrid, into: _Pairs, blocks: jax.Array) -> _Pairs:
+def _coarse_pairs(
+    spheres: BoundingSpheres, grid: SearchGrid, into: _CandidatePairs, blocks: jax.Array
+) -> _CandidatePairs:
     """The pairs of the near nodes and the triangles of their cells whose spheres and planes cut the spheres."""
-    member, total = listed(spheres.near, -(-spheres.near.size // LANES) * LANES, BLOCK * blocks)
+    member, total = compact_indices(spheres.near, -(-spheres.near.size // LANES) * LANES, BLOCK * blocks)
 
-    def more_nodes(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+    def more_nodes(carry: tuple[jax.Array, _CandidatePairs]) -> jax.Array:
         return carry[0] < total
 
-    def list_nodes(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+    def list_nodes(carry: tuple[jax.Array, _CandidatePairs]) -> tuple[jax.Array, _CandidatePairs]:
         first, found = carry
         node = cut(member, first, LANES)
         center, radius = gather(spheres.center, node), spheres.radius[node]
@@ -166,19 +172,19 @@ def _coarse_pairs(spheres: Spheres, grid: SearchGrid, into: _Pairs, blocks: jax.
         length = jnp.where(first + jnp.arange(LANES) < total, end - begin, 0)
         nodes = jnp.broadcast_to(node[:, None], (LANES, DEPTH)).ravel()
 
-        def more_triangles(carry: tuple[jax.Array, _Pairs]) -> jax.Array:
+        def more_triangles(carry: tuple[jax.Array, _CandidatePairs]) -> jax.Array:
             return carry[0] < jnp.max(length)
 
-        def list_triangles(carry: tuple[jax.Array, _Pairs]) -> tuple[jax.Array, _Pairs]:
+        def list_triangles(carry: tuple[jax.Array, _CandidatePairs]) -> tuple[jax.Array, _CandidatePairs]:
             level, found = carry
             slot = level + jnp.arange(DEPTH, dtype=jnp.int32)
             used = slot[None] < length[:, None]
             triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot[None], 0))
             keep = used & (distance_bound(center, triangle, grid) <= radius[:, None])
             # The barrier keeps the distances from being worked out again for each use of what they decide.
-            keep, triangle = once((keep.ravel(), triangle.ravel()))
-            place, more = listed(keep, keep.size)
-            return level + DEPTH, _with(found, gather(nodes, place), gather(triangle, place), more)
+            keep, triangle = materialize((keep.ravel(), triangle.ravel()))
+            place, more = compact_indices(keep, keep.size)
+            return level + DEPTH, _append_block(found, gather(nodes, place), gather(triangle, place), more)
 
         _, found = jax.lax.while_loop(more_triangles, list_triangles, (jnp.int32(0), found))
         return first + LANES, found
@@ -186,38 +192,38 @@ def _coarse_pairs(spheres: Spheres, grid: SearchGrid, into: _Pairs, blocks: jax.
     return jax.lax.while_loop(more_nodes, list_nodes, (jnp.int32(0), into._replace(count=jnp.int32(0))))[1]
 
 
-def _examined(
-    coarse: _Pairs,
+def _filter_pairs(
+    coarse: _CandidatePairs,
     last: jax.Array,
     start: jax.Array,
-    spheres: Spheres,
+    spheres: BoundingSpheres,
     grid: SearchGrid,
-    into: _Pairs,
+    into: _CandidatePairs,
     planes: jax.Array,
     clear: jax.Array,
-) -> tuple[_Pairs, jax.Array, jax.Array]:
+) -> tuple[_CandidatePairs, jax.Array, jax.Array]:
     """Those of the coarse pairs, up to the last, that truly cut the spheres; their planes (12, room), the clear way."""
     touch = touch_distance(grid)
 
-    def more(carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]) -> jax.Array:
+    def more(carry: tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]]) -> jax.Array:
         return carry[0] < last
 
     def examine(
-        carry: tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]],
-    ) -> tuple[jax.Array, tuple[_Pairs, jax.Array, jax.Array]]:
+        carry: tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]],
+    ) -> tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]]:
         first, (kept, planes, clear) = carry
         node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (coarse.node, coarse.triangle))
         # The barriers keep things from being worked out, and fetched from afar, again for each use.
-        frame = once(rows_of_table(grid.frames, triangle))
+        frame = materialize(rows_of_table(grid.frames, triangle))
         used = first + jnp.arange(TEST_BLOCK) < last
         keep = used & (distance(gather(spheres.center, node), frame) <= spheres.radius[node] + touch)
         # A node touches a plane from as far as the contact's tolerance.
         free_way = distance(gather(start, node), frame) - 2 * touch
-        keep, free_way = once((keep, free_way))
-        place, more = listed(keep, keep.size)
+        keep, free_way = materialize((keep, free_way))
+        place, more = compact_indices(keep, keep.size)
         planes = put(planes, frame[place, :12].T, kept.count)
-        clear = lowered(clear, node[place], jnp.maximum(free_way, 0.0)[place], more)
-        kept = _with(kept, gather(node, place), gather(grid.number, gather(triangle, place)), more)
+        clear = scatter_min(clear, node[place], jnp.maximum(free_way, 0.0)[place], more)
+        kept = _append_block(kept, gather(node, place), gather(grid.number, gather(triangle, place)), more)
         return first + TEST_BLOCK, (kept, planes, clear)
 
     nothing = into._replace(count=jnp.int32(0)), planes, clear

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 from jaxform.mechanics.membrane import dot
 from jaxform.tools.search import FarCells, SearchGrid
 
@@ -21,7 +21,7 @@ def cell_of(positions: jax.Array, grid: SearchGrid | FarCells, parts: jax.Array 
     return (i * shape[1] + j) * shape[2] + k
 
 
-def looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
+def cell_bounds(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Array]:
     """Cell numbers and lower bounds on the distance to the mold [m], each (n_node,)."""
     cell = cell_of(positions, grid)
     place = (positions - grid.corner[:, None]) / grid.width
@@ -32,7 +32,7 @@ def looked_up(positions: jax.Array, grid: SearchGrid) -> tuple[jax.Array, jax.Ar
 def distance_bound(points: jax.Array, triangle: jax.Array, grid: SearchGrid) -> jax.Array:
     """Lower bound (n, k) [m] on the distance of points (3, n) from triangles (n, k): their spheres and planes."""
     # Whole rows at once, and once: they are far apart in memory.
-    rows = once(rows_of_table(grid.outlines, triangle))
+    rows = materialize(rows_of_table(grid.outlines, triangle))
     x, y, z = points[:, :, None]
     a, b, c = x - rows[..., 0], y - rows[..., 1], z - rows[..., 2]
     outside = jnp.sqrt(a * a + b * b + c * c) - rows[..., 3]

@@ -14,7 +14,7 @@ PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a list can hold, where nothing els
 
 
 @pytree
-class Lists:
+class CandidateLists:
     """What a list is written into: all of it is written before it is read.
 
     Attributes:
@@ -54,7 +54,7 @@ class Candidates:
         overflow: Whether pairs were lost, so that the list must not be trusted.
     """
 
-    lists: Lists
+    lists: CandidateLists
     count: jax.Array
     start: jax.Array
     center: jax.Array
@@ -66,13 +66,13 @@ class Candidates:
     overflow: jax.Array
 
 
-def no_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> Lists:
+def allocate_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> CandidateLists:
     """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
     least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
     room = -(-least // TEST_BLOCK) * TEST_BLOCK
     coarse = jnp.zeros(_CANDIDATES * room + LANES * DEPTH, jnp.int32)
     pairs = jnp.zeros(room + TEST_BLOCK, jnp.int32)
-    return Lists(
+    return CandidateLists(
         node=pairs,
         triangle=pairs,
         planes=jnp.zeros((12, room + TEST_BLOCK), real),

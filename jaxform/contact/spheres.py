@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.broad_phase import LOOK_EVERY
-from jaxform.contact.cells import cell_of, looked_up
+from jaxform.contact.cells import cell_bounds, cell_of
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import over_blocks
 from jaxform.mechanics.membrane import dot
@@ -27,7 +27,7 @@ _FEWEST_STEPS = 16  # that a list is made for
 
 
 @pytree
-class Spheres:
+class BoundingSpheres:
     """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
 
     Each with the place in the grid's lists where the triangles begin that it may meet, and where they end; and whether
@@ -41,13 +41,13 @@ class Spheres:
     near: jax.Array
 
     @classmethod
-    def of(cls, arrays: tuple[jax.Array, jax.Array, jax.Array]) -> Spheres:
-        """As `Lists` has them."""
+    def from_lists(cls, arrays: tuple[jax.Array, jax.Array, jax.Array]) -> BoundingSpheres:
+        """As `CandidateLists` has them."""
         real, (begin, end), (near,) = arrays
         return cls(real[:3], real[3], begin, end, near)
 
 
-class Ahead(NamedTuple):
+class ListHorizon(NamedTuple):
     """The steps that a list is made for: their length [s], how many, and the nodes' highest speed [m/s]."""
 
     length: jax.Array
@@ -59,29 +59,29 @@ class Ahead(NamedTuple):
         """How often there may be half as many."""
         return jnp.floor(jnp.log2(jnp.maximum(self.steps / _FEWEST_STEPS, 1.0))).astype(self.length.dtype)
 
-    def steps_of(self, attempt: jax.Array) -> jax.Array:
+    def steps_in_attempt(self, attempt: jax.Array) -> jax.Array:
         """How many the list is made for, in an attempt."""
         return self.steps * jnp.exp2(-jnp.minimum(attempt, self.halvings))
 
-    def way(self, steps: jax.Array | float) -> jax.Array:
+    def travel(self, steps: jax.Array | float) -> jax.Array:
         """How far [m] the fastest node goes in so many: a slow one may become so fast meanwhile."""
         return steps * self.length * self.speed
 
 
 Arrays = tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array]
-"""The spheres, as `Lists` has them, and the clear distance (n_node,) [m]."""
+"""The spheres, as `CandidateLists` has them, and the clear distance (n_node,) [m]."""
 
 
 def bounding_spheres(
     nodes: tuple[jax.Array, jax.Array, jax.Array],
-    ahead: Ahead,
+    ahead: ListHorizon,
     attempt: jax.Array,
     grid: SearchGrid,
     skip_far: bool,
     blocks: jax.Array,
     into: Sequence[jax.Array],
 ) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array, jax.Array]:
-    """The spheres, as `Lists` has them, and the clear distance (n_node,) before any triangle is looked at.
+    """The spheres, as `CandidateLists` has them, and the clear distance (n_node,) before any triangle is looked at.
 
     And how many triangles are to be looked at.
 
@@ -94,8 +94,8 @@ def bounding_spheres(
         blocks: How many blocks of nodes are in use.
         into: What is written over.
     """
-    steps, scale = ahead.steps_of(attempt), jnp.exp2(jnp.minimum(ahead.halvings - attempt, 0.0))
-    duration, longest, least = steps * ahead.length, 0.5 * ahead.way(steps), ahead.way(_LEAP)
+    steps, scale = ahead.steps_in_attempt(attempt), jnp.exp2(jnp.minimum(ahead.halvings - attempt, 0.0))
+    duration, longest, least = steps * ahead.length, 0.5 * ahead.travel(steps), ahead.travel(_LEAP)
 
     def work(positions: jax.Array, velocities: jax.Array, free: jax.Array) -> Any:
         path = duration * velocities
@@ -106,7 +106,7 @@ def bounding_spheres(
             radius = jnp.maximum(radius, grid.reach)
         own = scale * jnp.minimum(1.0, grid.farthest / radius)
         center, radius = positions + (0.5 * own)[None] * path, own * radius
-        cell, bound = looked_up(center, grid)
+        cell, bound = cell_bounds(center, grid)
         begin, end = _listed_nearby(center, radius, cell, grid)
         near, (x, y, z) = free & (bound < radius), center
         looks = jnp.where(near, end - begin, 0)
@@ -133,17 +133,17 @@ def _listed_nearby(
     return jnp.where(beyond, far_begin, begin), jnp.where(beyond, far_end, end)
 
 
-def squares_of(
+def candidate_squares(
     nodes: tuple[jax.Array, jax.Array],
-    ahead: Ahead,
+    ahead: ListHorizon,
     attempt: jax.Array,
     arrays: Arrays,
     into: jax.Array,
     blocks: jax.Array,
 ) -> jax.Array:
     """The squares (5, n_node) of `Candidates`, in its order, of nodes (velocities, free), written `into` room."""
-    duration = ahead.length * ahead.steps_of(attempt)
-    leap, way = ahead.way(_LEAP), ahead.way(LOOK_EVERY)
+    duration = ahead.length * ahead.steps_in_attempt(attempt)
+    leap, way = ahead.travel(_LEAP), ahead.travel(LOOK_EVERY)
 
     def work(velocities: jax.Array, free: jax.Array, sphere: Any, near: jax.Array, clear: jax.Array) -> Any:
         radius, bound = sphere[3], sphere[4]

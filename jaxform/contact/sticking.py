@@ -13,20 +13,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.broad_phase import Due
+from jaxform.contact.broad_phase import DueBlocks
 from jaxform.contact.cells import touch_distance
 from jaxform.contact.lists import TEST_BLOCK, Candidates
-from jaxform.kernels.blocks import cut, entry, once, only_if, put, rows_read
-from jaxform.mechanics.membrane import Vector, columns, cross, dot, gather, minus, plus, rows_of
+from jaxform.kernels.blocks import cut, entry, lax_cond_once, materialize, put, read_rows
+from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Tool
 from jaxform.tools.mold import Mold
-from jaxform.tools.motion import Frame
+from jaxform.tools.motion import ToolFrame
 
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 
 
-def _meet(before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _paths_meet(
+    before: Vector, after: Vector, planes: list[jax.Array], touch: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Beta and whether the path from `before` to `after` meets the triangle, pair by pair (Eqs 9-12).
 
     A node within `touch` of the plane touches it, whichever way it goes; the triangle's edges are inclusive, so that
@@ -63,24 +65,24 @@ class Landing(NamedTuple):
     work: jax.Array | None = None
 
 
-class Step(NamedTuple):
+class ContactStep(NamedTuple):
     """One step: its length [s], the time at its end [s], its number in the window; the tool's frame if that moves."""
 
     length: jax.Array
     end: jax.Array
     number: jax.Array
-    frame: Frame | None = None
+    frame: ToolFrame | None = None
 
 
-def land(
+def apply_contact(
     landing: Landing,
-    now: Step,
-    due: Due,
+    now: ContactStep,
+    due: DueBlocks,
     mass: jax.Array,
     candidates: Candidates,
     tool: Tool,
-    room: Met,
-) -> tuple[Landing, Met]:
+    room: FirstHits,
+) -> tuple[Landing, FirstHits]:
     """Puts the nodes that crossed the mold in this step where they met it; they stay there. Not differentiable.
 
     Args:
@@ -91,27 +93,27 @@ def land(
         mass: (n_node,) [kg].
         candidates: The list.
         tool: The mold and its search structure.
-        room: From `nothing_met`, for nodes' meetings. It is given back as it was.
+        room: From `no_hits`, for nodes' meetings. It is given back as it was.
     """
     touch = touch_distance(tool.grid)
-    return only_if(
+    return lax_cond_once(
         due.count > 0,
-        lambda both: _landed_in_place(*both, now, mass, candidates, due, tool.mold, touch),
+        lambda both: _place_hit_nodes(*both, now, mass, candidates, due, tool.mold, touch),
         (landing, room),
     )
 
 
-def land_on(landing: Landing, now: Step, chosen: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
+def apply_known_contact(landing: Landing, now: ContactStep, chosen: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
     """The same where it is known on which triangle each node lands in this step, -1 for none; differentiable."""
 
-    def pull(landing: Landing, now: Step, mass: jax.Array, mold: Mold) -> Landing:
-        return landed(landing, now, mass, mold, chosen)
+    def pull(landing: Landing, now: ContactStep, mass: jax.Array, mold: Mold) -> Landing:
+        return place_on_mold(landing, now, mass, mold, chosen)
 
     any_lands = jnp.any(chosen >= 0)
     return jax.lax.cond(any_lands, jax.checkpoint(pull), lambda landing, *_: landing, landing, now, mass, mold)
 
 
-class _Paths(NamedTuple):
+class _NodePaths(NamedTuple):
     """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s].
 
     And the frame of the tool, in which their paths are looked at; None where it rests.
@@ -120,34 +122,34 @@ class _Paths(NamedTuple):
     after: Any
     velocities: jax.Array
     length: jax.Array
-    frame: Frame | None
+    frame: ToolFrame | None
 
-    def ends(self, node: jax.Array) -> tuple[Vector, Vector]:
+    def path_ends(self, node: jax.Array) -> tuple[Vector, Vector]:
         """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
         # The barriers keep what is looked up, and worked out from it, for all its uses.
-        looked_up = columns(self.after, node), columns(self.velocities, node)
-        after, velocities = once(looked_up)
+        looked_up = gather_columns(self.after, node), gather_columns(self.velocities, node)
+        after, velocities = materialize(looked_up)
         if self.frame is not None:
-            after, velocities = once((self.frame.places(after), self.frame.speeds(velocities)))
+            after, velocities = materialize((self.frame.places(after), self.frame.speeds(velocities)))
         x, y, z = (a - self.length * v for a, v in zip(after, velocities, strict=True))
-        return once((x, y, z)), after
+        return materialize((x, y, z)), after
 
 
 def _block(
-    number: jax.Array, paths: _Paths, stuck: jax.Array, candidates: Candidates, touch: jax.Array
+    number: jax.Array, paths: _NodePaths, stuck: jax.Array, candidates: Candidates, touch: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Node, triangle, beta and whether they meet, (block,) each, of one block of pairs."""
     # Once: else every loop over the block looks the number up for every entry.
-    first = once(number * TEST_BLOCK)
+    first = materialize(number * TEST_BLOCK)
 
     node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (candidates.lists.node, candidates.lists.triangle))
-    planes = rows_read(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
-    beta, meets = _meet(*paths.ends(node), planes, touch)
+    planes = read_rows(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
+    beta, meets = _paths_meet(*paths.path_ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
     return node, triangle, beta, meets & used & ~gather(stuck, node)
 
 
-class Met(NamedTuple):
+class FirstHits(NamedTuple):
     """What nodes meet in a step.
 
     The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, in a list,
@@ -160,30 +162,32 @@ class Met(NamedTuple):
     count: jax.Array
 
 
-def nothing_met(node_count: int, real: jnp.dtype) -> Met:
+def no_hits(node_count: int, real: jnp.dtype) -> FirstHits:
     """Before a step: nothing is met yet. One step leaves it to the next as it was, so that it is made once."""
     number, listed = jnp.full(node_count, -1, jnp.int32), jnp.zeros(node_count + 1, jnp.int32)
-    return Met(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
+    return FirstHits(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
 
 
-def _first_met(paths: _Paths, stuck: jax.Array, candidates: Candidates, due: Due, touch: jax.Array, none: Met) -> Met:
+def _first_hits(
+    paths: _NodePaths, stuck: jax.Array, candidates: Candidates, due: DueBlocks, touch: jax.Array, none: FirstHits
+) -> FirstHits:
     """The triangle that each node meets first in this step.
 
     Of two that are met at once the one with the higher number counts, every time.
     """
 
-    def more(carry: tuple[jax.Array, Met]) -> jax.Array:
+    def more(carry: tuple[jax.Array, FirstHits]) -> jax.Array:
         return carry[0] < due.count
 
-    def choose(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
+    def choose(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, found = carry
         block = _block(entry(due.block, k), paths, stuck, candidates, touch)
-        return k + 1, _taken_up(found, once(block))
+        return k + 1, _update_hits(found, materialize(block))
 
     return jax.lax.while_loop(more, choose, (jnp.int32(0), none))[1]
 
 
-def _taken_up(found: Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> Met:
+def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> FirstHits:
     """What was met so far, with a block's pairs that meet: one by one, since they are few.
 
     A scatter would keep XLA from compiling the window's steps into one function.
@@ -194,38 +198,38 @@ def _taken_up(found: Met, block: tuple[jax.Array, jax.Array, jax.Array, jax.Arra
     def next_one(after: jax.Array) -> jax.Array:
         return jnp.min(jnp.where(meets & (index > after), index, TEST_BLOCK))
 
-    def more(carry: tuple[jax.Array, Met]) -> jax.Array:
+    def more(carry: tuple[jax.Array, FirstHits]) -> jax.Array:
         return carry[0] < TEST_BLOCK
 
-    def take(carry: tuple[jax.Array, Met]) -> tuple[jax.Array, Met]:
+    def take(carry: tuple[jax.Array, FirstHits]) -> tuple[jax.Array, FirstHits]:
         k, (best, chosen, nodes, count) = carry
         here = entry(node, k)
         # All is read before anything is written (docs/explanation/kernels.md).
         pair = k, here, entry(beta, k), entry(triangle, k), entry(best, here), entry(chosen, here)
-        k, here, own, number, least, last = once(pair)
+        k, here, own, number, least, last = materialize(pair)
         better = (own < least) | (own == least) & (number > last)
         # What is listed already is written over by the next one.
         nodes = put(nodes, here[None], count)
         best = put(best, jnp.where(better, own, least)[None], here)
         chosen = put(chosen, jnp.where(better, number, last)[None], here)
-        return next_one(k), Met(best, chosen, nodes, count + (last < 0))
+        return next_one(k), FirstHits(best, chosen, nodes, count + (last < 0))
 
     return jax.lax.while_loop(more, take, (next_one(jnp.asarray(-1)), found))[1]
 
 
-def _landed_in_place(
+def _place_hit_nodes(
     landing: Landing,
-    room: Met,
-    now: Step,
+    room: FirstHits,
+    now: ContactStep,
     mass: jax.Array,
     candidates: Candidates,
-    due: Due,
+    due: DueBlocks,
     mold: Mold,
     touch: jax.Array,
-) -> tuple[Landing, Met]:
+) -> tuple[Landing, FirstHits]:
     """The landing of the nodes that met the mold, one after the other, since they are few; not differentiable."""
-    paths = _Paths(landing.nodes.positions, landing.nodes.velocities, now.length, now.frame)
-    met = _first_met(paths, landing.nodes.stuck, candidates, due, touch, room)
+    paths = _NodePaths(landing.nodes.positions, landing.nodes.velocities, now.length, now.frame)
+    met = _first_hits(paths, landing.nodes.stuck, candidates, due, touch, room)
 
     def one(k: jax.Array, carry: tuple[Landing, jax.Array, jax.Array]) -> tuple[Landing, jax.Array, jax.Array]:
         landing, beta, chosen = carry
@@ -238,18 +242,18 @@ def _landed_in_place(
             return new if values.ndim == 0 else put(values, new, node)
 
         # All is read before anything is written (docs/explanation/kernels.md).
-        old, triangle = once((jax.tree.map(own, landing), own(chosen)))
-        new = landed(old, now, own(mass), mold, triangle)
-        nodes = dataclasses.replace(new.nodes, positions=rows_of(new.nodes.positions))
+        old, triangle = materialize((jax.tree.map(own, landing), own(chosen)))
+        new = place_on_mold(old, now, own(mass), mold, triangle)
+        nodes = dataclasses.replace(new.nodes, positions=unstack_rows(new.nodes.positions))
         landing = jax.tree.map(put_back, landing, new._replace(nodes=nodes))
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
 
     landing, beta, chosen = jax.lax.fori_loop(0, met.count, one, (landing, met.beta, met.triangle))
-    return landing, Met(beta, chosen, met.listed, jnp.int32(0))
+    return landing, FirstHits(beta, chosen, met.listed, jnp.int32(0))
 
 
-def landed(landing: Landing, now: Step, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
+def place_on_mold(landing: Landing, now: ContactStep, mass: jax.Array, mold: Mold, chosen: jax.Array) -> Landing:
     """The landing on the chosen triangles (n_node,), -1 where there is none; differentiable."""
     lands, nodes = chosen >= 0, landing.nodes
     after, velocities = jnp.asarray(nodes.positions), nodes.velocities

@@ -17,7 +17,7 @@ COMPILED, MADE = "compiled", "made"
 _RECORD = "record.json"
 
 
-def own_folder() -> Path | None:
+def user_cache_folder() -> Path | None:
     """`jaxform` in the user's cache folder, with a folder for compiled programs and one for what else was made.
 
     None where there is no home, it cannot be written, or somebody else could put something into it: programs that are
@@ -29,7 +29,7 @@ def own_folder() -> Path | None:
         folder = (Path(named) if os.path.isabs(named) else Path.home() / ".cache") / "jaxform"
         for place in (folder, folder / COMPILED, folder / MADE):
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if not _is_own(place):
+            if not _belongs_to_user(place):
                 problem = "is not used as a cache: others own it or can write to it"
                 warn_of(problem, "make it yours alone (chown, chmod go-w), or remove it", value=str(place))
                 return None
@@ -39,7 +39,7 @@ def own_folder() -> Path | None:
     return folder
 
 
-def _is_own(folder: Path) -> bool:
+def _belongs_to_user(folder: Path) -> bool:
     if not hasattr(os, "geteuid"):
         return True
     status = folder.stat()
@@ -47,7 +47,7 @@ def _is_own(folder: Path) -> bool:
 
 
 @contextlib.contextmanager
-def guarded(folder: Path) -> Iterator[None]:
+def guard_folder(folder: Path) -> Iterator[None]:
     """Sees to it that JAX finds under each name in a folder what it wrote there itself.
 
     JAX believes what it reads: a program under the name of another would be run. What differs in size or date from
@@ -66,7 +66,7 @@ def guarded(folder: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             fresh = record.with_suffix(f".{os.getpid()}")
             facts = _facts(folder)
-            fresh.write_text(json.dumps({"seal": _seal(facts), "facts": facts}), encoding="utf-8")
+            fresh.write_text(json.dumps({"seal": _checksum(facts), "facts": facts}), encoding="utf-8")
             fresh.replace(record)
 
 
@@ -78,11 +78,11 @@ def _read(record: Path) -> dict[str, Any] | None:
         return {}
     except (OSError, ValueError, RecursionError):
         return None
-    whole = isinstance(content, dict) and content.get("seal") == _seal(content.get("facts"))
+    whole = isinstance(content, dict) and content.get("seal") == _checksum(content.get("facts"))
     return content["facts"] if whole and isinstance(content["facts"], dict) else None
 
 
-def _seal(facts: Any) -> str:
+def _checksum(facts: Any) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 

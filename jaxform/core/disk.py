@@ -16,7 +16,7 @@ MOST_MESH = 1_000_000_000
 _PAGE = 1 << 20  # read of files that do not tell their size
 
 
-def located(name: str | Path, folder: str | Path | None = None) -> Path:
+def expand_path(name: str | Path, folder: str | Path | None = None) -> Path:
     """The path of a name in a file or on the command line; `~` is the user's home.
 
     Args:
@@ -98,9 +98,9 @@ def _unreadable(error: OSError, value: str) -> InputError:
         return InputError("does not exist", "correct the path", value=value)
     if error.errno == errno.ENAMETOOLONG:
         return InputError("has too long a name", "correct the path", value=value)
-    return InputError(f"cannot be read ({reason(error)})", "check the file and its permissions", value=value)
+    return InputError(f"cannot be read ({error_reason(error)})", "check the file and its permissions", value=value)
 
 
-def reason(error: BaseException) -> str:
+def error_reason(error: BaseException) -> str:
     """Why the system could not do something, in a few words."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -39,9 +39,9 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         """The one line for people."""
-        key, value = cut(self.key), None if self.value is None else _short(self.value)
+        key, value = truncate_text(self.key), None if self.value is None else _format_value(self.value)
         named = key if value is None else f"{key} = {value}" if key else value
-        head = ": ".join(part for part in (cut(self.file), named, cut(self.problem)) if part)
+        head = ": ".join(part for part in (truncate_text(self.file), named, truncate_text(self.problem)) if part)
         line = f"{head}; {self.remedy}" if self.remedy else head
         return " ".join(line.split())
 
@@ -63,7 +63,7 @@ _told: ContextVar[Callable[[str], object] | None] = ContextVar("told", default=N
 
 
 @contextlib.contextmanager
-def told_to(tell: Callable[[str], object]) -> Iterator[None]:
+def redirect_warnings(tell: Callable[[str], object]) -> Iterator[None]:
     """Such warnings are told to a function: on a thread beside others, which may turn Python's warnings off and on."""
     token = _told.set(tell)
     try:
@@ -73,7 +73,7 @@ def told_to(tell: Callable[[str], object]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
+def collect_warnings(tell: Callable[[str], object]) -> Iterator[list[str]]:
     """The texts of the `InputWarning`s raised inside, each once and told at once; others go their usual way."""
     texts: list[str] = []
     with warnings.catch_warnings():
@@ -92,7 +92,7 @@ def heard(tell: Callable[[str], object]) -> Iterator[list[str]]:
 
 
 @contextlib.contextmanager
-def held_back() -> Iterator[None]:
+def defer_warnings() -> Iterator[None]:
     """What is warned of inside is shown at the end."""
     held: list[warnings.WarningMessage] = []
     try:
@@ -103,11 +103,11 @@ def held_back() -> Iterator[None]:
             warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
 
 
-def _short(value: Any, limit: int = 160) -> str:
+def _format_value(value: Any, limit: int = 160) -> str:
     """The value as it would be typed, cut to the limit."""
-    return cut(repr(value), limit)
+    return truncate_text(repr(value), limit)
 
 
-def cut(text: str, limit: int = 1000) -> str:
+def truncate_text(text: str, limit: int = 1000) -> str:
     """The text for people; of a long one the begin and the end, where a path has its name."""
     return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"

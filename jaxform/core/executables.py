@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import jax
 from jaxlib import version as jaxlib
 
-from jaxform.core.compiling import compiler_options
+from jaxform.core.compilation import compiler_options
 
 Program = Callable[..., Any]
 
 
-def freshly_named(function: Any) -> Any:
+def jit_under_new_name(function: Any) -> Any:
     """A jitted function under a name that JAX's own cache has no program of: what it gave could not be packed.
 
     XLA leaves out of a program that it has read what it would need to write it again.
@@ -33,7 +33,7 @@ def freshly_named(function: Any) -> Any:
     return jax.jit(call)
 
 
-def packed(shapes: Any, program: Any) -> bytes | None:
+def serialize_program(shapes: Any, program: Any) -> bytes | None:
     """A compiled program and the shapes of its results, as bytes; None where XLA cannot write it down."""
     from jax.experimental import serialize_executable
 
@@ -47,7 +47,7 @@ def packed(shapes: Any, program: Any) -> bytes | None:
     return zlib.compress(content, 1)
 
 
-class Unpacked(NamedTuple):
+class StoredProgram(NamedTuple):
     """A program that was read from bytes.
 
     Attributes:
@@ -73,11 +73,11 @@ class Unpacked(NamedTuple):
         return shapes, of_trees
 
 
-def unpacked(content: Any) -> Unpacked | None:
+def deserialize_program(content: Any) -> StoredProgram | None:
     """A program from bytes; None where they are none of this version's.
 
     Args:
-        content: What `packed` gave, from a place that is the user's alone: such bytes can do anything.
+        content: What `serialize_program` gave, from a place that is the user's alone: such bytes can do anything.
     """
     try:
         code, given, made, known = pickle.loads(zlib.decompress(content))
@@ -90,29 +90,29 @@ def unpacked(content: Any) -> Unpacked | None:
 
         return serialize_executable.deserialize_and_load(code, *leaves, execution_devices=jax.local_devices()[:1])
 
-    return Unpacked(load, known)
+    return StoredProgram(load, known)
 
 
 @functools.cache
-def machine() -> bytes:
+def machine_digest() -> bytes:
     """A digest of what a compiled program is made for, its source aside: versions, XLA's options, the processor."""
     device = jax.local_devices()[0]
     seen = device.client.platform_version, device.device_kind, len(jax.local_devices()), compiler_options()
-    return _digest(host(), *seen)
+    return _digest(host_digest(), *seen)
 
 
 @functools.cache
-def host() -> bytes:
+def host_digest() -> bytes:
     """A digest of what of that is known before any device is looked at."""
     asked = os.environ.get("XLA_FLAGS", ""), os.environ.get("JAX_PLATFORMS", "")
-    return _digest(jax.__version__, jaxlib.__version__, *asked, platform.machine(), _instructions())
+    return _digest(jax.__version__, jaxlib.__version__, *asked, platform.machine(), _processor_flags())
 
 
 def _digest(*words: object) -> bytes:
     return hashlib.sha256("\n".join(map(str, words)).encode()).digest()
 
 
-def _instructions() -> str:
+def _processor_flags() -> str:
     """What instructions the processor has, where the system says so."""
     try:
         with Path("/proc/cpuinfo").open() as lines:

@@ -36,15 +36,17 @@ def parameter(
         nodal: Whether it has a value at each node of the parison, (n_node,).
         listed: Whether it is a list of numbers (n,), such as one for each term of a law.
     """
-    return within(Range(unit, above=above, least=least, most=most), nodal=nodal, listed=listed)
+    return ranged_parameter(Range(unit, above=above, least=least, most=most), nodal=nodal, listed=listed)
 
 
-def within(allowed: Range, *, nodal: bool = False, listed: bool = False, default: Any = dataclasses.MISSING) -> Any:
+def ranged_parameter(
+    allowed: Range, *, nodal: bool = False, listed: bool = False, default: Any = dataclasses.MISSING
+) -> Any:
     """A number with a range that is declared elsewhere."""
     return field(default=default, metadata={"range": allowed, "nodal": nodal, "listed": listed})
 
 
-def declared_part[T](
+def register_part[T](
     cls: type[T], base: type, method: str, remedy: str, section: str, needed: Sequence[str] = ()
 ) -> type[T]:
     """Makes a class a frozen dataclass and a pytree whose numbers are known to `replace` and to designs.
@@ -63,41 +65,45 @@ def declared_part[T](
     if not (isinstance(cls, type) and issubclass(cls, base)) or getattr(cls, method) is getattr(base, method):
         raise InputError(f"is no {base.__name__.lower()}", remedy, value=getattr(cls, "__name__", str(cls)))
     made = pytree(cls)
-    declared = {each.name: each.metadata.get("range") for each in _numbers(made)}
+    declared = {each.name: each.metadata.get("range") for each in _parameter_fields(made)}
     missing = sorted(key for key, allowed in {**dict.fromkeys(needed), **declared}.items() if allowed is None)
     if missing:
         text = ", ".join(missing)
         raise InputError(f"does not declare {text}", "declare them with jaxform.parameter", value=cls.__name__)
-    for key, allowed in ranges_of(made).items():
+    for key, allowed in parameter_ranges(made).items():
         declare(f"{section}.{key}", allowed)
     return made
 
 
-def is_declared(part: Any, base: type) -> bool:
+def is_registered(part: Any, base: type) -> bool:
     """Whether a part is of a declared class of a kind: one that derives from such a class is none by itself."""
     return isinstance(part, base) and type(part) is not base and "__dataclass_fields__" in vars(type(part))
 
 
-def ranges_of(part: Any) -> dict[str, Range]:
+def parameter_ranges(part: Any) -> dict[str, Range]:
     """The range of each number of a declared part, or of its class, by name."""
-    return {each.name: each.metadata["range"] for each in _numbers(part)}
+    return {each.name: each.metadata["range"] for each in _parameter_fields(part)}
 
 
-def listed_numbers(part: Any) -> list[str]:
+def list_parameter_names(part: Any) -> list[str]:
     """The names of its numbers that are lists."""
-    return [each.name for each in _numbers(part) if each.metadata["listed"]]
+    return [each.name for each in _parameter_fields(part) if each.metadata["listed"]]
 
 
-def varying_numbers(part: Any) -> list[str]:
+def varying_parameter_names(part: Any) -> list[str]:
     """The names of its numbers that vary over the sheet: those that have one axis more than they are declared with."""
-    return [each.name for each in _numbers(part) if np.ndim(getattr(part, each.name)) > int(each.metadata["listed"])]
+    return [
+        each.name
+        for each in _parameter_fields(part)
+        if np.ndim(getattr(part, each.name)) > int(each.metadata["listed"])
+    ]
 
 
-def nodal_numbers(part: Any) -> list[str]:
+def nodal_parameter_names(part: Any) -> list[str]:
     """The names of its numbers that have a value at each node."""
-    return [each.name for each in _numbers(part) if each.metadata["nodal"]]
+    return [each.name for each in _parameter_fields(part) if each.metadata["nodal"]]
 
 
-def _numbers(part: Any) -> list[dataclasses.Field[Any]]:
+def _parameter_fields(part: Any) -> list[dataclasses.Field[Any]]:
     plain = (each for each in dataclasses.fields(part) if not each.metadata.get("static"))
     return [each for each in plain if not each.metadata.get("part")]

@@ -63,43 +63,43 @@ def row_count(array: Any) -> str:
     return str(shape[-2]) if len(shape) > 1 else "?"
 
 
-def remembered[T, R](function: Callable[[T], R]) -> Callable[[T], R]:
+def memoize[T, R](function: Callable[[T], R]) -> Callable[[T], R]:
     """The function of a frozen tree, which finds its result once, as long as that very tree is there."""
     results: weakref.WeakKeyDictionary[T, R] = weakref.WeakKeyDictionary()
 
     @functools.wraps(function)
-    def found(tree: T) -> R:
+    def look_up(tree: T) -> R:
         if tree not in results:
             results[tree] = function(tree)
         return results[tree]
 
-    return found
+    return look_up
 
 
-def marked(parts: Any, mark: dict[str, Any]) -> list[str]:
+def marked_field_names(parts: Any, mark: dict[str, Any]) -> list[str]:
     """The names of a dataclass' fields whose metadata have what `mark` has."""
     return [part.name for part in dataclasses.fields(parts) if mark.items() <= part.metadata.items()]
 
 
-def is_own(tree: Any) -> bool:
+def is_internal(tree: Any) -> bool:
     """Whether all classes in a tree are this package's or Python's: programs that take others are not kept in files.
 
     Only this package's source is part of the name of such a file.
     """
     node = tree.node_data()
-    return node is None or (_is_own(node[0]) and all(map(is_own, tree.children())))
+    return node is None or (_is_internal_class(node[0]) and all(map(is_internal, tree.children())))
 
 
-def _is_own(cls: type) -> bool:
+def _is_internal_class(cls: type) -> bool:
     return cls.__module__.partition(".")[0] in ("jaxform", "builtins")
 
 
 def as_real(value: ArrayLike) -> jax.Array:
     """The value as an array of JAX's default floating type (float64 where x64 is enabled, else float32)."""
-    return _as(value, jnp.result_type(float))
+    return _convert(value, jnp.result_type(float))
 
 
-def in_precision[T](part: T) -> T:
+def cast_to_precision[T](part: T) -> T:
     """The part itself, or one like it where real arrays of it are not of JAX's default floating type."""
     kind = jnp.result_type(float)
 
@@ -113,9 +113,9 @@ def in_precision[T](part: T) -> T:
 
 def as_index(value: ArrayLike) -> jax.Array:
     """The value as an array of int32."""
-    return _as(value, jnp.int32)
+    return _convert(value, jnp.int32)
 
 
-def _as(value: ArrayLike, kind: Any) -> jax.Array:
+def _convert(value: ArrayLike, kind: Any) -> jax.Array:
     # Converted by NumPy where it can be: JAX would compile a program for it, for every shape.
     return jnp.asarray(value if isinstance(value, jax.Array) else np.asarray(value, kind), dtype=kind)

@@ -34,7 +34,7 @@ class Range:
     increasing: bool = False
     count: bool = False
 
-    def holds(self, values: Any) -> Any:
+    def contains(self, values: Any) -> Any:
         """Which values are in the range: of a number, or of an array of NumPy or JAX its shape."""
         good = abs(values) <= MOST
         if self.above is not None:
@@ -153,7 +153,7 @@ def declare(key: str, allowed: Range) -> None:
     _declared.setdefault(key, []).append(allowed)
 
 
-def declared(key: str) -> list[Range]:
+def declared_ranges(key: str) -> list[Range]:
     """The different ranges that numbers of one name have."""
     return list(dict.fromkeys(_declared.get(key) or [RANGES[key]]))
 
@@ -165,12 +165,14 @@ def check(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
     values, allowed = as_numbers(key, given), allowed or RANGES[key]
     shown = values.tolist() if values.ndim else None
     if not np.all(np.isfinite(values)):
-        raise InputError("is not finite", allowed.remedy, key, _first(values, ~np.isfinite(values)))
+        raise InputError("is not finite", allowed.remedy, key, _first_bad_value(values, ~np.isfinite(values)))
     if allowed.count and values.dtype.kind == "f" and np.any(values != np.floor(values)):
-        raise InputError("is not a whole number", allowed.remedy, key, _first(values, values != np.floor(values)))
-    good = np.asarray(allowed.holds(values))
+        raise InputError(
+            "is not a whole number", allowed.remedy, key, _first_bad_value(values, values != np.floor(values))
+        )
+    good = np.asarray(allowed.contains(values))
     if not np.all(good):
-        raise InputError(allowed.rule, allowed.remedy, key, _first(values, ~good))
+        raise InputError(allowed.rule, allowed.remedy, key, _first_bad_value(values, ~good))
     if allowed.increasing and np.any(np.diff(values) <= 0):
         raise InputError("the knots do not increase", "sort the times and drop repeats", key, shown)
 
@@ -203,5 +205,5 @@ def as_numbers(key: str, given: ArrayLike) -> Any:
     return values
 
 
-def _first(values: Any, bad: Any) -> float:
+def _first_bad_value(values: Any, bad: Any) -> float:
     return float(values[bad].flat[0]) if values.ndim else float(values)

@@ -23,10 +23,10 @@ import jax
 import numpy as np
 
 from jaxform.core import disk, executables
-from jaxform.core.compiling import compiled_here, compiling_soon, crowded, side_by_side
+from jaxform.core.compilation import compile_on_thread, exceeds_program_limit, start_compiling, submit_compilation
 from jaxform.core.errors import InputError
-from jaxform.core.pytree import is_own
-from jaxform.core.rules import default_device
+from jaxform.core.promotion import default_device
+from jaxform.core.pytree import is_internal
 
 Arrays = Mapping[str, np.ndarray]
 _MOST_BYTES = 300_000_000  # of a folder's files; those not used for longest go first
@@ -37,7 +37,7 @@ _MOST_PROGRAMS = 64  # compiled, in memory; the first made go first
 PACKAGE = Path(__file__).parents[1]
 
 
-class Soon(NamedTuple):
+class PendingProgram(NamedTuple):
     """A function that is being compiled, or has been.
 
     Attributes:
@@ -62,9 +62,9 @@ class Store:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
-        self._programs: dict[_Key, Soon] = {}
+        self._programs: dict[_ProgramKey, PendingProgram] = {}
         self._taken: dict[str, None] = {}
-        self._ahead: Future[dict[str, _Loading]] | None = None
+        self._ahead: Future[dict[str, _PendingLoad]] | None = None
 
     def arrays(self, name: str, key: tuple[Any, ...], make: Callable[[], Arrays]) -> Arrays:
         """Named arrays.
@@ -77,7 +77,7 @@ class Store:
         path = self._path(name, key)
         if path is None:
             return make()
-        kept = _kept(path)
+        kept = _read_verified(path)
         if kept is not None:
             with np.load(io.BytesIO(kept), allow_pickle=False) as found:
                 return {key: found[key] for key in found.files}
@@ -93,9 +93,9 @@ class Store:
             function: Jitted; it depends on its arguments only.
             arguments: Pytrees of arrays; the structure, shapes and types count, not the values.
         """
-        return self.soon(function, *arguments).ready()
+        return self.start_program(function, *arguments).ready()
 
-    def holds(self, function: Any, *arguments: Any) -> bool:
+    def has_program(self, function: Any, *arguments: Any) -> bool:
         """Whether a program is there already, in memory or in a file."""
         key = _key(function, arguments)
         if key in self._programs:
@@ -103,28 +103,28 @@ class Store:
         path = self._file(key)
         return path is not None and path.exists()
 
-    def foresee(self, subject: str) -> None:
+    def preload(self, subject: str) -> None:
         """Begins to load what a run of a subject took last time, while the scene is still being read.
 
         Of a subject that is not known, what the last run of all took.
         """
         if self.folder is not None:
-            self._ahead = side_by_side(lambda: self._loading_ahead(subject))
+            self._ahead = submit_compilation(lambda: self._start_preloading(subject))
 
-    def remember(self, subject: str) -> None:
+    def record_programs(self, subject: str) -> None:
         """Notes which kept programs a run of a subject took; what was loaded for it in vain is let go."""
         self._ahead = None
         if self.folder is None or not self._taken:
             return
-        before = self._lately()
+        before = self._recent_names()
         others = [(about, names) for about, names in before.items() if about != subject]
         now = dict([*others[1 - _MOST_SUBJECTS :], (subject, list(self._taken))])
         if [*now.items()] != [*before.items()]:
-            self._write(self.folder / _lately(), json.dumps(now).encode())
+            self._write(self.folder / _recent_names_file(), json.dumps(now).encode())
 
-    def _lately(self) -> dict[str, list[str]]:
+    def _recent_names(self) -> dict[str, list[str]]:
         """The names of the files of the programs that subjects took, the latest last."""
-        kept = None if self.folder is None else _kept(self.folder / _lately())
+        kept = None if self.folder is None else _read_verified(self.folder / _recent_names_file())
         try:
             found = {} if kept is None else json.loads(bytes(kept))
         except ValueError:
@@ -134,45 +134,47 @@ class Store:
         known = all(isinstance(names, list) and all(isinstance(name, str) for name in names) for names in lists)
         return found if known else {}
 
-    def _loading_ahead(self, subject: str) -> dict[str, _Loading]:
+    def _start_preloading(self, subject: str) -> dict[str, _PendingLoad]:
         assert self.folder is not None
-        lately = self._lately()
+        lately = self._recent_names()
         names = lately.get(subject) or next(reversed(lately.values()), [])
-        read = {name: _kept(self.folder / Path(name).name) for name in names}
+        read = {name: _read_verified(self.folder / Path(name).name) for name in names}
         found = {name: kept for name, kept in read.items() if kept is not None}
         longest_first = sorted(found, key=lambda name: -len(found[name]))
-        return {name: loading for name in longest_first if (loading := _begun(found[name])) is not None}
+        return {name: loading for name in longest_first if (loading := _start_deserializing(found[name])) is not None}
 
-    def forget(self) -> None:
+    def clear_memory(self) -> None:
         """Lets go of the programs in memory; those in files stay."""
         self._programs.clear()
 
-    def _file(self, key: _Key) -> Path | None:
+    def _file(self, key: _ProgramKey) -> Path | None:
         """Where a program is kept; None where it is in no file: files have those of the first device."""
-        if not is_own(key.tree) or ":" in key.backend:
+        if not is_internal(key.tree) or ":" in key.backend:
             return None
         return self._path(key.function.__name__, tuple(str(part) for part in key[1:]))
 
-    def soon(self, function: Any, *arguments: Any) -> Soon:
+    def start_program(self, function: Any, *arguments: Any) -> PendingProgram:
         """As `program`; it is compiled while others are traced and compiled."""
         key = _key(function, arguments)
         if key not in self._programs:
             path = self._file(key)
             if path is not None:
                 self._taken[path.name] = None
-            if crowded():
+            if exceeds_program_limit():
                 self._programs.clear()
             while len(self._programs) >= _MOST_PROGRAMS:
                 self._programs.pop(next(iter(self._programs)), None)
-            self._programs[key] = self._loading(path, function, arguments) or self._compiling(path, function, arguments)
+            self._programs[key] = self._start_loading(path, function, arguments) or self._start_compiling(
+                path, function, arguments
+            )
         return self._programs[key]
 
-    def _loading(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> Soon | None:
+    def _start_loading(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> PendingProgram | None:
         """A program that is being read from its file; None where there is none."""
         if path is None:
             return None
         ahead = {} if self._ahead is None else self._ahead.result()
-        begun = ahead.pop(path.name, None) or _begun(_kept(path))
+        begun = ahead.pop(path.name, None) or _start_deserializing(_read_verified(path))
         if begun is None:
             return None
         try:
@@ -181,31 +183,33 @@ class Store:
             return None
         done: Future[Callable[..., Any]] = Future()
 
-        def pass_on(loaded: Future[Callable[..., Any]]) -> None:
+        def forward_result(loaded: Future[Callable[..., Any]]) -> None:
             try:
                 done.set_result(of_trees(loaded.result()))
             except Exception:  # whatever XLA says of a program that this machine or version does not take
-                _compiled_into(done, function, arguments)
+                _compile_into(done, function, arguments)
 
-        begun.loaded.add_done_callback(pass_on)
-        return Soon(shapes, done)
+        begun.loaded.add_done_callback(forward_result)
+        return PendingProgram(shapes, done)
 
-    def _compiling(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> Soon:
+    def _start_compiling(self, path: Path | None, function: Any, arguments: tuple[Any, ...]) -> PendingProgram:
         """A program that is being compiled, and then written into its file where it has one."""
         if path is None:
-            return Soon(*compiling_soon(function, *arguments))
+            return PendingProgram(*start_compiling(function, *arguments))
 
-        def keep(shapes: Any, program: Any) -> None:
-            content = executables.packed(shapes, program)
+        def store_program(shapes: Any, program: Any) -> None:
+            content = executables.serialize_program(shapes, program)
             if content is not None:
                 self._write(path, content)
 
-        return Soon(*compiling_soon(executables.freshly_named(function), *arguments, done=keep))
+        return PendingProgram(
+            *start_compiling(executables.jit_under_new_name(function), *arguments, done=store_program)
+        )
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:
             return None
-        digest = hashlib.sha256(_origin())
+        digest = hashlib.sha256(_environment_digest())
         for part in key:
             if isinstance(part, np.ndarray):
                 digest.update(f"{part.dtype}{part.shape}".encode())
@@ -220,7 +224,7 @@ class Store:
             path.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
                 try:
-                    file.write(_seal(path, content))
+                    file.write(_content_digest(path, content))
                     file.write(content)
                 except BaseException:
                     Path(file.name).unlink()
@@ -238,7 +242,7 @@ class Store:
                 file.unlink(missing_ok=True)
 
 
-class _Key(NamedTuple):
+class _ProgramKey(NamedTuple):
     """What a program is known by in memory: a function, the structure of its arguments, their shapes and types."""
 
     function: Any
@@ -247,57 +251,57 @@ class _Key(NamedTuple):
     backend: str
 
 
-def _key(function: Any, arguments: Any) -> _Key:
+def _key(function: Any, arguments: Any) -> _ProgramKey:
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple((np.shape(leaf), getattr(leaf, "dtype", type(leaf))) for leaf in leaves)
-    return _Key(function, tree, kinds, _where())
+    return _ProgramKey(function, tree, kinds, _backend_name())
 
 
-def _where() -> str:
+def _backend_name() -> str:
     """The backend, and the device where that is not its first one."""
     device, first = default_device(), jax.local_devices()[0]
     return jax.default_backend() if device == first else f"{device.platform}:{device.id}"
 
 
-def _lately() -> str:
+def _recent_names_file() -> str:
     """Where the names are kept; for programs of this host alone, but of whatever source, which takes long to read."""
     precision = f"{jax.config.read('jax_enable_x64')}"
-    return f"lately-{hashlib.sha256(executables.host() + precision.encode()).hexdigest()[:32]}"
+    return f"lately-{hashlib.sha256(executables.host_digest() + precision.encode()).hexdigest()[:32]}"
 
 
-class _Loading(NamedTuple):
+class _PendingLoad(NamedTuple):
     """A program that is being loaded."""
 
-    program: executables.Unpacked
+    program: executables.StoredProgram
     loaded: Future[Callable[..., Any]]
 
 
-def _begun(kept: Any) -> _Loading | None:
+def _start_deserializing(kept: Any) -> _PendingLoad | None:
     """Begins to load a program; None where these bytes are none."""
-    found = None if kept is None else executables.unpacked(kept)
-    return None if found is None else _Loading(found, side_by_side(found.load))
+    found = None if kept is None else executables.deserialize_program(kept)
+    return None if found is None else _PendingLoad(found, submit_compilation(found.load))
 
 
-def _compiled_into(done: Future[Callable[..., Any]], function: Any, arguments: tuple[Any, ...]) -> None:
+def _compile_into(done: Future[Callable[..., Any]], function: Any, arguments: tuple[Any, ...]) -> None:
     try:
-        done.set_result(compiled_here(function, *arguments))
+        done.set_result(compile_on_thread(function, *arguments))
     except BaseException as error:  # for whoever waits
         done.set_exception(error)
 
 
-def _seal(path: Path, content: Any) -> bytes:
+def _content_digest(path: Path, content: Any) -> bytes:
     """A digest of a file's name and its content: what is damaged, or has another's name, does not have it."""
     digest = hashlib.sha256(path.name.encode())
     digest.update(content)
     return digest.digest()
 
 
-def _kept(path: Path) -> memoryview | None:
+def _read_verified(path: Path) -> memoryview | None:
     """The content of a file that is what was written under its name; None where there is none."""
     try:
         whole = memoryview(disk.read_bytes(path, _MOST_BYTES))
         seal, content = whole[:_SEAL], whole[_SEAL:]
-        if seal != _seal(path, content):
+        if seal != _content_digest(path, content):
             return None
         os.utime(path)
     except (OSError, InputError):
@@ -306,13 +310,13 @@ def _kept(path: Path) -> memoryview | None:
 
 
 @functools.cache
-def _origin() -> bytes:
+def _environment_digest() -> bytes:
     """A digest of what makes the things: this package's source, the precision, and what programs are made for."""
     precision = jax.config.read("jax_enable_x64")
-    return hashlib.sha256(f"{precision}".encode() + executables.machine() + _sources(PACKAGE)).digest()
+    return hashlib.sha256(f"{precision}".encode() + executables.machine_digest() + _source_digest(PACKAGE)).digest()
 
 
-def _sources(package: Path) -> bytes:
+def _source_digest(package: Path) -> bytes:
     """A digest of the source of a package, its sub-packages included: names and contents."""
     digest = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):

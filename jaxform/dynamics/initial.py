@@ -5,48 +5,56 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.remeshing import started_mesh
+from jaxform.adapt.remeshing import initial_mesh
 from jaxform.core.pytree import as_real
 from jaxform.loads import first_pressure
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
-from jaxform.sheet.account import enclosed_volume
-from jaxform.sheet.discretization import Mesh, discretize, present_discretization
-from jaxform.sheet.heat import Heat, none_lost
-from jaxform.sheet.state import Account, AtStart, Control, Replay, State, any_mode, at_start
+from jaxform.sheet.discretization import RefinedMesh, discretize, present_discretization
+from jaxform.sheet.energy_balance import enclosed_volume
+from jaxform.sheet.heat import ThermalState, initial_heat
+from jaxform.sheet.state import (
+    Control,
+    EnergyBalance,
+    InitialNodeState,
+    Replay,
+    State,
+    initial_node_state,
+    noise_vector,
+)
 
 
-def _first_memory(scene: Scene, mesh: Mesh | None, heat: Heat | None) -> jax.Array | None:
+def _first_memory(scene: Scene, mesh: RefinedMesh | None, heat: ThermalState | None) -> jax.Array | None:
     """The stress of viscous modes (4 n_mode, n_element) of a sheet that was never strained; None without such."""
     modes, adaptivity, pairs = scene.material.viscous, scene.adaptivity, scene.tables.assembly.pairs
     if modes is None:
         return None
     if scene.material.shift is not None and scene.parison.temperature is not None:
-        modes = present_discretization(scene, mesh, discretize(scene)).having(heat, scene.material).modes or modes
+        modes = present_discretization(scene, mesh, discretize(scene)).with_zones(heat, scene.material).modes or modes
     if mesh is not None and adaptivity is not None:
-        return modes.at_first(adaptivity.forest.sheet.inverse_metric[:, mesh.element])
+        return modes.initial_stress(adaptivity.forest.sheet.inverse_metric[:, mesh.element])
     # In the basis that elements are worked through in.
-    return modes.at_first(scene.tables.sheet.inverse_metric if pairs is None else pairs.inverse_metric)
+    return modes.initial_stress(scene.tables.sheet.inverse_metric if pairs is None else pairs.inverse_metric)
 
 
 def initial_state(scene: Scene) -> State:
     """The sheet at rest in its initial shape."""
-    mesh = None if scene.adaptivity is None else started_mesh(scene, scene.adaptivity)
+    mesh = None if scene.adaptivity is None else initial_mesh(scene, scene.adaptivity)
     positions, sheet = scene.parison.positions.T, scene.tables.sheet
-    start = at_start(scene)
+    start = initial_node_state(scene)
     fields = {name: own.start(scene.parison.positions) for name, own in scene.fields.items()}
     if mesh is not None:
         # Nodes that do not exist yet are held where the first node is.
         there = jnp.arange(mesh.node.size) < mesh.node_count
-        start = at_start(scene, mesh.node)
-        start = AtStart(
+        start = initial_node_state(scene, mesh.node)
+        start = InitialNodeState(
             start.stuck | ~there, jnp.where(there, start.contact_time, 0.0), jnp.where(there, start.wall, 0)
         )
         positions, fields = positions[:, mesh.node], {name: values[mesh.node] for name, values in fields.items()}
     zero, none = as_real(0.0), jnp.int32(0)
     elements = sheet.area.size if mesh is None else mesh.element.size
-    heat = None if scene.cooling is None else none_lost(elements)
+    heat = None if scene.cooling is None else initial_heat(elements)
     volume = enclosed_volume(positions, sheet)
     pressed = first_pressure(scene.pressure, volume) if scene.pressure.follows_volume else None
     return State(
@@ -56,10 +64,10 @@ def initial_state(scene: Scene) -> State:
             stuck=start.stuck,
             contact_time=start.contact_time,
             wall=start.wall,
-            mode=any_mode(positions) if scene.solver.sharp_step else None,
+            mode=noise_vector(positions) if scene.solver.sharp_step else None,
             fields=fields,
         ),
-        account=Account(
+        account=EnergyBalance(
             volume,
             pressed,
             *[zero] * 8,

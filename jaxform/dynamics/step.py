@@ -12,37 +12,37 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.lists import Candidates
-from jaxform.dynamics.moving import Landings, Moving, Window
-from jaxform.dynamics.touching import flown, landed_again, looked, touched
-from jaxform.kernels.blocks import once, over_blocks, total
+from jaxform.dynamics.contact_step import check_free_flight, replay_contact, search_contact, update_broad_phase
+from jaxform.dynamics.window_state import KnownContact, WindowData, WindowState
+from jaxform.kernels.blocks import materialize, over_blocks, total
 from jaxform.mechanics import membrane
+from jaxform.mechanics.constitutive import ViscousMemory, present_memory
 from jaxform.mechanics.corners import (
+    HistoryUpdate,
     Load,
-    Remembered,
     corner_forces,
-    corner_forces_remembered,
-    remembered,
-    stresses_now,
+    present_mode_stress,
+    update_history,
+    viscous_corner_forces,
 )
-from jaxform.mechanics.elements import Corners, assembled, shares
+from jaxform.mechanics.elements import Corners, gather_shares, gather_table
 from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
-from jaxform.mechanics.response import Memory, present
-from jaxform.model.field import Surroundings, stepped
+from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
-from jaxform.sheet.account import pressure_at
-from jaxform.sheet.rim import rim_ends, swept_by_rim
-from jaxform.sheet.scheme import carried, kicked
-from jaxform.tools.motion import Frame
+from jaxform.sheet.energy_balance import pressure_at
+from jaxform.sheet.rim import rim_ends, rim_swept_volume
+from jaxform.sheet.scheme import apply_tool_velocity, update_velocity
+from jaxform.tools.motion import ToolFrame
 
 
 def step(
-    moving: Moving,
+    moving: WindowState,
     pressures: tuple[jax.Array, ...],
     scene: Scene,
-    now: Window,
-    contact: Candidates | Landings | None = None,
-) -> Moving:
+    now: WindowData,
+    contact: Candidates | KnownContact | None = None,
+) -> WindowState:
     """One step of the central-difference scheme (the paper's Eq. 8 with damping), and contact.
 
     Args:
@@ -56,13 +56,13 @@ def step(
     pressure, mean_pressure, kick = pressures
     length, tool = now.length, scene.tool
     if isinstance(contact, Candidates):
-        moving = looked(moving, scene, now, contact)
+        moving = update_broad_phase(moving, scene, now, contact)
     if moving.room is None:
         # A halted window runs on without moving: a step of length zero changes nothing.
         length, kick = jnp.where(moving.halted, 0.0, length), jnp.where(moving.halted, 0.0, kick)
-    rim = None if now.rim is None else once(rim_ends(moving.nodes.positions, now.rim))
+    rim = None if now.rim is None else materialize(rim_ends(moving.nodes.positions, now.rim))
     begin = now.begin + moving.count * now.length
-    last = pressed = moving.account.pressed
+    last = pressed = moving.account.load_state
     if last is not None:
         volume = now.active.volume(jnp.asarray(moving.nodes.positions))
         # The velocity's step is half of the last one and half of this one.
@@ -72,11 +72,11 @@ def step(
     response = now.active.response(scene.material, _memory(moving, scene, now))
     load = Load(moving.nodes.positions, now.active.thickness, pressure, *response)
     if moving.room is None:
-        taken = _taken(load, moving, kick, length, scene, now, frame)
+        taken = _advance_nodes(load, moving, kick, length, scene, now, frame)
     else:
-        taken = _taken_in_blocks(load, moving, moving.room, kick, length, scene, now, frame)
+        taken = _advance_nodes_in_blocks(load, moving, moving.room, kick, length, scene, now, frame)
     volume, account = taken.volume + now.active.idle_volume, moving.account
-    swept = account.swept(volume)
+    swept = account.swept_volume(volume)
     if moving.room is None:
         # So that the account is that of a loop which ends with the last step.
         volume, swept = jnp.where(moving.halted, account.volume, volume), jnp.where(moving.halted, 0.0, swept)
@@ -86,46 +86,46 @@ def step(
         account=dataclasses.replace(
             account,
             volume=volume,
-            pressed=jax.tree.map(lambda old, new: jnp.where(moving.halted, old, new), last, pressed),
+            load_state=jax.tree.map(lambda old, new: jnp.where(moving.halted, old, new), last, pressed),
             external_work=account.external_work + mean_pressure * swept,
             damping_loss=account.damping_loss + taken.loss,
             tool_work=None if account.tool_work is None else account.tool_work + taken.work,
-            viscous_loss=_with_loss(moving, length, taken.remembered),
+            viscous_loss=_add_viscous_loss(moving, length, taken.remembered),
         ),
-        memory=_kept(moving, taken.remembered),
+        memory=_update_memory(moving, taken.remembered),
         count=moving.count + jnp.where(moving.halted, 0, 1),
         room=taken.room,
     )
     if tool is not None and isinstance(contact, Candidates):
-        moved = touched(moved, length, tool, contact, scene, now, frame)
-    elif tool is not None and isinstance(contact, Landings):
-        moved = landed_again(moved, length, tool, contact, now, frame)
+        moved = search_contact(moved, length, tool, contact, scene, now, frame)
+    elif tool is not None and isinstance(contact, KnownContact):
+        moved = replay_contact(moved, length, tool, contact, now, frame)
     elif moving.room is None:
-        moved = dataclasses.replace(moved, halted=flown(moved, scene, now))
-    moved = _with_rim(moved, moving.halted, rim, now)
-    return _with_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
+        moved = dataclasses.replace(moved, halted=check_free_flight(moved, scene, now))
+    moved = _add_rim_volume(moved, moving.halted, rim, now)
+    return _advance_fields(moved, moving.halted, length, scene, now) if scene.fields else moved
 
 
-def _with_rim(moved: Moving, halted: jax.Array, before: jax.Array | None, now: Window) -> Moving:
+def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, now: WindowData) -> WindowState:
     """With what moving rims swept in the step, from where they were `before`, unless the window was halted."""
     last = moved.account.rim
     if before is None or now.rim is None or last is None:
         return moved
-    swept = swept_by_rim(before, rim_ends(moved.nodes.positions, now.rim), now.active.packed.elements.origin)
+    swept = rim_swept_volume(before, rim_ends(moved.nodes.positions, now.rim), now.active.packed.elements.origin)
     kept = swept if moved.room is not None else jnp.where(halted, last, swept)
     return dataclasses.replace(moved, account=dataclasses.replace(moved.account, rim=kept))
 
 
-def _memory(moving: Moving, scene: Scene, now: Window) -> Memory | None:
+def _memory(moving: WindowState, scene: Scene, now: WindowData) -> ViscousMemory | None:
     """What elements remember as the step begins: in a window's first one the stress of their modes itself."""
     modes = scene.material.viscous
     if modes is None or moving.memory is None or now.recursion is None:
         return None
     gain = jnp.where(moving.count == 0, 0.0, now.recursion.gain)
-    return dataclasses.replace(present(moving.memory, modes), gain=gain)
+    return dataclasses.replace(present_memory(moving.memory, modes), gain=gain)
 
 
-def _with_loss(moving: Moving, length: jax.Array, remembered: Remembered | None) -> jax.Array | None:
+def _add_viscous_loss(moving: WindowState, length: jax.Array, remembered: HistoryUpdate | None) -> jax.Array | None:
     """What modes lost up to half a step after the step's begin, or from there where a window begins; by trapezoids."""
     before = moving.account.viscous_loss
     if before is None or remembered is None:
@@ -133,28 +133,30 @@ def _with_loss(moving: Moving, length: jax.Array, remembered: Remembered | None)
     return before + jnp.where(moving.count == 0, 0.5, 1.0) * length * remembered.loss
 
 
-def _kept(moving: Moving, remembered: Remembered | None) -> jax.Array | None:
+def _update_memory(moving: WindowState, remembered: HistoryUpdate | None) -> jax.Array | None:
     """What elements remember after the step; of a halted window what they did."""
     if remembered is None or moving.memory is None or moving.room is not None:
-        return None if remembered is None else remembered.rest
-    return jnp.where(moving.halted, moving.memory, remembered.rest)
+        return None if remembered is None else remembered.history
+    return jnp.where(moving.halted, moving.memory, remembered.history)
 
 
-def settled(moving: Moving, scene: Scene, now: Window) -> Moving:
+def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> WindowState:
     """A window's end: with the stress of viscous modes for what is remembered, and all that they lost."""
     memory, lost = _memory(moving, scene, now), moving.account.viscous_loss
     modes = now.losing
     if memory is None or modes is None or lost is None:
         return moving
     load = Load(moving.nodes.positions, now.active.thickness, now.length, scene.material.elastic, memory)
-    found = stresses_now(load, now.active.packed.elements, modes, differentiable=moving.room is None)
+    found = present_mode_stress(load, now.active.packed.elements, modes, differentiable=moving.room is None)
     lost += jnp.where(moving.count == 0, 0.0, 0.5) * now.length * found.loss
     return dataclasses.replace(
-        moving, memory=found.rest, account=dataclasses.replace(moving.account, viscous_loss=lost)
+        moving, memory=found.history, account=dataclasses.replace(moving.account, viscous_loss=lost)
     )
 
 
-def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Scene, now: Window) -> Moving:
+def _advance_fields(
+    moved: WindowState, halted: jax.Array, length: jax.Array, scene: Scene, now: WindowData
+) -> WindowState:
     """With what the step made of the scene's own fields, unless the window was halted before it."""
     nodes = moved.nodes
     step = Surroundings(
@@ -165,12 +167,12 @@ def _with_fields(moved: Moving, halted: jax.Array, length: jax.Array, scene: Sce
         stuck=nodes.stuck,
         contact_time=nodes.contact_time,
     )
-    new = stepped(scene.fields, moved.fields, step)
+    new = advance_fields(scene.fields, moved.fields, step)
     kept = jax.tree.map(lambda own, old: jnp.where(halted, old, own), new, moved.fields)
     return dataclasses.replace(moved, fields=kept)
 
 
-class _Taken(NamedTuple):
+class _AdvancedNodes(NamedTuple):
     """After a step without contact: positions [m], velocities [m/s], the volume before [m^3], the damping loss [J].
 
     And what elements remember, None where they have no viscous modes; and the work of the tool where it moves [J].
@@ -181,20 +183,26 @@ class _Taken(NamedTuple):
     volume: jax.Array
     loss: jax.Array | float
     room: Corners | None
-    remembered: Remembered | None
+    remembered: HistoryUpdate | None
     work: jax.Array | float = 0.0
 
 
-def _taken(
-    load: Load, moving: Moving, kick: jax.Array, length: jax.Array, scene: Scene, now: Window, frame: Frame | None
-) -> _Taken:
+def _advance_nodes(
+    load: Load,
+    moving: WindowState,
+    kick: jax.Array,
+    length: jax.Array,
+    scene: Scene,
+    now: WindowData,
+    frame: ToolFrame | None,
+) -> _AdvancedNodes:
     nodal, volume = force(load, now.active.packed.elements)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
-    velocities, losses = kicked(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
+    velocities, losses = update_velocity(nodal, moving.nodes.velocities, nodes, kick, scene.solver.damping)
     work: jax.Array | float = 0.0
     if frame is not None:
         both = moving.nodes.velocities, velocities
-        velocities, held, done = carried(nodal, both, nodes, moving.nodes.wall, kick, frame.velocity)
+        velocities, held, done = apply_tool_velocity(nodal, both, nodes, moving.nodes.wall, kick, frame.velocity)
         work, losses = total(done), None if losses is None else jnp.where(held, 0.0, losses)
         # Of a halted window nothing moves, and nothing is done.
         velocities = [jnp.where(moving.halted, old, new) for old, new in zip(both[0], velocities, strict=True)]
@@ -203,43 +211,45 @@ def _taken(
     loss = total(losses) if losses is not None else 0.0
     rest, modes = None, now.losing
     if modes is not None and now.recursion is not None:
-        rest = remembered(load, now.active.packed.elements, modes, now.recursion)
-    return _Taken(positions, jnp.stack(velocities), volume, loss, None, rest, work)
+        rest = update_history(load, now.active.packed.elements, modes, now.recursion)
+    return _AdvancedNodes(positions, jnp.stack(velocities), volume, loss, None, rest, work)
 
 
-def _taken_in_blocks(
+def _advance_nodes_in_blocks(
     load: Load,
-    moving: Moving,
+    moving: WindowState,
     room: Corners,
     kick: jax.Array,
     length: jax.Array,
     scene: Scene,
-    now: Window,
-    frame: Frame | None,
-) -> _Taken:
+    now: WindowData,
+    frame: ToolFrame | None,
+) -> _AdvancedNodes:
     """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
     elements = now.active.packed.elements
     modes, rest = now.losing, None
     if modes is None or now.recursion is None:
         corners, volume = corner_forces(load, elements, room)
     else:
-        corners, volume, rest = corner_forces_remembered(load, elements, room, modes, now.recursion)
+        corners, volume, rest = viscous_corner_forces(load, elements, room, modes, now.recursion)
     nodes = moving.nodes.stuck, now.active.mass, now.active.compliance
 
     def work(old: Any, own: Any, nodes: Any, wall: Any) -> Any:
         (x,), (y,), (z,), before = old
-        nodal, sums = assembled(corners, own), []
-        velocities, losses = kicked(nodal, before, nodes, kick, scene.solver.damping)
+        nodal, sums = gather_shares(corners, own), []
+        velocities, losses = update_velocity(nodal, before, nodes, kick, scene.solver.damping)
         if frame is not None:
-            velocities, held, done = carried(nodal, (before, velocities), nodes, wall, kick, frame.velocity)
+            velocities, held, done = apply_tool_velocity(nodal, (before, velocities), nodes, wall, kick, frame.velocity)
             sums, losses = [done], None if losses is None else jnp.where(held, 0.0, losses)
-        new = once(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
+        new = materialize(vector(x + length * v for x, v in zip((x, y, z), velocities, strict=True)))
         return [*([x] for x in new), velocities], sums if losses is None else [losses, *sums]
 
-    inputs = shares(elements), nodes, None if frame is None else moving.nodes.wall
+    inputs = gather_table(elements), nodes, None if frame is None else moving.nodes.wall
     into = [*(x[None] for x in moving.nodes.positions), moving.nodes.velocities]
     damped, moves = scene.solver.damping is not None, frame is not None
     # Positions and velocities are each read by what is written there alone, so that neither need be copied.
     new, sums = over_blocks(work, elements.node_block_count, inputs, into, sums=damped + moves, update=4, kept=False)
     positions = vector(row for (row,) in new[:3])
-    return _Taken(positions, new[3], volume, sums[0] if damped else 0.0, corners, rest, sums[-1] if moves else 0.0)
+    return _AdvancedNodes(
+        positions, new[3], volume, sums[0] if damped else 0.0, corners, rest, sums[-1] if moves else 0.0
+    )

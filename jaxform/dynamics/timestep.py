@@ -16,18 +16,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import Part, once, only_if, over_blocks
+from jaxform.kernels.blocks import ArraySlice, lax_cond_once, materialize, over_blocks
 from jaxform.mechanics import membrane, stiffness
-from jaxform.mechanics.corners import Load, corner_changes
-from jaxform.mechanics.elements import Corners, assembled, no_corners, shares
+from jaxform.mechanics.constitutive import instantaneous_memory
+from jaxform.mechanics.corners import Load, corner_force_changes
+from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table
 from jaxform.mechanics.nodes import highest_speed
-from jaxform.mechanics.response import at_once
 from jaxform.model.scene import Scene
 from jaxform.model.tables import MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
-from jaxform.sheet.account import present_pressure
-from jaxform.sheet.active_set import ActiveSet, Room
-from jaxform.sheet.discretization import law_of
-from jaxform.sheet.state import PackedState, any_mode, can_move
+from jaxform.sheet.active_set import ActiveSet, Workspace
+from jaxform.sheet.discretization import element_law
+from jaxform.sheet.energy_balance import present_pressure
+from jaxform.sheet.state import PackedState, can_move, noise_vector
 
 RUNGS_PER_OCTAVE = 16
 _FEW, _MANY = 2, 12  # products with the tangent, where the mode is known and where it is not
@@ -43,7 +43,7 @@ LEAST_LEFT = 0.01  # of a velocity after a window's damping: from less it could 
 _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness that grows
 
 
-class Limit(NamedTuple):
+class StepLimit(NamedTuple):
     """How the longest stable step was found, kept for the next window; as in `State`."""
 
     mode: jax.Array | None
@@ -51,19 +51,19 @@ class Limit(NamedTuple):
     sharpness: jax.Array
 
 
-class Chosen(NamedTuple):
+class StepChoice(NamedTuple):
     """The step of a window [s], how many there are at most, and what the next window needs to know of the limit.
 
     And the room that was written in, where there is some that is kept.
     """
 
     length: jax.Array
-    most: jax.Array
-    limit: Limit
-    room: Room | None = None
+    max_count: jax.Array
+    limit: StepLimit
+    room: Workspace | None = None
 
 
-def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
+def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoice:
     """The step of the next window: from the ladder 2^(k/16), or what divides the rest of the time evenly.
 
     The state is in packed order.
@@ -90,15 +90,15 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> Chosen:
         rung = jnp.where(held, state.control.step_length, rung)
     rung = rung * jnp.exp2(-state.control.retries)
     rest = end - state.time
-    most = jnp.minimum(state.control.span, most_steps(rung, scene))
+    most = jnp.minimum(state.control.span, max_step_count(rung, scene))
     if state.control.pace is not None:
         cooling = jnp.maximum(state.control.pace * rung, jnp.finfo(rung.dtype).tiny)
         most = jnp.clip(MOST_COOLING / cooling, 1, most).astype(most.dtype)
     most = jnp.clip(jnp.ceil(rest / rung), jnp.minimum(most, SHORT_WINDOW), most).astype(most.dtype)
-    return jax.lax.stop_gradient(Chosen(jnp.minimum(rung, rest / most), most, limit, room))
+    return jax.lax.stop_gradient(StepChoice(jnp.minimum(rung, rest / most), most, limit, room))
 
 
-def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
+def max_step_count(length: jax.Array, scene: Scene) -> jax.Array:
     """How many steps of a length [s] a window may take: no more, beyond a short one, than can be taken back."""
     longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
     if damping is None or scene.tables.window_room <= SHORT_WINDOW:
@@ -109,7 +109,7 @@ def most_steps(length: jax.Array, scene: Scene) -> jax.Array:
     return jnp.clip(most, jnp.minimum(SHORT_WINDOW, longest), longest).astype(longest.dtype)
 
 
-def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, Limit, Room | None]:
+def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, StepLimit, Workspace | None]:
     """The longest stable step [s], how it was found, and the room that was written in.
 
     How much sharper the measured step is than the elements' bound depends on shapes and changes slowly. A search that
@@ -117,13 +117,13 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
     where it seems to rise, the search is done once more and thoroughly, as it is where no mode is known, or else the
     rise is not believed.
     """
-    bound, begin = elements_bound(state, scene, active), state.nodes.mode
+    bound, begin = element_step_bound(state, scene, active), state.nodes.mode
     if begin is None:
-        return bound, Limit(None, bound, state.control.sharpness), active.room
+        return bound, StepLimit(None, bound, state.control.sharpness), active.workspace
 
     def search(found: tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[Corners, jax.Array]]) -> Any:
         thorough = found[2]
-        mode, (least, square), own = _highest(state, begin, scene, active, thorough, found[4])
+        mode, (least, square), own = _highest_mode(state, begin, scene, active, thorough, found[4])
         sharpness = _MARGIN * 2.0 / (bound * jnp.sqrt(square))
         # The elements' bound counts as well, unless there is a mode that proves it wrong.
         wrong = bound * jnp.sqrt(jnp.maximum(least, 0.0)) > 2.0 * (1.0 + _ROUNDING)
@@ -133,9 +133,9 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
         return mode, sharpness, lost, lost, own
 
     known = state.control.sharpness > 0.0
-    room, elements = active.room, active.packed.elements
+    room, elements = active.workspace, active.packed.elements
     if room is None or room.basis is None:
-        own = no_corners(state.nodes.positions, elements), no_basis(begin.shape[1], begin.dtype)
+        own = allocate_corner_forces(state.nodes.positions, elements), allocate_basis(begin.shape[1], begin.dtype)
     else:
         own = room.corners, room.basis
     begun = begin, state.control.sharpness, ~known, jnp.asarray(True), own
@@ -148,19 +148,19 @@ def _limit(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Arr
     growth = (sharpness * bound / before) ** jnp.where(state.control.last_count > 0, windows, 1.0)
     growth = jnp.where(known, jnp.clip(growth, _MOST_GROWTH, 1.0), 1.0)
     room = None if room is None else dataclasses.replace(room, corners=corners, basis=basis)
-    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, Limit(mode, bound, sharpness), room
+    return jnp.maximum(growth * sharpness, jnp.minimum(sharpness, 1.0)) * bound, StepLimit(mode, bound, sharpness), room
 
 
-def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
+def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.Array:
     """A step [s] that is stable whatever the elements' neighbours are; in tension. The state is in packed order."""
-    rows, elements = membrane.rows_of(state.nodes.positions), active.packed.elements
+    rows, elements = membrane.unstack_rows(state.nodes.positions), active.packed.elements
 
     def work(own: tuple[jax.Array, ...], bound: jax.Array, zones: Any, memory: Any, modes: Any) -> Any:
         triangles, inverse, area = own
         # Where fields go on after all stuck, the steps do as well, as long as if nothing did.
         moving = can_move(state.nodes.stuck, triangles, area) if scene.rests else area > 0.0
-        material = law_of(scene.material, zones, modes)
-        return [], [stiffness.of_elements(rows, triangles, inverse, bound, moving, material, memory)]
+        material = element_law(scene.material, zones, modes)
+        return [], [stiffness.element_stiffness(rows, triangles, inverse, bound, moving, material, memory)]
 
     own = elements.triangles, elements.inverse_metric, elements.area
     inputs = own, active.bound, active.zones, state.memory, active.modes
@@ -169,12 +169,12 @@ def elements_bound(state: PackedState, scene: Scene, active: ActiveSet) -> jax.A
     if not scene.pressure.follows_volume:
         return step
     # The largest eigenvalue of a sum is at most the sum of the largest ones.
-    slope, rise, compliance = _falling(state, scene, active)
+    slope, rise, compliance = _pressure_slope(state, scene, active)
     more = jnp.maximum(-slope, 0.0) * jnp.sum(compliance * jnp.square(rise))
     return 2.0 / jnp.sqrt(jnp.square(2.0 / step) + more)
 
 
-def _falling(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _pressure_slope(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
     """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
     volume, rise = jax.value_and_grad(active.volume)(state.nodes.positions)
     slope = jax.grad(lambda volume: present_pressure(state, scene, volume).pressure)(volume)
@@ -202,12 +202,12 @@ class _Lanczos(NamedTuple):
     corners: list[jax.Array]
 
 
-def no_basis(places: int, real: jnp.dtype) -> jax.Array:
+def allocate_basis(places: int, real: jnp.dtype) -> jax.Array:
     """Room for the vectors of a search, one after the other (3, several places)."""
     return jnp.zeros((3, _MANY * places), real)
 
 
-def _highest(
+def _highest_mode(
     state: PackedState,
     mode: jax.Array,
     scene: Scene,
@@ -224,10 +224,10 @@ def _highest(
     compliance = jnp.where(state.nodes.stuck, 0.0, active.compliance)
     volume, falling = None, None
     if scene.pressure.follows_volume:
-        volume, falling = active.volume(state.nodes.positions), _falling(state, scene, active)
+        volume, falling = active.volume(state.nodes.positions), _pressure_slope(state, scene, active)
     pressure = present_pressure(state, scene, volume).pressure
     modes = active.viscous(scene.material)
-    memory = None if modes is None or state.memory is None else at_once(state.memory, modes)
+    memory = None if modes is None or state.memory is None else instantaneous_memory(state.memory, modes)
     load = Load(state.nodes.positions, active.thickness, pressure, *active.response(scene.material.stiffest, memory))
 
     def over_nodes(work: Callable[..., Any], inputs: Any, into: Any, **kinds: Any) -> Any:
@@ -237,38 +237,38 @@ def _highest(
         _, (square,) = over_nodes(lambda m, v: ([], [m * membrane.dot(v, v)]), (active.mass, vector), [], sums=1)
         return jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
 
-    def with_noise(mode: jax.Array) -> jax.Array:
+    def add_noise(mode: jax.Array) -> jax.Array:
         there = jnp.zeros((3, active.packed.place.size), mode.dtype)
-        noise = jnp.sqrt(compliance) * active.packed.taken(any_mode(there))
+        noise = jnp.sqrt(compliance) * active.packed.pack(noise_vector(there))
         return mode / norm(mode) + _NOISE / norm(noise) * noise
 
     def multiply(k: jax.Array, now: _Lanczos) -> _Lanczos:
-        corners, scale = corner_changes(load, elements, now.vector, now.corners), 1.0 / now.size
+        corners, scale = corner_force_changes(load, elements, now.vector, now.corners), 1.0 / now.size
 
-        inputs = shares(elements), active.mass, compliance, now.vector
+        inputs = gather_table(elements), active.mass, compliance, now.vector
         if falling is not None:
             # The pressure that falls as all nodes move is one product more.
             inputs = *inputs, falling[0] * jnp.sum(falling[1] * now.vector) * falling[1]
 
-        def multiplied(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
-            forces = membrane.vector(assembled(corners, own))
+        def multiply_block(own: Any, mass: jax.Array, compliance: jax.Array, vector: jax.Array, *more: Any) -> Any:
+            forces = membrane.vector(gather_shares(corners, own))
             for other in more:
                 forces = membrane.plus(forces, other)
             new = membrane.vector(-scale * c * f for c, f in zip(compliance, forces, strict=True))
             return [new], [scale * mass * membrane.dot(vector, new)]
 
-        (new,), (rate,) = over_nodes(multiplied, inputs, [now.new], sums=1)
+        (new,), (rate,) = over_nodes(multiply_block, inputs, [now.new], sums=1)
         before = jnp.where(k > 0, now.beside[k - 1], 0.0)
 
-        def orthogonal(old: Any, mass: jax.Array, new: jax.Array) -> Any:
+        def orthogonalize(old: Any, mass: jax.Array, new: jax.Array) -> Any:
             unit = [scale * v for v in old[0]]
             vector = membrane.vector(x - rate * v - before * w for x, v, w in zip(new, unit, old[1], strict=True))
             # Both are worked out before either is written (docs/explanation/kernels.md).
-            vector, unit = once((vector, unit))
+            vector, unit = materialize((vector, unit))
             return [vector, unit, unit], [mass * membrane.dot(vector, vector)]
 
-        into = [now.vector, now.last, Part(now.basis, k * places, places)]
-        (vector, unit, basis), (square,) = over_nodes(orthogonal, (active.mass, new), into, sums=1, update=2)
+        into = [now.vector, now.last, ArraySlice(now.basis, k * places, places)]
+        (vector, unit, basis), (square,) = over_nodes(orthogonalize, (active.mass, new), into, sums=1, update=2)
         size = jnp.sqrt(square)
         return _Lanczos(
             vector=vector,
@@ -281,7 +281,7 @@ def _highest(
             corners=corners,
         )
 
-    start = only_if(thorough, with_noise, jnp.where(compliance > 0.0, mode, 0.0))
+    start = lax_cond_once(thorough, add_noise, jnp.where(compliance > 0.0, mode, 0.0))
     none, nowhere = jnp.zeros(_MANY, start.dtype), jnp.zeros_like(start)
     count = jnp.where(thorough, _MANY, _FEW)
     corners, basis = room
@@ -289,13 +289,13 @@ def _highest(
     done = jax.lax.fori_loop(0, count, multiply, begun)
     off = jnp.where(jnp.arange(1, _MANY) < count, done.beside[:-1], 0.0)
     square, share = _largest_of_few(done.diagonal, off)
-    square, share = only_if(thorough, lambda _: _largest_of_many(done.diagonal, off), (square, share))
+    square, share = lax_cond_once(thorough, lambda _: _largest_of_many(done.diagonal, off), (square, share))
 
     def add(k: jax.Array, mode: jax.Array) -> jax.Array:
         def work(old: Any, unit: jax.Array) -> Any:
             return [[x + share[k] * v for x, v in zip(old[0], unit, strict=True)]], []
 
-        return over_nodes(work, (Part(done.basis, k * places, places),), [mode], update=1)[0][0]
+        return over_nodes(work, (ArraySlice(done.basis, k * places, places),), [mode], update=1)[0][0]
 
     mode = jax.lax.fori_loop(0, count, add, nowhere)
     missing = jnp.abs(done.beside[count - 1] * share[count - 1])
@@ -312,11 +312,11 @@ def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, ja
     small = jnp.diag(diagonal) + jnp.diag(off, 1) + jnp.diag(off, -1)
     bound = jnp.maximum(jnp.max(jnp.sum(jnp.abs(small), axis=1)), jnp.finfo(small.dtype).tiny)
 
-    def squared(_: jax.Array, power: jax.Array) -> jax.Array:
+    def square_scaled(_: jax.Array, power: jax.Array) -> jax.Array:
         power = power / jnp.max(jnp.abs(power))
         return jnp.sum(power[:, :, None] * power[None], axis=1)
 
-    power = jax.lax.fori_loop(0, _SQUARINGS, squared, small / bound + jnp.eye(len(small), dtype=small.dtype))
+    power = jax.lax.fori_loop(0, _SQUARINGS, square_scaled, small / bound + jnp.eye(len(small), dtype=small.dtype))
     vector = power[:, jnp.argmax(jnp.diag(power))]
     vector = vector / jnp.sqrt(jnp.sum(jnp.square(vector)))
     return jnp.sum(vector * jnp.sum(small * vector[None], axis=1)), vector

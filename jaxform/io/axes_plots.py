@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real
 from jaxform.io import plots, surfaces, views
-from jaxform.io.scales import seen_apart
+from jaxform.io.scales import distinguishable_points
 from jaxform.model.scene import Scene
 from jaxform.results import sections
-from jaxform.results.result import Result, only_used
+from jaxform.results.result import Result, drop_unused
 
 _SIGNED, _PLAIN = "RdBu", "viridis"
 
@@ -49,7 +49,7 @@ def part(
     ax = _axes(ax, projection="3d")
     if ax.name != "3d":
         raise InputError("has no third dimension", 'make it with projection="3d"', "ax", ax.name)
-    scene, result = only_used(scene, result)
+    scene, result = drop_unused(scene, result)
     view = surfaces.part_view(scene, result, limits or plots.wall_scale([(scene, result)]), edges=edges)
     colors = views.draw(ax, view if mold else view._replace(surfaces=view.surfaces[-1:], outline=None))
     if bar:
@@ -69,10 +69,10 @@ def wall(result: Result, scene: Scene, ax: Any = None, **style: Any) -> Any:
     Returns:
         The axes.
     """
-    ax, (scene, result) = _axes(ax), only_used(scene, result)
+    ax, (scene, result) = _axes(ax), drop_unused(scene, result)
     curve = sections.curves(scene, result)[0]
     disc = sections.is_disc(scene)
-    shown = seen_apart(curve.arc, curve.thickness) if disc else slice(None)
+    shown = distinguishable_points(curve.arc, curve.thickness) if disc else slice(None)
     look = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
     ax.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], **(look | {"label": curve.label} | style))
     where = "arc length from the axis" if disc else "arc length along the section"

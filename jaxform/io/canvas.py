@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.writing import whole
+from jaxform.core.atomic_write import atomic_path
 from jaxform.io import views
 
 Array = NDArray[np.float64]
@@ -89,5 +89,5 @@ def save(figure: Any, path: str | Path) -> None:
             if axes.get_yscale() == "linear" and axes.get_aspect() == "auto" and axes.dataLim.y0 >= 0:
                 axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
             axes.spines["top"].set_visible(False)
-    with whole(path) as fresh:
+    with atomic_path(path) as fresh:
         figure.savefig(fresh, dpi=_DPI, metadata={"Software": None})

@@ -56,7 +56,7 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> So
     known = built_in(kind)
     if name in known:
         return Source(f"{name} (built-in {kind})", known[name], _tables(known[name], name))
-    path = disk.located(name, folder)
+    path = disk.expand_path(name, folder)
     if not disk.is_file(path):
         raise _missing(name, path, kind, known)
     return Source(str(path), path, _tables(path, str(path)))

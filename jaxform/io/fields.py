@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools.distances import Distances, Triangulation, interpolated, weights
+from jaxform.tools.distances import Distances, Triangulation, interpolate, weights
 
 Array = NDArray[np.float64]
 
@@ -38,17 +38,17 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
         InputError: The file is no mesh, has no such field, or is not at those positions.
     """
     try:
-        mesh = meshes.used(meshes.read_mesh(path))
+        mesh = meshes.drop_unused_nodes(meshes.read_mesh(path))
         if name in mesh.cell_fields:
             # The mean over the triangles around a node wants all of them to know it.
             mesh = meshes.weld(mesh)
         values = _values(mesh, name, f"{key}.field" if key else "field")
-        return carried(_as_it_began(mesh, positions), values, positions)
+        return transfer_values(_at_initial_positions(mesh, positions), values, positions)
     except InputError as error:
         raise error.within(key=f"{key}.file" if key else "file") from None
 
 
-def _as_it_began(mesh: Mesh, positions: Array) -> Mesh:
+def _at_initial_positions(mesh: Mesh, positions: Array) -> Mesh:
     """A formed mesh at its initial positions, unless the places (n, 3) [m] are nodes of it as it is formed."""
     if not all(name in mesh.fields for name in meshes.REFERENCE):
         return mesh
@@ -67,7 +67,7 @@ def _values(mesh: Mesh, name: str, key: str) -> Array:
     return known[name]
 
 
-def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
+def transfer_values(mesh: Mesh, values: Array, positions: Array) -> Array:
     """Nodal values (n_node,) of a mesh at other places (n, 3) [m], as `nodal_field` carries them over.
 
     Raises:
@@ -78,7 +78,7 @@ def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
     result = values[node]
     elsewhere = np.flatnonzero(apart > SAME_PLACE * size)
     if len(elsewhere):
-        triangles = mesh.triangles[~meshes.degenerate(mesh.positions, mesh.triangles)]
+        triangles = mesh.triangles[~meshes.find_degenerate(mesh.positions, mesh.triangles)]
         if not len(triangles):
             raise InputError("has no triangle with an area", "give a mesh of the initial sheet, in metres")
         found = Distances(Triangulation(mesh.positions, triangles), FARTHEST * size).nearest(positions[elsewhere])
@@ -88,7 +88,7 @@ def carried(mesh: Mesh, values: Array, positions: Array) -> Array:
             problem = f"has nothing at ({place}) m: its mesh is {found.distance[worst]:.3g} m away"
             raise InputError(problem, "give a mesh of the initial sheet, in metres")
         weight = weights(found.place, mesh.positions[triangles[found.triangle]])
-        result[elsewhere] = interpolated(values, triangles, found.triangle, weight)
+        result[elsewhere] = interpolate(values, triangles, found.triangle, weight)
     return result
 
 

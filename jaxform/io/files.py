@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from jaxform import materials
 from jaxform.core import disk
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import ranges_of
+from jaxform.core.parameters import parameter_ranges
+from jaxform.core.promotion import with_standard_promotion
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import check
-from jaxform.core.rules import by_own_rules
 from jaxform.core.store import Store
 from jaxform.io import catalog, fields, schema
-from jaxform.io.geometry import mold_of, part_of, profile_of, sheet_of, told_of
-from jaxform.io.survey import warn_of_scene
+from jaxform.io.geometry import build_mold, build_part, build_profile, build_sheet, error_context
+from jaxform.io.scene_checks import warn_of_scene
 from jaxform.io.thin_features import warn_of_thin_features
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
 from jaxform.mesh import bisection, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
-from jaxform.prepare.building import build_scene
-from jaxform.prepare.growing import grown_parison
+from jaxform.prepare.refinement_setup import extend_parison
+from jaxform.prepare.scene_builder import build_scene
 
 REFERENCE_COLUMNS = ("initial_radius", "arc", "thickness_ratio")
 
@@ -111,12 +111,12 @@ def read_study(name_or_path: str | Path) -> StudyDocument:
     source = catalog.read(name_or_path, "study")
     model = validate(schema.StudyFile, source.data, source.file)
     folder = source.path.resolve().parent
-    with told_of(source.file, "scene"):
+    with error_context(source.file, "scene"):
         scene = read_scene(model.scene, folder)
     return StudyDocument(source.file, folder, source.data, model, scene)
 
 
-@by_own_rules
+@with_standard_promotion
 def build(document: SceneDocument, store: Store | None = None) -> Scene:
     """The scene of a document; host work.
 
@@ -130,26 +130,26 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
     Warns:
         InputWarning: What can be simulated is hardly meant: units, a mold on the wrong side, open seams.
     """
-    scene = build_unseen(document, store)
-    look_over(scene, document)
+    scene = build_unchecked(document, store)
+    review_scene(scene, document)
     return scene
 
 
-def look_over(scene: Scene, document: SceneDocument) -> None:
+def review_scene(scene: Scene, document: SceneDocument) -> None:
     """Warns of what in a document's scene can be simulated, but is hardly meant."""
     warn_of_scene(scene, document.file, document.model)
     warn_of_thin_features(scene, document.file)
 
 
-def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
-    """As `build`, but it is left to the caller to `look_over` the scene."""
+def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scene:
+    """As `build`, but it is left to the caller to `review_scene` the scene."""
     model = document.model
-    with told_of(document.file):
+    with error_context(document.file):
         pressure, solver = model.pressure, model.solver
-        find_mold = functools.cache(lambda: mold_of(document, store))
-        sheet = sheet_of(document, store, find_mold)
+        find_mold = functools.cache(lambda: build_mold(document, store))
+        sheet = build_sheet(document, store, find_mold)
         refinement, forest = _refinement(document, sheet)
-        grown = _grown(sheet, forest)
+        grown = _extend_sheet(sheet, forest)
         scene = build_scene(
             parison=_parison(document, grown, forest),
             refinement=refinement,
@@ -166,7 +166,7 @@ def build_unseen(document: SceneDocument, store: Store | None = None) -> Scene:
             mold=find_mold(),
             cooling=_cooling(document),
             fill=model.mold is None or model.mold.fill,
-            part=part_of(document, find_mold()),
+            part=build_part(document, find_mold()),
             name=document.name,
             frames=model.output.frames,
             store=store,
@@ -183,8 +183,8 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
     name = document.model.output.reference
     if name is None:
         return None
-    with told_of(document.file, "output.reference"):
-        path = disk.located(name, document.folder)
+    with error_context(document.file, "output.reference"):
+        path = disk.expand_path(name, document.folder)
         text = disk.read_text(path)
         try:
             rows = list(csv.DictReader(io.StringIO(text, newline="")))
@@ -197,7 +197,7 @@ def read_reference(document: SceneDocument) -> dict[str, NDArray[np.float64]] | 
         return columns
 
 
-def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.Forest | None) -> Parison:
+def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.TriangleForest | None) -> Parison:
     table = document.model.parison
     thickness = _quantity(document, table.thickness, "parison.thickness", sheet)
     temperature = table.temperature
@@ -205,23 +205,25 @@ def _parison(document: SceneDocument, sheet: shapes.Sheet, forest: bisection.For
         temperature = _quantity(document, temperature, "parison.temperature", sheet)
     if forest is None:
         return make_parison(sheet.positions, sheet.triangles, thickness, sheet.clamped, sheet.fixed, temperature)
-    return grown_parison(forest, thickness, temperature)
+    return extend_parison(forest, thickness, temperature)
 
 
-def _grown(sheet: shapes.Sheet, forest: bisection.Forest | None) -> shapes.Sheet:
+def _extend_sheet(sheet: shapes.Sheet, forest: bisection.TriangleForest | None) -> shapes.Sheet:
     """The sheet with all nodes that refinement may make, and its fields at them."""
     if forest is None:
         return sheet
-    given = {name: bisection.extended(values, forest.ends, forest.depth) for name, values in sheet.fields.items()}
+    given = {name: bisection.extend_values(values, forest.ends, forest.depth) for name, values in sheet.fields.items()}
     return replace(sheet, positions=forest.positions, fields=given)
 
 
-def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinement | None, bisection.Forest | None]:
+def _refinement(
+    document: SceneDocument, sheet: shapes.Sheet
+) -> tuple[Refinement | None, bisection.TriangleForest | None]:
     table = document.model.refinement
     if table is None:
         return None, None
     roots, deepest = len(sheet.triangles), bisection.even_depth(max(table.max_level, table.base_level))
-    elements = min(table.elements or usual_room(roots), roots << deepest)
+    elements = min(table.elements or default_capacity(roots), roots << deepest)
     refinement = make_refinement(**table.model_dump(exclude={"elements"}), elements=elements)
     made = bisection.build_forest(
         sheet.positions, sheet.triangles, deepest, clamped=sheet.clamped, fixed=sheet.fixed, snap=sheet.snap
@@ -229,7 +231,7 @@ def _refinement(document: SceneDocument, sheet: shapes.Sheet) -> tuple[Refinemen
     return refinement, made
 
 
-def usual_room(roots: int) -> int:
+def default_capacity(roots: int) -> int:
     """Room for elements where none is asked for: for as many as the paper's scenes end with, and not much more.
 
     A run with too little takes more, but compiles again; room that is not used takes time, so large meshes get less.
@@ -239,13 +241,13 @@ def usual_room(roots: int) -> int:
 
 def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
     """What may vary over the sheet: a number, or values at its nodes (n_node,)."""
-    if isinstance(table, schema.Profile):
-        return profile_of(table, key).over(sheet.positions)
+    if isinstance(table, schema.ProfileTable):
+        return build_profile(table, key).over(sheet.positions)
     if isinstance(table, schema.NumberProfile):
         return Profile(table.along, tuple(table.at), tuple(table.value), key).over(sheet.positions)
     if isinstance(table, schema.FieldReference):
-        with told_of("", f"{key}.file"):
-            path = disk.located(table.file, document.folder)
+        with error_context("", f"{key}.file"):
+            path = disk.expand_path(table.file, document.folder)
         return fields.nodal_field(path, table.field, sheet.positions, key)
     if isinstance(table, str):
         name = table.removeprefix("field:")
@@ -264,7 +266,7 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
         value, key = getattr(table, name), f"material.{name}"
         for profile in value if isinstance(value, list) else [value]:
             if isinstance(profile, schema.NumberProfile):
-                check(f"{key}.value", profile.value, ranges_of(law)[name])
+                check(f"{key}.value", profile.value, parameter_ranges(law)[name])
         if not isinstance(value, list):
             return as_real(_quantity(document, value, key, sheet))
         terms = [_quantity(document, one, f"{key}[{k}]", sheet) for k, one in enumerate(value)]
@@ -274,9 +276,9 @@ def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
         if own is None:
             return None
         kind = kinds[own.kind]
-        return kind(**{name: as_real(getattr(own, name)) for name in ranges_of(kind)})
+        return kind(**{name: as_real(getattr(own, name)) for name in parameter_ranges(kind)})
 
-    made = law(**{name: number(name) for name in ranges_of(law)})
+    made = law(**{name: number(name) for name in parameter_ranges(law)})
     viscous, shift = part(materials.MODES, table.viscous), part(materials.SHIFTS, table.shift)
     return replace(made, viscous=viscous, shift=shift, tension_field=table.tension_field)
 

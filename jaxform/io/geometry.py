@@ -12,10 +12,10 @@ import numpy as np
 from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.store import Arrays, Store
-from jaxform.io import earlier, schema
+from jaxform.io import previous_results, schema
 from jaxform.mesh import meshes, shapes
 from jaxform.mesh.profiles import Profile
-from jaxform.model.part import Part, make_part, named
+from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import molds, motion, rims
 from jaxform.tools.mold import Mold, make_mold
 
@@ -26,7 +26,7 @@ _SAME = 1e-6  # of the mold's size: middles of triangles that are as near are th
 
 
 @contextlib.contextmanager
-def told_of(file: str, key: str = "") -> Iterator[None]:
+def error_context(file: str, key: str = "") -> Iterator[None]:
     """Errors inside name the file, and the key."""
     try:
         yield
@@ -34,7 +34,7 @@ def told_of(file: str, key: str = "") -> Iterator[None]:
         raise error.within(file=file, key=key) from None
 
 
-def sheet_of(
+def build_sheet(
     document: SceneDocument, store: Store | None = None, find_mold: Callable[[], Mold | None] | None = None
 ) -> shapes.Sheet:
     """The sheet of a document.
@@ -47,14 +47,14 @@ def sheet_of(
         store: Where it is kept; nowhere by default.
         find_mold: Gives the document's mold, where it is there already or will be needed again.
     """
-    find_mold = find_mold or functools.cache(lambda: mold_of(document, store))
+    find_mold = find_mold or functools.cache(lambda: build_mold(document, store))
     table, meshed = document.model.parison, schema.Outline | schema.BottleHalfParison
     if store is None or document.model.refinement is not None or not isinstance(table, meshed):
-        return _made(document, find_mold)
+        return _make_shape(document, find_mold)
     depends: list[Any] = [table.model_dump(exclude={"thickness", "temperature"})]
     if isinstance(table, schema.Outline) and table.polygon is None and (mold := find_mold()) is not None:
         depends += [np.asarray(mold.vertices), np.asarray(mold.triangles)]
-    kept = store.arrays("sheet", tuple(depends), lambda: _arrays(_made(document, find_mold)))
+    kept = store.arrays("sheet", tuple(depends), lambda: _arrays(_make_shape(document, find_mold)))
     return shapes.Sheet(kept["positions"], kept["triangles"], kept["clamped"], kept["fixed"])
 
 
@@ -63,15 +63,15 @@ def _arrays(shape: shapes.Sheet | molds.MoldShape) -> Arrays:
     return {name: value for name, value in vars(shape).items() if isinstance(value, np.ndarray)}
 
 
-def _made(document: SceneDocument, find_mold: Callable[[], Mold | None]) -> shapes.Sheet:
+def _make_shape(document: SceneDocument, find_mold: Callable[[], Mold | None]) -> shapes.Sheet:
     table = document.model.parison
     if isinstance(table, schema.FileParison):
-        with told_of("", "parison.path"):
-            path = disk.located(table.path, document.folder)
+        with error_context("", "parison.path"):
+            path = disk.expand_path(table.path, document.folder)
             mesh = meshes.read_mesh(path, scale=table.scale)
-            earlier.look_at_planes(path, table.scale, table.planes)
+            previous_results.check_planes(path, table.scale, table.planes)
             return shapes.from_mesh(mesh, flip=table.flip, clamp=table.clamp, planes=table.planes)
-    if isinstance(table, schema.Rectangle):
+    if isinstance(table, schema.RectangleTable):
         return shapes.rectangle(
             size=table.size,
             element_size=table.element_size,
@@ -92,15 +92,15 @@ def _made(document: SceneDocument, find_mold: Callable[[], Mold | None]) -> shap
         mold = find_mold()
         if mold is None:
             raise InputError("there is no mold", "add [mold], or give polygon", "parison.mold_rim", True)
-        return rims.over_opening(np.asarray(mold.vertices, float), np.asarray(mold.triangles), **size)
+        return rims.sheet_over_opening(np.asarray(mold.vertices, float), np.asarray(mold.triangles), **size)
     if isinstance(table, schema.BottleHalfParison):
         return shapes.bottle_half(**table.model_dump(exclude={"shape", "thickness", "temperature"}))
     size = table.element_size
-    local = profile_of(size, "parison.element_size") if isinstance(size, schema.Profile) else size
+    local = build_profile(size, "parison.element_size") if isinstance(size, schema.ProfileTable) else size
     return shapes.disc(radius=table.radius, element_size=local, elements=table.elements, symmetry=table.symmetry)
 
 
-def profile_of(table: schema.Profile, key: str) -> Profile:
+def build_profile(table: schema.ProfileTable, key: str) -> Profile:
     """A profile of positive numbers from its table."""
     return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
 
@@ -111,13 +111,13 @@ def _paths(table: schema.FileMold) -> list[str]:
 
 def _shape_of_files(document: SceneDocument, table: schema.FileMold, names: Sequence[str]) -> molds.MoldShape:
     """A mold of files of these names, as its table places them."""
-    with told_of("", "mold.path"):
-        parts = [meshes.read_mesh(disk.located(name, document.folder), scale=table.scale) for name in names]
-        mesh = parts[0] if len(parts) == 1 else meshes.merged(parts)
+    with error_context("", "mold.path"):
+        parts = [meshes.read_mesh(disk.expand_path(name, document.folder), scale=table.scale) for name in names]
+        mesh = parts[0] if len(parts) == 1 else meshes.merge(parts)
         return molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
 
 
-def part_of(document: SceneDocument, mold: Mold | None) -> Part | None:
+def build_part(document: SceneDocument, mold: Mold | None) -> Part | None:
     """Which of the formed sheet is the part, as the document's [part] says; None without one.
 
     Raises:
@@ -127,17 +127,17 @@ def part_of(document: SceneDocument, mold: Mold | None) -> Part | None:
     if table is None:
         return None
     trim = None if table.trim is None else (table.trim.axis, table.trim.at, table.trim.keep)
-    walls = None if table.molds is None else _walls_of(document, table.molds, mold)
+    walls = None if table.molds is None else _wall_triangles(document, table.molds, mold)
     return make_part(box=table.box, trim=trim, walls=walls)
 
 
-def _walls_of(document: SceneDocument, wanted: Sequence[str], mold: Mold | None) -> Any:
+def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold | None) -> Any:
     """Which triangles of the mold (n_triangle,) are of the wanted files."""
     table = document.model.mold
     if mold is None or not isinstance(table, schema.FileMold):
         raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
     names = _paths(table)
-    chosen = _shape_of_files(document, table, [names[k] for k in named(names, wanted)])
+    chosen = _shape_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)])
     # Their triangles are told by their middles: welding and what is left out leave these where they are.
     middles = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)].mean(1)
     near = _SAME * meshes.size(middles)
@@ -147,7 +147,7 @@ def _walls_of(document: SceneDocument, wanted: Sequence[str], mold: Mold | None)
     return tree.query(middles, distance_upper_bound=near)[0] <= near
 
 
-def mold_of(document: SceneDocument, store: Store | None = None) -> Mold | None:
+def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | None:
     """The mold of a document, or None."""
     table = document.model.mold
     if table is None:

@@ -12,13 +12,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxform.core.atomic_write import atomic_path
 from jaxform.core.errors import InputError
-from jaxform.core.writing import whole
 from jaxform.mesh import meshes
 from jaxform.model.scene import Parison, Scene
 from jaxform.results.part import part_elements
-from jaxform.results.result import Result, only_used
-from jaxform.results.summary import summarize, summarize_at_once, wrinkled
+from jaxform.results.result import Result, drop_unused
+from jaxform.results.summary import summarize, summarize_at_once, wrinkle_fraction
 from jaxform.runs.host import Moment
 from jaxform.tools.mold import Mold
 
@@ -63,13 +63,13 @@ def write_at_once(
     folder = Path(folder)
     _write_summary(folder, summarize_at_once(result, scene), warned, amend)
     write_part(scene, result, folder / "final.vtu")
-    shown, part = only_used(scene, result)
-    with whole(folder / "formed.stl") as fresh:
+    shown, part = drop_unused(scene, result)
+    with atomic_path(folder / "formed.stl") as fresh:
         meshes.write_stl(fresh, np.asarray(part.positions), np.asarray(shown.parison.triangles))
     if scene.mold is None:
         (folder / "mold.vtu").unlink(missing_ok=True)  # of what was here before
     else:
-        with whole(folder / "mold.vtu") as fresh:
+        with atomic_path(folder / "mold.vtu") as fresh:
             meshes.write_vtu(fresh, scene.mold.vertices_at(float(result.time)), np.asarray(scene.mold.triangles))
 
 
@@ -91,20 +91,20 @@ def _write_summary(
 def write_json(path: Path, facts: dict[str, Any]) -> None:
     """Writes plain numbers, words, lists and tables; null for numbers that are not finite."""
     text = json.dumps(_valid(facts), indent=2, allow_nan=False)
-    with whole(path) as fresh:
+    with atomic_path(path) as fresh:
         fresh.write_text(text + "\n", encoding="utf-8")
 
 
 def write_part(scene: Scene, result: Result, path: str | Path) -> None:
     """Writes the part as a mesh with data: initial position, thicknesses, time of contact, stretches, level."""
-    scene, result = only_used(scene, result)
+    scene, result = drop_unused(scene, result)
     stretches = np.asarray(result.stretches, float)
     point_data = {
         "reference": np.asarray(scene.parison.positions, float),
         "thickness": np.asarray(result.thickness, float),
         "initial_thickness": np.asarray(scene.parison.thickness, float),
         "contact_time": np.asarray(result.contact_time, float),
-        **_warmth(scene.parison, len(result.thickness), result.temperature),
+        **_temperature(scene.parison, len(result.thickness), result.temperature),
         **{name: np.asarray(values, float) for name, values in result.fields.items()},
     }
     cell_data = {
@@ -113,15 +113,15 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
         "stretch_2": stretches[:, 1],
         "level": np.asarray(result.level, np.int32),
         **({} if scene.part is None else {"part": np.asarray(part_elements(result, scene), np.int32)}),
-        **({"wrinkled": wrinkled(result)} if scene.material.tension_field else {}),
+        **({"wrinkled": wrinkle_fraction(result)} if scene.material.tension_field else {}),
     }
-    with whole(path) as fresh:
+    with atomic_path(path) as fresh:
         meshes.write_vtu(
             fresh, np.asarray(result.positions), np.asarray(scene.parison.triangles), point_data, cell_data
         )
 
 
-def _warmth(parison: Parison, count: int, now: jax.Array | None = None) -> dict[str, np.ndarray]:
+def _temperature(parison: Parison, count: int, now: jax.Array | None = None) -> dict[str, np.ndarray]:
     """The sheet's temperature [degC] at its first nodes, where it has one: that of now, or what it has at first."""
     temperature = parison.temperature if now is None else now
     return {} if temperature is None else {"temperature": np.asarray(temperature, float)[:count]}
@@ -142,7 +142,7 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
             "thickness": thickness,
             "initial_thickness": thickness,
             "contact_time": np.where(np.asarray(parison.clamped)[:first], 0.0, -1.0),
-            **_warmth(parison, first),
+            **_temperature(parison, first),
             **{name: np.asarray(own.start(parison.positions), float)[:first] for name, own in scene.fields.items()},
         },
         cell_data={
@@ -201,10 +201,12 @@ class Frames:
             return
         if not self.times or self.times[-1] < float(result.time):
             write_part(scene, result, self._next(scene, float(result.time)))
-        with whole(self.folder / "frames.pvd") as fresh:
-            meshes.write_pvd(fresh, self._listed("frame"), self._listed("mold") if _moving(scene) else ())
+        with atomic_path(self.folder / "frames.pvd") as fresh:
+            meshes.write_pvd(
+                fresh, self._list_frames("frame"), self._list_frames("mold") if _moving_mold(scene) else ()
+            )
 
-    def _listed(self, what: str) -> list[tuple[float, str]]:
+    def _list_frames(self, what: str) -> list[tuple[float, str]]:
         return [(time, f"frames/{_name(what, index)}") for index, time in enumerate(self.times)]
 
     def _next(self, scene: Scene, time: float) -> Path:
@@ -212,8 +214,8 @@ class Frames:
         folder, index = self.folder / "frames", len(self.times)
         folder.mkdir(exist_ok=True)
         self.times.append(time)
-        if mold := _moving(scene):
-            with whole(folder / _name("mold", index)) as fresh:
+        if mold := _moving_mold(scene):
+            with atomic_path(folder / _name("mold", index)) as fresh:
                 meshes.write_vtu(fresh, mold.vertices_at(time), np.asarray(mold.triangles))
         return folder / _name("frame", index)
 
@@ -222,7 +224,7 @@ def _name(what: str, index: int) -> str:
     return f"{what}_{index:04d}.vtu"
 
 
-def _moving(scene: Scene) -> Mold | None:
+def _moving_mold(scene: Scene) -> Mold | None:
     """Its mold, if that moves."""
     return scene.mold if scene.mold is not None and scene.mold.motion is not None else None
 

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.parameters import ranges_of
+from jaxform.core.formatting import format_coordinate
+from jaxform.core.parameters import parameter_ranges
 from jaxform.core.pytree import as_real
-from jaxform.core.words import coordinate
 from jaxform.io import canvas, views
 from jaxform.io.canvas import Diagram, Line, PartPicture
-from jaxform.io.scales import color_range, counted_elements, seen_apart
+from jaxform.io.scales import color_range, counted_elements, distinguishable_points
 from jaxform.io.surfaces import part_view
 from jaxform.io.views import MINIMUM
-from jaxform.model.replacing import number_at
+from jaxform.model.replacement import number_at
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.explanation import explain
-from jaxform.results.part import counted
-from jaxform.results.result import Result, only_used
-from jaxform.results.review import thinnest
+from jaxform.results.part import restrict_to_part
+from jaxform.results.part_warnings import thinnest_element
+from jaxform.results.result import Result, drop_unused
 from jaxform.results.summary import formed_areas, wall_statistics
 
 Array = NDArray[np.float64]
@@ -50,9 +50,9 @@ def thickness_picture(
 
 def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | None = None) -> PartPicture:
     """What is in the picture of a formed part, as arrays; the arguments are those of `thickness_picture`."""
-    scene, result = only_used(scene, result)
-    part = counted(result, scene)[0]
-    thin = thinnest(part, scene)
+    scene, result = drop_unused(scene, result)
+    part = restrict_to_part(result, scene)[0]
+    thin = thinnest_element(part, scene)
     view = part_view(scene, result, wall_scale([(scene, result)]), mark=thin["formed"])
     return PartPicture(_title(scene, part), view, _wall(part), _diagram(scene, result, thin, reference))
 
@@ -100,7 +100,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         target: Wall thickness that is wanted everywhere [m], or None.
     """
     designed = _designed_field(before[0], after[0])
-    before, after = only_used(*before), only_used(*after)
+    before, after = drop_unused(*before), drop_unused(*after)
     figure = canvas.new_figure(16, 12, "")
     scale = wall_scale([before, after])
     for place, words, part in ((0.0, "before", before), (0.46, "after", after)):
@@ -108,7 +108,7 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
         colors = views.draw(view, part_view(*part, scale))
         figure.text(place + 0.225, 0.955, _part_words(words, part), ha="center", fontsize=13)
     bar = figure.add_axes((0.925, 0.52, 0.012, 0.34))
-    walls = [_wall(counted(result, scene)[0]) for scene, result in (before, after)]
+    walls = [_wall(restrict_to_part(result, scene)[0]) for scene, result in (before, after)]
     canvas.draw_bar(figure, colors, bar, "wall thickness [mm]", walls)
     same = np.array_equal(before[0].pressure.value, after[0].pressure.value)
     count = 2 if same else 3
@@ -133,7 +133,7 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
         scene: What was simulated.
         results: The part at each time.
     """
-    parts = [only_used(scene, result) for result in results]
+    parts = [drop_unused(scene, result) for result in results]
     figure, scale = canvas.new_figure(5.5 * len(parts), 5.5, scene.name), wall_scale(parts[-1:])
     for k, (shown, part) in enumerate(parts):
         view = figure.add_axes((0.95 * k / len(parts), 0.02, 0.95 / len(parts), 0.84), projection="3d")
@@ -141,7 +141,9 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
         words = f"t = {1e3 * float(part.time):.4g} ms, {len(part.triangles)} elements"
         figure.text(0.95 * (k + 0.5) / len(parts), 0.88, words, ha="center", fontsize=12)
     bar = figure.add_axes((0.96, 0.25, 0.005, 0.45))
-    canvas.draw_bar(figure, colors, bar, "wall [mm]", [_wall(counted(part, shown)[0]) for shown, part in parts])
+    canvas.draw_bar(
+        figure, colors, bar, "wall [mm]", [_wall(restrict_to_part(part, shown)[0]) for shown, part in parts]
+    )
     canvas.save(figure, path)
 
 
@@ -157,7 +159,7 @@ _STATISTICS = (("min", "minimum"), ("mean", "mean"), ("max", "maximum"))
 
 
 def _part_words(words: str, part: Part) -> str:
-    result = counted(part[1], part[0])[0]
+    result = restrict_to_part(part[1], part[0])[0]
     wall = wall_statistics(result)
     return (
         f"{words}: variation {100 * wall['cv']:.3g} %, wall minimum {1e3 * wall['min']:.3g}, maximum "
@@ -171,7 +173,7 @@ def wall_scale(parts: Sequence[Part]) -> tuple[float, float]:
     walls, areas = [], []
     for scene, result in parts:
         start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
-        own = None if scene.part is None else np.asarray(counted(result, scene)[0].used)
+        own = None if scene.part is None else np.asarray(restrict_to_part(result, scene)[0].used)
         formed = counted_elements(start, end, np.asarray(result.triangles), own)
         walls.append(np.asarray(result.element_thickness, float)[formed])
         areas.append(formed_areas(result)[formed])
@@ -195,7 +197,7 @@ def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: M
     lines = []
     for curve, color in zip(sections.curves(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
         style = _POINTS | {"markersize": 3.5, "alpha": 0.6} if disc else {}
-        shown = seen_apart(curve.arc, curve.thickness) if disc else slice(None)
+        shown = distinguishable_points(curve.arc, curve.thickness) if disc else slice(None)
         style |= {"color": color, "label": curve.label}
         lines.append(Line(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], style))
         if curve.marked is not None:
@@ -206,7 +208,7 @@ def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: M
 
 def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Line:
     """The thinnest place, named once among the lines."""
-    where = ", ".join(coordinate(x, 1e3, 3) for x in thin["formed"])
+    where = ", ".join(format_coordinate(x, 1e3, 3) for x in thin["formed"])
     named = any(line.style["label"].startswith("minimum") for line in lines)
     label = "_" if named else f"minimum {1e3 * thin['thickness']:.3g} mm, at ({where}) mm"
     look = {"color": MINIMUM, "markeredgecolor": "white", "markeredgewidth": 1.2, "markersize": 9, "zorder": 5}
@@ -215,7 +217,7 @@ def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Li
 
 def _exact(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any]) -> Diagram:
     place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
-    shown = seen_apart(place, wall)
+    shown = distinguishable_points(place, wall)
     look = {"color": AFTER, "markersize": 4, "alpha": 0.6, "label": "simulated, all nodes"}
     nodes = Line(place[shown], wall[shown], _POINTS | look)
     initial = 1e3 * float(np.asarray(scene.parison.thickness).mean())
@@ -234,7 +236,7 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
         place = sections.initial_radius(scene) if disc else np.asarray(scene.parison.positions, float)[:, along]
         order = np.argsort(place)
         thickness = np.asarray(scene.parison.thickness, float)[order]
-        shown = np.sort(seen_apart(place[order], thickness))
+        shown = np.sort(distinguishable_points(place[order], thickness))
         line: dict[str, Any] = {"linewidth": 2} if disc else {"linestyle": "none", "marker": ".", "markersize": 4}
         axes.plot(1e3 * place[order][shown], 1e3 * thickness[shown], color=color, label=words, **line)
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
@@ -247,7 +249,7 @@ def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
     if not np.array_equal(before.parison.thickness, after.parison.thickness):
         return None
     varying = {f"material.{name}": name for name, values in after.material.zones.items() if values.ndim == 1}
-    units = {name: allowed.unit for name, allowed in ranges_of(after.material).items()}
+    units = {name: allowed.unit for name, allowed in parameter_ranges(after.material).items()}
     words = {key: f"{name} over the sheet" + f" [{units[name]}]" * bool(units[name]) for key, name in varying.items()}
     for key, text in ({"parison.temperature": "temperature of the sheet [°C]"} | words).items():
         new, old = number_at(after, key), number_at(before, key)
@@ -268,10 +270,10 @@ def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> N
 
 
 def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> None:
-    through = thinnest(counted(after[1], after[0])[0], after[0])["initial"]
+    through = thinnest_element(restrict_to_part(after[1], after[0])[0], after[0])["initial"]
     for (scene, result), color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
         for curve in sections.curves(scene, result, through)[:1]:
-            shown = seen_apart(curve.arc, curve.thickness)
+            shown = distinguishable_points(curve.arc, curve.thickness)
             axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], ".", color=color, markersize=4, label=words)
     if target is not None:
         axes.axhline(1e3 * target, color=_EXACT, linestyle="--", label="target")

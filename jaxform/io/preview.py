@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from jaxform.core.pytree import as_real
 from jaxform.io.canvas import new_figure, save
 from jaxform.io.plots import AFTER
-from jaxform.io.surfaces import SHEET, hangs_before, mirrored, sheet_view
-from jaxform.io.survey import Survey, survey
+from jaxform.io.scene_checks import Survey, survey
+from jaxform.io.surfaces import SHEET, hangs_before, mirror_points, sheet_view
 from jaxform.io.views import MINIMUM, draw
 from jaxform.model.scene import Scene
 from jaxform.results import sections
@@ -55,14 +55,14 @@ def _draw_cut(axes: Any, scene: Scene, seen: Survey) -> None:
     middle = 1e3 * 0.5 * (seen.sheet.low + seen.sheet.high)[axis]
     level = middle + 0.1 * seen.sheet.size  # mm and m: a ten-thousandth beside the nodes in the middle
     sheet = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
-    lines = {"sheet": sections.crossed(1e3 * np.concatenate(mirrored(scene, sheet)), axis, level)}
+    lines = {"sheet": sections.cut_triangles(1e3 * np.concatenate(mirror_points(scene, sheet)), axis, level)}
     if scene.mold is not None:
         walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
-        lines["mold"] = sections.crossed(1e3 * np.concatenate(mirrored(scene, walls)), axis, level)
+        lines["mold"] = sections.cut_triangles(1e3 * np.concatenate(mirror_points(scene, walls)), axis, level)
     if scene.motion is not None and "mold" in lines:
         end = 1e3 * np.asarray(scene.motion.offset(as_real(float(scene.solver.end_time))), float)
-        moved = 1e3 * np.concatenate(mirrored(scene, walls)) + end
-        lines[_AT_END] = sections.crossed(moved, axis, level)
+        moved = 1e3 * np.concatenate(mirror_points(scene, walls)) + end
+        lines[_AT_END] = sections.cut_triangles(moved, axis, level)
     styles = (("mold", "#606060", 1.8, "-"), (_AT_END, "#a06020", 1.4, "--"), ("sheet", SHEET, 2.5, "-"))
     for name, color, width, style in styles:
         if name in lines:

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.atomic_write import atomic_path
 from jaxform.core.errors import InputError
-from jaxform.core.writing import whole
-from jaxform.io import earlier
+from jaxform.io import previous_results
 from jaxform.io.report.contents import formed_areas
-from jaxform.io.report.reading import Part, Results, read_results
+from jaxform.io.report.stored_results import Results, StoredPart, read_results
 from jaxform.io.scales import color_range
 
 Array = NDArray[np.float64]
@@ -47,7 +47,7 @@ def render(folder: Path, path: Path) -> None:
             plotter.subplot(0, column)
             _draw(plotter, part, limits, last=column == 1)
             _look(plotter, part, *eye)
-        with whole(path) as fresh:
+        with atomic_path(path) as fresh:
             _write(plotter, fresh)
         plotter.close()
 
@@ -89,17 +89,17 @@ def _whole(surface: Any, planes: dict[int, float]) -> Any:
 def _part(pyvista: Any, results: Results) -> Any:
     surface = _surface(pyvista, results.part.positions, results.part.triangles)
     surface.point_data["wall"] = 1e3 * results.part.nodal["thickness"]
-    return _whole(surface, earlier.symmetry_planes(results.summary))
+    return _whole(surface, previous_results.symmetry_planes(results.summary))
 
 
-def _range(part: Part) -> tuple[float, float]:
+def _range(part: StoredPart) -> tuple[float, float]:
     """Of the colours [mm]."""
     area, formed = formed_areas(part)
     low, high = color_range(part.cells["thickness"][formed], area)
     return 1e3 * low, 1e3 * high
 
 
-def _eyes(part: Part) -> list[tuple[Array, Array]]:
+def _eyes(part: StoredPart) -> list[tuple[Array, Array]]:
     """Directions to the eye and upwards: from where the sheet went, and from where it came."""
     way = (part.positions - part.reference).mean(0)
     length = np.linalg.norm(way)

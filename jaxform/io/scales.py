@@ -48,7 +48,7 @@ def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float,
     return (low, high) if high - low > 0.02 * room else (low - room, high + room)
 
 
-def seen_apart(across: Array, up: Array) -> NDArray[np.int64]:
+def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:
     """Which of many points (n,) are drawn: one in each place that the eye tells from others."""
     cells = [np.round(_FINENESS * (x - x.min()) / (np.ptp(x) or 1.0)).astype(np.int64) for x in (across, up)]
     return np.unique(cells[0] * (_FINENESS + 1) + cells[1], return_index=True)[1]

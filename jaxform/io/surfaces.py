@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io.views import TO_EYE, Surface, View
+from jaxform.io.views import TO_EYE, DrawnSurface, View
 from jaxform.mesh import topology
 from jaxform.model.scene import Scene
 from jaxform.results import sections
-from jaxform.results.part import counted
+from jaxform.results.part import restrict_to_part
 from jaxform.results.result import Result
-from jaxform.tools.search import cut
-from jaxform.tools.sides import normals_of_nodes
+from jaxform.tools.search import split_long_triangles
+from jaxform.tools.sides import nodal_normals
 
 Array = NDArray[np.float64]
 
@@ -40,11 +40,11 @@ def part_view(
         mark: A place (3,) [m] to mark as the minimum, or None.
     """
     corners = 1e3 * np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)]
-    images = [1e3 * image for image in mirrored(scene, corners / 1e3, open_front=True)]
+    images = [1e3 * image for image in mirror_points(scene, corners / 1e3, open_front=True)]
     wall = 1e3 * np.asarray(result.element_thickness, float)
-    own = np.asarray(counted(result, scene)[0].used)
+    own = np.asarray(restrict_to_part(result, scene)[0].used)
     wall = np.tile(np.where(own, wall, np.nan), len(images))
-    part = Surface(np.concatenate(images), wall, edges=edges)
+    part = DrawnSurface(np.concatenate(images), wall, edges=edges)
     mold, outline = _mold(scene, part.faces)
     place = None if mark is None else 1e3 * np.asarray(mark)
     turned = not sections.symmetry_planes(scene)
@@ -54,9 +54,9 @@ def part_view(
 def sheet_view(scene: Scene) -> View:
     """The sheet before the first step, with the mold in grey behind it."""
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
-    faces = 1e3 * np.concatenate(mirrored(scene, corners))
+    faces = 1e3 * np.concatenate(mirror_points(scene, corners))
     paint = np.array([*bytes.fromhex(SHEET[1:])]) / 255
-    sheet = Surface(faces, np.tile(paint, (len(faces), 1)), opaque=0.8, edges=True)
+    sheet = DrawnSurface(faces, np.tile(paint, (len(faces), 1)), opaque=0.8, edges=True)
     mold, outline = _mold(scene, faces, whole=True)
     return View([*mold, sheet], outline, hangs_before(scene), hangs_before(scene))
 
@@ -64,11 +64,11 @@ def sheet_view(scene: Scene) -> View:
 def hangs_before(scene: Scene) -> bool:
     """Whether a sheet that a moving mold meets is drawn with z down, so that a buck stands up and is below it."""
     corners = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
-    along = normals_of_nodes(*corners)[:, 2].sum() * scene.strongest_push()
+    along = nodal_normals(*corners)[:, 2].sum() * scene.strongest_push()
     return bool(scene.motion is not None and along > 0)
 
 
-def mirrored(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
+def mirror_points(scene: Scene, points: Array, open_front: bool = False) -> list[Array]:
     """The points (..., 3) and their images in the symmetry planes, so that the whole part is seen.
 
     Args:
@@ -98,12 +98,12 @@ def _hangs(scene: Scene, result: Result) -> bool:
     start = np.asarray(scene.parison.positions, float)
     rise = (np.asarray(result.positions, float) - start)[:, 2].mean()
     if scene.mold is not None and np.ptp(start[:, 2]) <= _FLAT * np.ptp(start, axis=0).max():
-        along = normals_of_nodes(start, np.asarray(scene.parison.triangles))[:, 2].sum() * scene.strongest_push()
+        along = nodal_normals(start, np.asarray(scene.parison.triangles))[:, 2].sum() * scene.strongest_push()
         return bool(along > 0 if along else rise < 0)
     return bool(np.asarray(scene.parison.clamped).any() and rise > 0 and sections.symmetry_planes(scene))
 
 
-def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[Surface], Array | None]:
+def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[DrawnSurface], Array | None]:
     """The mold and its outline behind a part (n, 3, 3) [mm], unless it is so large that nothing else would be seen."""
     if scene.mold is None:
         return [], None
@@ -121,17 +121,17 @@ def _mold(scene: Scene, part: Array, whole: bool = False) -> tuple[list[Surface]
     if crosses and len(planes) == 2 and not whole:
         (one, at), (other, there) = planes.items()
         opened = (one, 1e3 * at), (other, 1e3 * there)
-    images = [walls] if crosses else mirrored(scene, walls, open_front=not whole)
+    images = [walls] if crosses else mirror_points(scene, walls, open_front=not whole)
     faces = 1e3 * np.concatenate(images)
     if opened is not None:
-        faces = cut(faces, size / _MOLD_PIECES)[0]
+        faces = split_long_triangles(faces, size / _MOLD_PIECES)[0]
     outline = None
     if opened is None and len(triangles) <= _MOLD_LINES:
         outline = _outline(scene, vertices, triangles, crosses)
-    return [Surface(faces, np.full((len(faces), 3), _GREY), _MOLD_SHARE, open_at=opened)], outline
+    return [DrawnSurface(faces, np.full((len(faces), 3), _GREY), _MOLD_SHARE, open_at=opened)], outline
 
 
 def _outline(scene: Scene, vertices: Array, triangles: NDArray[Any], crosses: bool) -> Array:
     """The mold's sharp and free edges (n, 2, 3) [mm]."""
     lines = np.asarray(topology.feature_edges(vertices, triangles), np.float64)
-    return 1e3 * np.concatenate([lines] if crosses else mirrored(scene, lines, open_front=True))
+    return 1e3 * np.concatenate([lines] if crosses else mirror_points(scene, lines, open_front=True))

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import warn_of
-from jaxform.core.words import place
-from jaxform.io.survey import survey
+from jaxform.core.formatting import format_place
+from jaxform.io.scene_checks import survey
 from jaxform.model.scene import Scene
 from jaxform.tools.slender import SlenderFeature, slender_feature
 
@@ -21,8 +21,9 @@ def warn_of_thin_features(scene: Scene, file: str = "") -> None:
     if found is None:
         return
     problem = (
-        f"has a rib or pin at {place(found.place)} that is {found.height:.2g} m high and at most {found.width:.2g} m "
-        f"wide, and elements have sides of {side:.2g} m: it may pass through the sheet between two nodes"
+        f"has a rib or pin at {format_place(found.place)} that is {found.height:.2g} m high and at most "
+        f"{found.width:.2g} m wide, and elements have sides of {side:.2g} m: it may pass through the "
+        "sheet between two nodes"
     )
     remedy = f"make the elements smaller (parison.element_size = {0.5 * found.width:.1g}), or refine near the mold"
     warn_of(problem, f"{remedy} ([refinement])", key="mold", file=file)

@@ -27,38 +27,40 @@ MOST_LENGTH = 1e6
 
 def _finite(value: float) -> float:
     if abs(value) > MOST:
-        raise wrong("is beyond what can be computed with", f"give a number of up to {MOST:g}", value=value)
+        raise validation_error("is beyond what can be computed with", f"give a number of up to {MOST:g}", value=value)
     return value
 
 
-def _not_lost(value: float) -> float:
+def _not_underflowing(value: float) -> float:
     if value < LEAST:
-        raise wrong("is beyond what can be computed with", f"give a number of at least {LEAST:g}", value=value)
+        raise validation_error(
+            "is beyond what can be computed with", f"give a number of at least {LEAST:g}", value=value
+        )
     return value
 
 
 def _short(value: float) -> float:
     if abs(value) > MOST_LENGTH:
-        raise wrong("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
+        raise validation_error("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
     return value
 
 
 Number = Annotated[float, AfterValidator(_finite)]
 """Any number whose products with others stay finite."""
 NotNegative = Annotated[Number, Field(ge=0)]
-Positive = Annotated[Number, Field(gt=0), AfterValidator(_not_lost)]
+Positive = Annotated[Number, Field(gt=0), AfterValidator(_not_underflowing)]
 Coordinate = Annotated[float, AfterValidator(_short)]
 """A place along an axis [m]."""
-Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_lost)]
+Length = Annotated[Coordinate, Field(gt=0), AfterValidator(_not_underflowing)]
 """[m]"""
 
 
-def within(key: str) -> Any:
+def declared_range(key: str) -> Any:
     """The range that is declared for a number of a scene, for `Annotated`."""
-    return allowing(RANGES[key])
+    return allow_range(RANGES[key])
 
 
-def allowing(allowed: Range) -> Any:
+def allow_range(allowed: Range) -> Any:
     """A range, for `Annotated`."""
     positive = allowed.above == 0.0
     return Field(
@@ -84,14 +86,14 @@ class Table(BaseModel):
         """Before all else: a misspelt key explains the missing one."""
         for key in data if isinstance(data, dict) else ():
             if key in cls.later:
-                raise wrong("is not there yet", cls.later[key], key)
+                raise validation_error("is not there yet", cls.later[key], key)
             if key not in cls.model_fields:
                 free = [name for name in cls.model_fields if name not in data]
-                raise wrong("is no key here", _suggestion(key, free, list(cls.model_fields)), key)
+                raise validation_error("is no key here", _suggestion(key, free, list(cls.model_fields)), key)
         return data
 
 
-def wrong(problem: str, remedy: str, key: str = "", value: Any = None) -> PydanticCustomError:
+def validation_error(problem: str, remedy: str, key: str = "", value: Any = None) -> PydanticCustomError:
     """The error to raise in a validator.
 
     Args:
@@ -118,16 +120,16 @@ def choice(
 
     def check(table: Any) -> Any:
         if not isinstance(table, dict):
-            raise wrong("is not a table", f"begin a section for it, with {key} = ...", value=table)
+            raise validation_error("is not a table", f"begin a section for it, with {key} = ...", value=table)
         if key not in table:
             if usual is None:
-                raise wrong("is missing", options, key)
+                raise validation_error("is missing", options, key)
             return {**table, key: usual}
         if table[key] in later:
-            raise wrong("is not there yet", options, key, table[key])
+            raise validation_error("is not there yet", options, key, table[key])
         if table[key] not in known:
             close = difflib.get_close_matches(str(table[key]), known, n=1)
-            raise wrong("is unknown", f"did you mean {close[0]}?" if close else options, key, table[key])
+            raise validation_error("is unknown", f"did you mean {close[0]}?" if close else options, key, table[key])
         return table
 
     return form(lambda table: table[key]), BeforeValidator(check)
@@ -141,7 +143,7 @@ def form(name: Callable[[Any], str]) -> Discriminator:
 def check_increasing(at: Sequence[float], key: str = "at") -> None:
     """Raises unless the numbers increase."""
     if any(right <= left for left, right in pairwise(at)):
-        raise wrong("does not increase", "sort the knots, no place twice", key, list(at))
+        raise validation_error("does not increase", "sort the knots, no place twice", key, list(at))
 
 
 def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
@@ -160,15 +162,15 @@ def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
 def _input_error(error: ErrorDetails) -> InputError:
     context = error.get("ctx", {})
     if error["type"] == "wrong":
-        key = _dotted([*error["loc"], *([context["key"]] if context["key"] else [])])
+        key = _dotted_key([*error["loc"], *([context["key"]] if context["key"] else [])])
         return InputError(context["problem"], context["remedy"], key, context["value"])
     problem, remedy = _WORDS.get(error["type"], (error["msg"], ""))
-    key = _dotted(error["loc"])
+    key = _dotted_key(error["loc"])
     value = None if error["type"] == "missing" else error["input"]
     return InputError(problem.format(**context), remedy.format(**context), key, value)
 
 
-def _dotted(location: Sequence[int | str]) -> str:
+def _dotted_key(location: Sequence[int | str]) -> str:
     """Such as parison.thickness.at[2]; the tags of unions left out."""
     text = ""
     for part in location:

@@ -27,7 +27,7 @@ _TALL, _FITS = 0.8, 4  # times as high as wide, a view is measured before it is 
 _LINE, _LINED = 0.7, 5.0  # pixels: half an element's edge, and how high an element is whose edges are drawn
 
 
-class Surface(NamedTuple):
+class DrawnSurface(NamedTuple):
     """A surface to draw.
 
     Attributes:
@@ -57,7 +57,7 @@ class View(NamedTuple):
         mark: A place (3,) [mm] to mark as the minimum, or None.
     """
 
-    surfaces: list[Surface]
+    surfaces: list[DrawnSurface]
     outline: Array | None = None
     hangs: bool = False
     turned: bool = False
@@ -73,13 +73,13 @@ def draw(axes: Any, view: View) -> Any:
     colors = ScalarMappable(Normalize(*view.scale, clip=True), _COLORS)
     if view.outline is not None:
         _draw_outline(axes, view.outline)
-    _draw_surfaces(axes, [_painted(surface, colors) for surface in view.surfaces], view.hangs, view.turned)
+    _draw_surfaces(axes, [_color_faces(surface, colors) for surface in view.surfaces], view.hangs, view.turned)
     if view.mark is not None:
         axes.plot(*view.mark[:, None], "o", color=MINIMUM, mec="white", mew=1.2, ms=8, zorder=5)
     return colors
 
 
-def _painted(surface: Surface, colors: Any) -> Surface:
+def _color_faces(surface: DrawnSurface, colors: Any) -> DrawnSurface:
     """With colours for its numbers, and grey where there is none."""
     if surface.paint.ndim == 2:
         return surface
@@ -94,7 +94,7 @@ def _draw_outline(axes: Any, lines: Array) -> None:
     axes.add_collection3d(Line3DCollection(lines, colors="#00000040", linewidths=0.6, zorder=0.5), autolim=False)
 
 
-def _draw_surfaces(axes: Any, surfaces: list[Surface], hangs: bool, turned: bool) -> None:
+def _draw_surfaces(axes: Any, surfaces: list[DrawnSurface], hangs: bool, turned: bool) -> None:
     axes.computed_zorder = False
     for order, surface in enumerate(surfaces):
         axes.add_artist(_scenery(surface, zorder=float(order)))
@@ -140,7 +140,7 @@ def _fit(axes: Any, size: Array) -> None:
         artist.set_visible(True)
 
 
-def _scenery(surface: Surface, zorder: float) -> Any:
+def _scenery(surface: DrawnSurface, zorder: float) -> Any:
     """An artist that draws a surface as an image over its axes."""
     from matplotlib.artist import Artist
 
@@ -150,7 +150,7 @@ def _scenery(surface: Surface, zorder: float) -> Any:
             low = np.maximum(np.floor(axes.bbox.min), 0)
             high = np.minimum(np.ceil(axes.bbox.max), np.ceil(axes.figure.bbox.max))
             width, height = (int(extent) for extent in high - low)
-            pixels, depth = _projected(axes, surface.faces)
+            pixels, depth = _project(axes, surface.faces)
             finer = _FINER if len(surface.faces) <= _MANY else 1
             image = _image(surface, finer * (pixels - low), depth, width, height, finer)
             context = renderer.new_gc()
@@ -162,7 +162,7 @@ def _scenery(surface: Surface, zorder: float) -> Any:
     return artist
 
 
-def _projected(axes: Any, faces: Array) -> tuple[Array, Array]:
+def _project(axes: Any, faces: Array) -> tuple[Array, Array]:
     """Corners (n, 3, 2) in pixels of the figure, from its lower left, and their depth (n, 3)."""
     x, y, z = (np.ascontiguousarray(faces[..., k]).ravel() for k in range(3))
     across, up, depth, away = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in np.asarray(axes.M))
@@ -170,14 +170,14 @@ def _projected(axes: Any, faces: Array) -> tuple[Array, Array]:
     return pixels.reshape(-1, 3, 2), (depth / away).reshape(-1, 3)
 
 
-def _image(surface: Surface, corners: Array, depth: Array, width: int, height: int, finer: int) -> Array:
+def _image(surface: DrawnSurface, corners: Array, depth: Array, width: int, height: int, finer: int) -> Array:
     """Colours of a surface and how much it covers (height, width, 4), looked at in so many times as many pixels.
 
     The corners are in these finer pixels. What is covered in part is less opaque.
     """
     faces, wide = surface.faces, finer * width
-    kept = None if surface.open_at is None else _behind(surface)
-    nearest = raster.nearest(corners, depth, wide, finer * height, kept)
+    kept = None if surface.open_at is None else _is_behind(surface)
+    nearest = raster.nearest_in_pixels(corners, depth, wide, finer * height, kept)
     hit = np.flatnonzero(nearest >= 0)
     triangle = nearest[hit]
     # Of many triangles few are seen.
@@ -190,7 +190,7 @@ def _image(surface: Surface, corners: Array, depth: Array, width: int, height: i
     bright[seen] = 0.72 + 0.28 * np.abs(normal @ _LIGHT) / np.where(length > 0, length, 1.0)
     paint = surface.paint[triangle] * bright[triangle, None]
     if surface.edges:
-        paint[_on_edges(corners, triangle, raster.weights(corners, triangle, hit, wide))] *= 0.6
+        paint[_is_on_edge(corners, triangle, raster.weights(corners, triangle, hit, wide))] *= 0.6
     pixel = hit // (wide * finer) * width + hit % wide // finer
     sums = [np.bincount(pixel, part, width * height) for part in (*paint.T, np.ones(len(hit)))]
     covered = sums.pop()
@@ -199,20 +199,20 @@ def _image(surface: Surface, corners: Array, depth: Array, width: int, height: i
     return image.reshape(height, width, 4)
 
 
-def _behind(surface: Surface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
+def _is_behind(surface: DrawnSurface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
     """Which hits of a surface that is cut open are not between the eye and both planes."""
 
-    def kept(found: raster.Hits) -> NDArray[np.bool_]:
+    def is_visible(found: raster.Hits) -> NDArray[np.bool_]:
         front = np.ones(len(found.triangle), bool)
         for axis, place in surface.open_at or ():
             # As the triangles are small, perspective hardly bends them.
-            front &= TO_EYE[axis] * (found.of(surface.faces[:, :, axis]) - place) > 0
+            front &= TO_EYE[axis] * (found.interpolate(surface.faces[:, :, axis]) - place) > 0
         return ~front
 
-    return kept
+    return is_visible
 
 
-def _on_edges(corners: Array, triangle: NDArray[np.integer], weights: Array) -> NDArray[np.bool_]:
+def _is_on_edge(corners: Array, triangle: NDArray[np.integer], weights: Array) -> NDArray[np.bool_]:
     """Which pixels (n,), with weights (3, n), are on the edges of triangles that are large enough to have some."""
     side = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -22,7 +22,7 @@ class Halves(NamedTuple):
     first: jax.Array
     second: jax.Array
 
-    def whole(self) -> jax.Array:
+    def concatenate(self) -> jax.Array:
         """The row."""
         half = BLOCK // 2
         if self.first.size == half:
@@ -33,12 +33,12 @@ class Halves(NamedTuple):
 Rows = Sequence[jax.Array | Halves]
 
 
-def padded(count: int) -> int:
+def padded_length(count: int) -> int:
     """The least whole number of blocks' length that is greater than `count`: one entry at least is left over."""
     return (count // BLOCK + 1) * BLOCK
 
 
-def halves(values: jax.Array) -> Halves:
+def split_halves(values: jax.Array) -> Halves:
     """Of values (n,), whole blocks, what is in the blocks' first halves, and in their second."""
     half = BLOCK // 2
     if values.size == BLOCK:
@@ -47,7 +47,7 @@ def halves(values: jax.Array) -> Halves:
     return Halves(first.reshape(-1), second.reshape(-1))
 
 
-class Part(NamedTuple):
+class ArraySlice(NamedTuple):
     """Of an array (k, several rooms) one room, (k, size) from `begin` on: read, or written, where it is."""
 
     array: jax.Array
@@ -65,7 +65,7 @@ def over_blocks(
     function: Callable[..., tuple[Sequence[Rows], Sequence[jax.Array]]],
     block_count: jax.Array,
     inputs: Any,
-    into: Sequence[jax.Array | Part],
+    into: Sequence[jax.Array | ArraySlice],
     *,
     sums: int = 0,
     most: int = 0,
@@ -95,29 +95,29 @@ def over_blocks(
         The arrays with the rows; the sums and, after them, the largest.
     """
     if whole or not on_cpu():
-        rows, terms = function(*([list(into[:update])] if update else []), *_whole(inputs))
-        new = [jnp.stack([row.whole() if isinstance(row, Halves) else row for row in each]) for each in rows]
+        rows, terms = function(*([list(into[:update])] if update else []), *_read_whole(inputs))
+        new = [jnp.stack([row.concatenate() if isinstance(row, Halves) else row for row in each]) for each in rows]
         found = [jnp.sum(term) for term in terms[:sums]] + [jnp.max(term, initial=0.0) for term in terms[sums:]]
         return [_put(old, row) for old, row in zip(into, new, strict=True)], found
 
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
-            return function(*_block(inputs, i))
+            return function(*_read_block(inputs, i))
         updated = zip(flat, arrays[:update], strict=False)
-        old = [rows_read(each, len(array), i * BLOCK, BLOCK) for each, array in updated]
+        old = [read_rows(each, len(array), i * BLOCK, BLOCK) for each, array in updated]
         # All is read before anything is written (docs/explanation/kernels.md).
-        return function(jax.lax.optimization_barrier(old) if kept else old, *_block(inputs, i))
+        return function(jax.lax.optimization_barrier(old) if kept else old, *_read_block(inputs, i))
 
     def work(i: jax.Array, carry: tuple[list[jax.Array], list[jax.Array]]) -> tuple[list[jax.Array], list[jax.Array]]:
         flat, totals = carry
         rows, terms = apply(flat, i)
-        flat = [_written(*each, begin + i * BLOCK) for *each, begin in zip(flat, rows, begins, strict=True)]
+        flat = [_write_rows(*each, begin + i * BLOCK) for *each, begin in zip(flat, rows, begins, strict=True)]
         terms = [term.astype(real) for term in terms]
         added = [total + term for total, term in zip(totals[:sums], terms, strict=False)]
         return flat, added + [jnp.maximum(last, term) for last, term in zip(totals[sums:], terms[sums:], strict=True)]
 
-    begins = [part.begin if isinstance(part, Part) else 0 for part in into]
-    arrays = [part.array if isinstance(part, Part) else part for part in into]
+    begins = [part.begin if isinstance(part, ArraySlice) else 0 for part in into]
+    arrays = [part.array if isinstance(part, ArraySlice) else part for part in into]
     flat = [array.reshape(-1) for array in arrays]
     kinds = map(jnp.result_type, jax.tree.leaves((inputs, arrays)))
     real = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
@@ -129,7 +129,7 @@ def over_blocks(
     return shaped, [jnp.sum(each) for each in totals[:sums]] + [jnp.max(each) for each in totals[sums:]]
 
 
-def rows_read(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
+def read_rows(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
     """Entries (size,) from `first` on of each of the `count` rows that lie one after the other in `flat`."""
     room = flat.size // count
     return [cut(flat, k * room + first, size) for k in range(count)]
@@ -150,7 +150,7 @@ def entry(array: jax.Array, place: jax.Array) -> jax.Array:
     return jax.lax.dynamic_index_in_dim(array, place, array.ndim - 1, keepdims=False, allow_negative_indices=False)
 
 
-def only_if[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differentiable: bool = False) -> T:
+def lax_cond_once[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differentiable: bool = False) -> T:
     """What `work` makes of the value where it is asked for, else the value as it is.
 
     A loop that is entered at most once: other than a branch it copies nothing, but has no reverse derivative.
@@ -161,7 +161,7 @@ def only_if[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differenti
     return jax.lax.while_loop(lambda carry: carry[0], again, (asked, value))[1]
 
 
-def as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
+def compile_as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
     """What `work` makes of the value, compiled into one function; without derivative.
 
     XLA's CPU compiler does so with a loop that holds neither scatters nor sorts nor calls. Else each of a hundred small
@@ -172,7 +172,7 @@ def as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
         value: What it is done with.
         count: Any number that is not negative; the compiler must not know that, or it would see through the loop.
     """
-    return only_if(count >= 0, work, value)
+    return lax_cond_once(count >= 0, work, value)
 
 
 def on_cpu() -> bool:
@@ -180,7 +180,7 @@ def on_cpu() -> bool:
     return jax.default_backend() == "cpu"
 
 
-def once[T](values: T) -> T:
+def materialize[T](values: T) -> T:
     """Values that are worked out once and kept, for all their uses."""
     return jax.lax.optimization_barrier(values)
 
@@ -190,36 +190,36 @@ def total(values: jax.Array) -> jax.Array:
     return jnp.sum(jnp.sum(values.reshape(-1, BLOCK), axis=0))
 
 
-def _whole(inputs: Any) -> Any:
-    def all_of(value: Any) -> jax.Array:
+def _read_whole(inputs: Any) -> Any:
+    def read_all(value: Any) -> jax.Array:
         if isinstance(value, PerBlock):
             return jnp.max(value.array)
-        return cut(*value) if isinstance(value, Part) else value
+        return cut(*value) if isinstance(value, ArraySlice) else value
 
-    return jax.tree.map(all_of, inputs, is_leaf=_is_special)
+    return jax.tree.map(read_all, inputs, is_leaf=_is_special)
 
 
-def _block(inputs: Any, i: jax.Array) -> Any:
-    def own(value: Any) -> jax.Array:
+def _read_block(inputs: Any, i: jax.Array) -> Any:
+    def read_one(value: Any) -> jax.Array:
         if isinstance(value, PerBlock):
             return entry(value.array, i)
-        array, begin = (value.array, value.begin) if isinstance(value, Part) else (value, 0)
+        array, begin = (value.array, value.begin) if isinstance(value, ArraySlice) else (value, 0)
         return cut(array, begin + i * BLOCK, BLOCK)
 
-    return jax.tree.map(own, inputs, is_leaf=_is_special)
+    return jax.tree.map(read_one, inputs, is_leaf=_is_special)
 
 
 def _is_special(value: Any) -> bool:
-    return isinstance(value, Part | PerBlock)
+    return isinstance(value, ArraySlice | PerBlock)
 
 
-def _put(into: jax.Array | Part, new: jax.Array) -> jax.Array:
-    if isinstance(into, Part):
+def _put(into: jax.Array | ArraySlice, new: jax.Array) -> jax.Array:
+    if isinstance(into, ArraySlice):
         return put(into.array, new, into.begin)
     return new
 
 
-def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
+def _write_rows(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
     """Row by row: stacked first they would be one loop with a branch in it, which is not vectorized."""
     room = flat.size // len(rows)
     for k, row in enumerate(rows):
@@ -230,7 +230,7 @@ def _written(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
     return flat
 
 
-def listed(keep: jax.Array, room: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
+def compact_indices(keep: jax.Array, room: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
     """Where the entries (n,) to be kept are (room,), one after the other, then any others; and how many they are.
 
     Of the first `count` entries, or of all.
@@ -247,7 +247,7 @@ def listed(keep: jax.Array, room: int, count: jax.Array | None = None) -> tuple[
         return put(places, i.astype(jnp.int32)[None], count), count + entry(keep, i)
 
     # One more, for what finds no room.
-    places, found = _one_by_one(keep, add, room + 1, count)
+    places, found = _sequential_loop(keep, add, room + 1, count)
     return places[:room], found
 
 
@@ -261,10 +261,10 @@ def running_count(keep: jax.Array, count: jax.Array | None = None) -> jax.Array:
         found = found + entry(keep, i)
         return put(counts, found[None], i), found
 
-    return _one_by_one(keep, add, keep.size, count)[0]
+    return _sequential_loop(keep, add, keep.size, count)[0]
 
 
-def _one_by_one(
+def _sequential_loop(
     keep: jax.Array, add: Callable[..., tuple[jax.Array, jax.Array]], room: int, count: jax.Array | None
 ) -> tuple[jax.Array, jax.Array]:
     """A loop over the entries: one short function, where sums in parallel are a dozen that take long to compile."""
@@ -272,7 +272,7 @@ def _one_by_one(
     return jax.lax.fori_loop(0, keep.size if count is None else count, add, start)
 
 
-def lowered(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Array) -> jax.Array:
+def scatter_min(values: jax.Array, places: jax.Array, new: jax.Array, count: jax.Array) -> jax.Array:
     """Values (n,), the first `count` of these places (k,) lowered to new ones (k,) where these are lower."""
     if not on_cpu():
         used = jnp.arange(places.size) < count

@@ -16,28 +16,28 @@ from jax.extend.core import jaxpr_as_fun
 from jax.interpreters import partial_eval as pe
 
 from jaxform.core.pytree import pytree, static
-from jaxform.kernels.blocks import only_if
-from jaxform.kernels.derivatives import Cotangents, Rule, merged, only
+from jaxform.kernels.blocks import lax_cond_once
+from jaxform.kernels.derivatives import Cotangents, DerivativeRule, merge, select
 
 Leaves = Sequence[jax.Array]
 
 
 @pytree
-class _Kept:
+class _BranchResiduals:
     """What the reverse derivative of a branch needs.
 
     Attributes:
         asked: Whether it was taken.
         given: What it was called with: what it closed over, then the value.
         own: What it has worked out.
-        place: Where each leaf of its derivative is: in `given`, or beyond that in `own`.
+        place: Where each leaf of its derivative is: in `given`, or beyond that in `residual_index`.
         structure: Of its derivative, a function.
         moving: Which of `given` it is a derivative by.
     """
 
     asked: jax.Array
     given: list[jax.Array]
-    own: list[jax.Array]
+    residual_index: list[jax.Array]
     place: tuple[int, ...] = static()
     structure: Any = static()
     moving: tuple[bool, ...] = static()
@@ -57,7 +57,7 @@ def branch[T](asked: jax.Array, work: Callable[[T], T], value: T, smooth: Callab
     function = jaxpr_as_fun(pe.convert_constvars_jaxpr(made.jaxpr))
     flags = [jnp.issubdtype(leaf.dtype, jnp.floating) for leaf in leaves]
     flags = flags if smooth is None else jax.tree.leaves(smooth(value))
-    rule = Rule(
+    rule = DerivativeRule(
         value=partial(_value, function, flags),
         plain=partial(_result, function, differentiable=True),
         pull=partial(_pull, flags),
@@ -71,7 +71,7 @@ def _result(
     function: Callable[..., Leaves], asked: jax.Array, constants: Leaves, leaves: Leaves, *, differentiable: bool
 ) -> list[jax.Array]:
     take = lambda leaves: list(function(*constants, *leaves))  # noqa: E731
-    return only_if(asked, take, list(leaves), differentiable=differentiable)
+    return lax_cond_once(asked, take, list(leaves), differentiable=differentiable)
 
 
 def _value(
@@ -81,23 +81,23 @@ def _value(
     asked: jax.Array,
     constants: Leaves,
     leaves: Leaves,
-) -> tuple[Leaves, _Kept | None]:
+) -> tuple[Leaves, _BranchResiduals | None]:
     here, given = moving[1:], [*constants, *leaves]
     if not any(here):
         return _result(function, asked, constants, leaves, differentiable=False), None
     structures = []
 
-    def with_kept(*given: jax.Array) -> list[jax.Array]:
-        def moved(*new: jax.Array) -> tuple[list[jax.Array], Leaves]:
-            results = function(*merged(here, new, given))
-            return only(results, smooth), results
+    def with_residuals(*given: jax.Array) -> list[jax.Array]:
+        def evaluate(*new: jax.Array) -> tuple[list[jax.Array], Leaves]:
+            results = function(*merge(here, new, given))
+            return select(results, smooth), results
 
-        _, back, results = jax.vjp(moved, *only(given, here), has_aux=True)
+        _, back, results = jax.vjp(evaluate, *select(given, here), has_aux=True)
         kept, structure = jax.tree.flatten(back)
         structures.append(structure)
         return [*results, *kept]
 
-    made, shapes = jax.make_jaxpr(with_kept, return_shape=True)(*given)
+    made, shapes = jax.make_jaxpr(with_residuals, return_shape=True)(*given)
     variables, place = list(map(id, made.jaxpr.invars)), []
     own = []
     for k, variable in enumerate(made.jaxpr.outvars[len(leaves) :], len(leaves)):
@@ -111,17 +111,19 @@ def _value(
         return results[: len(leaves)], [results[k] for k in own]
 
     none = [jnp.zeros(shapes[k].shape, shapes[k].dtype) for k in own]
-    results, kept = only_if(asked, take, (list(leaves), none))
-    return results, _Kept(asked, given, kept, tuple(place), structures[-1], here)
+    results, kept = lax_cond_once(asked, take, (list(leaves), none))
+    return results, _BranchResiduals(asked, given, kept, tuple(place), structures[-1], here)
 
 
-def _pull(smooth: Sequence[bool], kept: _Kept, cotangents: Cotangents, end: Sequence[jax.Array | None]) -> None:
-    values = [*kept.given, *kept.own]
+def _pull(
+    smooth: Sequence[bool], kept: _BranchResiduals, cotangents: Cotangents, end: Sequence[jax.Array | None]
+) -> None:
+    values = [*kept.given, *kept.residual_index]
     back = jax.tree.unflatten(kept.structure, [values[where] for where in kept.place])
     wanted = cotangents.wanted[1:]
-    results = only(end, smooth)
-    through = only([*[None] * (len(kept.given) - len(end)), *end], wanted)
-    pairs = zip(only(kept.given, wanted), through, strict=True)
+    results = select(end, smooth)
+    through = select([*[None] * (len(kept.given) - len(end)), *end], wanted)
+    pairs = zip(select(kept.given, wanted), through, strict=True)
     through = [jnp.zeros_like(value) if new is None else new for value, new in pairs]
-    found = only_if(kept.asked, lambda _: only(merged(kept.moving, back(results)), wanted), through)
-    cotangents.found = [None, *merged(wanted, found)]
+    found = lax_cond_once(kept.asked, lambda _: select(merge(kept.moving, back(results)), wanted), through)
+    cotangents.found = [None, *merge(wanted, found)]

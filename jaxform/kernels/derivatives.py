@@ -22,9 +22,9 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.interpreters import partial_eval as pe
 
+from jaxform.core.promotion import with_standard_promotion
 from jaxform.core.pytree import pytree, static
-from jaxform.core.rules import by_own_rules
-from jaxform.kernels.sealed import lowered_apart, manual_axes, sealed, typed_as, varying
+from jaxform.kernels.opaque_primitive import call_opaque, lower_without_axes, manual_axes, match_mesh_axes, type_like
 
 
 class Cotangents:
@@ -53,7 +53,7 @@ class Cotangents:
                 self.found[k] = value
 
 
-class Rule(NamedTuple):
+class DerivativeRule(NamedTuple):
     """How a function is worked out and differentiated; called, it is that function.
 
     Attributes:
@@ -77,12 +77,12 @@ class Rule(NamedTuple):
     def __call__(self, *arguments: Any) -> Any:
         """The function's result."""
         leaves, structure = jax.tree.flatten(arguments)
-        results = _reversed_p.bind(*varying(leaves), rule=self, structure=structure)
+        results = _reversed_p.bind(*match_mesh_axes(leaves), rule=self, structure=structure)
         return jax.tree.unflatten(jax.tree.structure(self.like(*_shapes(arguments))), results)
 
 
-def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: Callable[[Any], Any]) -> Rule:
-    """A function of which nothing but the arguments is kept; as `jax.checkpoint`, which no `Rule` within sees."""
+def recompute(function: Callable[..., Any], like: Callable[..., Any], smooth: Callable[[Any], Any]) -> DerivativeRule:
+    """A rule that keeps nothing but the arguments; as `jax.checkpoint`, which no `DerivativeRule` within sees."""
 
     def value(_: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
         return function(*arguments), arguments
@@ -90,14 +90,14 @@ def recomputed(function: Callable[..., Any], like: Callable[..., Any], smooth: C
     def pull(arguments: Any, cotangents: Cotangents, end: Any) -> None:
         leaves, structure = jax.tree.flatten(arguments)
 
-        def moved(*new: Any) -> list[Any]:
-            result = function(*jax.tree.unflatten(structure, merged(cotangents.wanted, new, leaves)))
+        def evaluate(*new: Any) -> list[Any]:
+            result = function(*jax.tree.unflatten(structure, merge(cotangents.wanted, new, leaves)))
             return _smooth_leaves(result, smooth)[0]
 
         wanted = [leaf for leaf, here in zip(leaves, cotangents.wanted, strict=True) if here]
-        cotangents.found = merged(cotangents.wanted, jax.vjp(moved, *wanted)[1](jax.tree.leaves(end)))
+        cotangents.found = merge(cotangents.wanted, jax.vjp(evaluate, *wanted)[1](jax.tree.leaves(end)))
 
-    return Rule(value, jax.checkpoint(function), pull, like, smooth)
+    return DerivativeRule(value, jax.checkpoint(function), pull, like, smooth)
 
 
 @pytree
@@ -108,7 +108,7 @@ class _Pullback:
     moving: tuple[bool, ...] = static()
 
 
-def apart(function: Callable[..., Any], *arguments: Any) -> Any:
+def as_single_operation(function: Callable[..., Any], *arguments: Any) -> Any:
     """The function's result as one operation, with JAX's own derivatives; nothing is worked out again."""
     shapes = _shapes(arguments)
     results = jax.eval_shape(function, *shapes)
@@ -121,25 +121,25 @@ def apart(function: Callable[..., Any], *arguments: Any) -> Any:
             return function(*arguments), None
         leaves, structure = jax.tree.flatten(arguments)
 
-        def moved(*new: Any) -> tuple[list[Any], Any]:
-            result = function(*jax.tree.unflatten(structure, merged(moving, new, leaves)))
+        def evaluate(*new: Any) -> tuple[list[Any], Any]:
+            result = function(*jax.tree.unflatten(structure, merge(moving, new, leaves)))
             return _smooth_leaves(result, smooth)[0], result
 
-        _, apply, result = jax.vjp(moved, *only(leaves, moving), has_aux=True)
+        _, apply, result = jax.vjp(evaluate, *select(leaves, moving), has_aux=True)
         return result, _Pullback(apply, moving)
 
     def pull(kept: _Pullback, cotangents: Cotangents, end: Any) -> None:
-        cotangents.found = merged(kept.moving, kept.apply(jax.tree.leaves(end)))
+        cotangents.found = merge(kept.moving, kept.apply(jax.tree.leaves(end)))
 
-    return Rule(value, function, pull, lambda *_: results, smooth)(*arguments)
+    return DerivativeRule(value, function, pull, lambda *_: results, smooth)(*arguments)
 
 
-def only(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
+def select(values: Iterable[Any], here: Sequence[bool]) -> list[Any]:
     """The values at whose places it is true."""
     return [value for value, own in zip(values, here, strict=True) if own]
 
 
-def merged(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
+def merge(here: Sequence[bool], some: Iterable[Any], others: Iterable[Any] = itertools.repeat(None)) -> list[Any]:
     """One after the other the next of `some` where it is here, else what is at its place in `others`."""
     new = iter(some)
     return [next(new) if own else other for own, other in zip(here, others, strict=False)]
@@ -155,33 +155,35 @@ def _smooth_leaves(result: Any, smooth: Callable[[Any], Any]) -> tuple[list[Any]
     return [leaf for leaf, here in zip(jax.tree.leaves(result), flags, strict=True) if here], flags
 
 
-@by_own_rules
-def _value(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
+@with_standard_promotion
+def _value(*leaves: Any, rule: DerivativeRule, structure: Any) -> list[Any]:
     still = (False,) * len(leaves)
     return jax.tree.leaves(rule.value(still, *jax.tree.unflatten(structure, leaves))[0])
 
 
-def _like(*leaves: Any, rule: Rule, structure: Any) -> list[Any]:
+def _like(*leaves: Any, rule: DerivativeRule, structure: Any) -> list[Any]:
     results = jax.tree.leaves(rule.like(*jax.tree.unflatten(structure, _shapes(list(leaves)))))
-    return [typed_as(result.shape, result.dtype, leaves[0]) for result in results]
+    return [type_like(result.shape, result.dtype, leaves[0]) for result in results]
 
 
-def _linearized(is_vjp: bool, moving: Sequence[bool], *primals: Any, **static: Any) -> Any:
+def _linearize(is_vjp: bool, moving: Sequence[bool], *primals: Any, **static: Any) -> Any:
     """The rule for linear functions of tangents: one that is only transposed need not keep the arguments."""
     return fallback_linearize_rule(_reversed_p, is_vjp, moving, *primals, **static, forward=not is_vjp)
 
 
-@by_own_rules
-def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any, forward: bool = False) -> tuple[Any, Any]:
+@with_standard_promotion
+def _jvp(
+    primals: Any, tangents: Any, *, rule: DerivativeRule, structure: Any, forward: bool = False
+) -> tuple[Any, Any]:
     moving = tuple(not isinstance(t, ad.Zero) for t in tangents)
-    given = only(tangents, moving)
+    given = select(tangents, moving)
     if any(isinstance(t, pe.JaxprTracer) for t in given):
         name = (rule, moving) if rule.lasting else None
-        result, kept = sealed(partial(rule.value, moving), *jax.tree.unflatten(structure, primals), name=name)
+        result, kept = call_opaque(partial(rule.value, moving), *jax.tree.unflatten(structure, primals), name=name)
         carried, smooth = _smooth_leaves(result, rule.smooth)
         leaves, kept_structure = jax.tree.flatten(kept)
         changes = _change_p.bind(
-            *varying([*leaves, *(primals if forward else []), *given]),
+            *match_mesh_axes([*leaves, *(primals if forward else []), *given]),
             rule=rule,
             forward=forward,
             structure=structure,
@@ -196,36 +198,38 @@ def _jvp(primals: Any, tangents: Any, *, rule: Rule, structure: Any, forward: bo
         smooth = _smooth_leaves(result, rule.smooth)[1]
     results = jax.tree.leaves(result)
     none = [ad.Zero(jax.typeof(value).to_tangent_aval()) for value in results]
-    return results, merged(smooth, changes, none)
+    return results, merge(smooth, changes, none)
 
 
-def _forward(rule: Rule, structure: Any, moving: tuple[bool, ...], primals: Any, given: Any) -> tuple[Any, list[Any]]:
+def _forward(
+    rule: DerivativeRule, structure: Any, moving: tuple[bool, ...], primals: Any, given: Any
+) -> tuple[Any, list[Any]]:
     """The result, and the tangents of its leaves that carry one; reverse derivatives of these are JAX's own."""
 
-    def both(primals: Any, given: Any) -> tuple[Any, list[Any]]:
+    def value_and_tangents(primals: Any, given: Any) -> tuple[Any, list[Any]]:
         def plain(*moved: Any) -> tuple[list[Any], Any]:
-            result = rule.plain(*jax.tree.unflatten(structure, merged(moving, moved, primals)))
+            result = rule.plain(*jax.tree.unflatten(structure, merge(moving, moved, primals)))
             return _smooth_leaves(result, rule.smooth)[0], result
 
-        _, changes, result = jax.jvp(plain, only(primals, moving), given, has_aux=True)
+        _, changes, result = jax.jvp(plain, select(primals, moving), given, has_aux=True)
         return result, changes
 
     if not manual_axes(primals):
-        return both(primals, given)
+        return value_and_tangents(primals, given)
 
     def like(primals: Any, _: Any) -> list[Any]:
         return _smooth_leaves(rule.like(*jax.tree.unflatten(structure, primals)), rule.smooth)[0]
 
     # Apart from the result, which must not depend on the tangents, or `jacfwd` would give one for each of them.
-    changes = recomputed(lambda *given: both(*given)[1], like, lambda changes: [True] * len(changes))
+    changes = recompute(lambda *given: value_and_tangents(*given)[1], like, lambda changes: [True] * len(changes))
     return rule(*jax.tree.unflatten(structure, primals)), changes(list(primals), given)
 
 
-@by_own_rules
+@with_standard_promotion
 def _transpose(
     cotangents: Any,
     *leaves: Any,
-    rule: Rule,
+    rule: DerivativeRule,
     forward: bool,
     structure: Any,
     moving: tuple[bool, ...],
@@ -236,9 +240,9 @@ def _transpose(
 ) -> list[Any]:
     count = kept.num_leaves
     given = leaves[count + structure.num_leaves * forward :]
-    end = jax.tree.unflatten(like, merged(smooth, map(ad.instantiate_zeros, cotangents)))
+    end = jax.tree.unflatten(like, merge(smooth, map(ad.instantiate_zeros, cotangents)))
     change = map(ad.is_undefined_primal, given)
-    wanted = tuple(merged(moving, change, itertools.repeat(False)))
+    wanted = tuple(merge(moving, change, itertools.repeat(False)))
 
     def pull(kept: Any, end: Any) -> list[Any]:
         own = Cotangents(structure, wanted)
@@ -246,21 +250,21 @@ def _transpose(
         return own.found
 
     name = (rule, structure, wanted) if rule.lasting else None
-    found = sealed(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
-    return [None] * (len(leaves) - len(given)) + only(found, moving)
+    found = call_opaque(pull, jax.tree.unflatten(kept, leaves[:count]), end, name=name)
+    return [None] * (len(leaves) - len(given)) + select(found, moving)
 
 
-@by_own_rules
-def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any, Any]:
+@with_standard_promotion
+def _batch(leaves: Any, axes: Any, *, rule: DerivativeRule, structure: Any) -> tuple[Any, Any]:
     """The same function of many arguments side by side, with its derivative."""
     size = next(leaf.shape[axis] for leaf, axis in zip(leaves, axes, strict=True) if axis is not None)
 
-    def side_by_side(function: Callable[..., Any]) -> Callable[..., Any]:
+    def vectorize(function: Callable[..., Any]) -> Callable[..., Any]:
         together = jax.vmap(lambda *leaves: function(*jax.tree.unflatten(structure, leaves)), axes)
         return lambda *arguments: together(*jax.tree.leaves(arguments))
 
     def value(moving: tuple[bool, ...], *arguments: Any) -> tuple[Any, Any]:
-        return side_by_side(partial(rule.value, moving))(*arguments)
+        return vectorize(partial(rule.value, moving))(*arguments)
 
     def pull(kept: Any, cotangents: Cotangents, end: Any) -> None:
         def one(kept: Any, end: Any) -> list[Any]:
@@ -280,14 +284,14 @@ def _batched(leaves: Any, axes: Any, *, rule: Rule, structure: Any) -> tuple[Any
         one = rule.like(*jax.tree.unflatten(structure, shapes))
         return jax.tree.map(lambda leaf: ShapedArray((size, *leaf.shape), leaf.dtype), one)
 
-    many = Rule(value, side_by_side(rule.plain), pull, like, rule.smooth)
-    results = _reversed_p.bind(*varying(leaves), rule=many, structure=structure)
+    many = DerivativeRule(value, vectorize(rule.plain), pull, like, rule.smooth)
+    results = _reversed_p.bind(*match_mesh_axes(leaves), rule=many, structure=structure)
     return results, (0,) * len(results)
 
 
-@by_own_rules
-def _change(
-    *leaves: Any, rule: Rule, forward: bool, structure: Any, moving: tuple[bool, ...], kept: Any, **_: Any
+@with_standard_promotion
+def _tangents(
+    *leaves: Any, rule: DerivativeRule, forward: bool, structure: Any, moving: tuple[bool, ...], kept: Any, **_: Any
 ) -> list[Any]:
     """The results' tangents, from those of the arguments: the function is worked out once more for it."""
     if not forward:
@@ -297,40 +301,40 @@ def _change(
     return _forward(rule, structure, moving, primals, list(given))[1]
 
 
-@by_own_rules
-def _change_batched(leaves: Any, axes: Any, **static: Any) -> tuple[Any, Any]:
-    return jax.vmap(partial(_change, **static), axes)(*leaves), (0,) * len(static["shapes"])
+@with_standard_promotion
+def _batch_tangents(leaves: Any, axes: Any, **static: Any) -> tuple[Any, Any]:
+    return jax.vmap(partial(_tangents, **static), axes)(*leaves), (0,) * len(static["shapes"])
 
 
-@by_own_rules
-def _change_jvp(primals: Any, tangents: Any, **static: Any) -> tuple[Any, Any]:
+@with_standard_promotion
+def _tangents_jvp(primals: Any, tangents: Any, **static: Any) -> tuple[Any, Any]:
     """By the arguments and their tangents; what was kept follows from these."""
     first = static["kept"].num_leaves
     moving = [k >= first and not isinstance(t, ad.Zero) for k, t in enumerate(tangents)]
 
-    def moved(*new: Any) -> list[Any]:
-        return _change(*merged(moving, new, primals), **static)
+    def evaluate(*new: Any) -> list[Any]:
+        return _tangents(*merge(moving, new, primals), **static)
 
     if not any(moving):
         changes = _change_p.bind(*primals, **static)
         return changes, [ad.Zero(jax.typeof(change).to_tangent_aval()) for change in changes]
-    return jax.jvp(moved, only(primals, moving), only(tangents, moving))
+    return jax.jvp(evaluate, select(primals, moving), select(tangents, moving))
 
 
 _reversed_p = Primitive("with_own_reverse")
 _reversed_p.multiple_results = True
 _reversed_p.def_impl(lambda *leaves, **static: jax.jit(partial(_value, **static))(*leaves))
 _reversed_p.def_abstract_eval(_like)
-mlir.register_lowering(_reversed_p, lowered_apart(_value))
+mlir.register_lowering(_reversed_p, lower_without_axes(_value))
 ad.primitive_jvps[_reversed_p] = _jvp
-primitive_linearizations[_reversed_p] = _linearized
-batching.primitive_batchers[_reversed_p] = _batched
+primitive_linearizations[_reversed_p] = _linearize
+batching.primitive_batchers[_reversed_p] = _batch
 
 _change_p = Primitive("with_own_reverse_change")
 _change_p.multiple_results = True
-_change_p.def_impl(lambda *leaves, **static: jax.jit(partial(_change, **static))(*leaves))
-_change_p.def_abstract_eval(lambda first, *_, shapes, **__: [typed_as(shape, dtype, first) for shape, dtype in shapes])
+_change_p.def_impl(lambda *leaves, **static: jax.jit(partial(_tangents, **static))(*leaves))
+_change_p.def_abstract_eval(lambda first, *_, shapes, **__: [type_like(shape, dtype, first) for shape, dtype in shapes])
 ad.primitive_transposes[_change_p] = _transpose
-ad.primitive_jvps[_change_p] = _change_jvp
-batching.primitive_batchers[_change_p] = _change_batched
-mlir.register_lowering(_change_p, lowered_apart(_change))
+ad.primitive_jvps[_change_p] = _tangents_jvp
+batching.primitive_batchers[_change_p] = _batch_tangents
+mlir.register_lowering(_change_p, lower_without_axes(_tangents))

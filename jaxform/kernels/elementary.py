@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 
 _ONE, _HALF_ROOT = 0x3FF0000000000000, 0x3FE6A09E667F3BCD  # the bits of 1 and of 2^(-1/2)
 _FRACTION = 52  # how many bits it has
@@ -111,7 +111,7 @@ def log2p1(values: jax.Array) -> jax.Array:
     """log2(1 + x) of normal values from 0 on, to rounding where x is next to nothing too."""
     if values.dtype != jnp.float64:
         return jnp.log1p(values) / _LN_2
-    values = once(values)
+    values = materialize(values)
     total = 1.0 + values
     # What the sum lost: of more than 2 it is nothing beside the logarithm.
     lost = jnp.where(total < 2.0, values - (total - 1.0), 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.pytree import as_real, static
 from jaxform.core.ranges import RANGES, as_numbers, check
 from jaxform.loads.loading import Loading, loading
@@ -31,8 +31,8 @@ class Pressure(Loading):
 
     follows_volume: ClassVar[bool] = False
 
-    time: jax.Array = within(RANGES["pressure.time"])
-    value: jax.Array = within(RANGES["pressure.value"])
+    time: jax.Array = ranged_parameter(RANGES["pressure.time"])
+    value: jax.Array = ranged_parameter(RANGES["pressure.value"])
     interpolation: str = static(default="linear")
 
     def at(self, time: jax.Array, volume: jax.Array | None = None) -> jax.Array:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.parameters import parameter, ranged_parameter, register_part
 from jaxform.core.pytree import as_real, pytree, static
 
 _LOOKS = 17
@@ -88,7 +88,7 @@ class Loading:
 
 
 @pytree
-class Pressed:
+class LoadState:
     """How a loading presses that follows the volume, at the begin of a step.
 
     Attributes:
@@ -97,19 +97,19 @@ class Pressed:
     """
 
     pressure: jax.Array
-    own: Any
+    state: Any
 
 
-def first_pressure(loading: Loading, volume: jax.Array) -> Pressed:
+def first_pressure(loading: Loading, volume: jax.Array) -> LoadState:
     """At time 0, with so much volume [m^3]."""
     own = jax.tree.map(_array, loading.start(volume))
-    return Pressed(_pressure(loading, jnp.zeros_like(volume), volume, own), own)
+    return LoadState(_pressure(loading, jnp.zeros_like(volume), volume, own), own)
 
 
-def next_pressure(loading: Loading, last: Pressed, interval: Interval) -> Pressed:
+def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> LoadState:
     """At the end of an interval, with what it was at its begin."""
-    own = None if last.own is None else jax.tree.map(_array, loading.after(last.own, interval))
-    return Pressed(_pressure(loading, interval.time, interval.volume, own), own)
+    own = None if last.state is None else jax.tree.map(_array, loading.after(last.state, interval))
+    return LoadState(_pressure(loading, interval.time, interval.volume, own), own)
 
 
 def _array(values: Any) -> jax.Array:
@@ -121,7 +121,7 @@ def _pressure(loading: Loading, time: jax.Array, volume: jax.Array, own: Any) ->
     return loading.at(time, volume) if own is None else loading.at(time, volume, own)
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def loading[T: Loading](cls: type[T]) -> type[T]:
     """Makes a class a loading: a frozen dataclass and a pytree, its numbers known to `replace` and to designs.
 
@@ -130,7 +130,7 @@ def loading[T: Loading](cls: type[T]) -> type[T]:
             its own but does not follow the volume.
     """
     remedy = "derive it from jaxform.Loading and give it a pressure, `at`"
-    made = declared_part(cls, Loading, "at", remedy, "pressure")
+    made = register_part(cls, Loading, "at", remedy, "pressure")
     if made.start is not Loading.start and not made.follows_volume:
         raise InputError("has a state of its own, which no step works out", "set follows_volume = True", "pressure")
     return made

@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.pytree import pytree
 from jaxform.core.ranges import RANGES
 
@@ -30,12 +30,12 @@ class Cooling:
         conductivity: Of the sheet [W/(m K)]; None where its surfaces are as warm as its middle.
     """
 
-    heat_capacity: jax.Array = within(RANGES["cooling.heat_capacity"])
-    air: jax.Array = within(RANGES["cooling.air"], default=0.0)
-    air_temperature: jax.Array = within(RANGES["cooling.air_temperature"], default=20.0)
-    mold: jax.Array = within(RANGES["cooling.mold"], default=0.0)
-    mold_temperature: jax.Array = within(RANGES["cooling.mold_temperature"], default=20.0)
-    conductivity: jax.Array | None = within(RANGES["cooling.conductivity"], default=None)
+    heat_capacity: jax.Array = ranged_parameter(RANGES["cooling.heat_capacity"])
+    air: jax.Array = ranged_parameter(RANGES["cooling.air"], default=0.0)
+    air_temperature: jax.Array = ranged_parameter(RANGES["cooling.air_temperature"], default=20.0)
+    mold: jax.Array = ranged_parameter(RANGES["cooling.mold"], default=0.0)
+    mold_temperature: jax.Array = ranged_parameter(RANGES["cooling.mold_temperature"], default=20.0)
+    conductivity: jax.Array | None = ranged_parameter(RANGES["cooling.conductivity"], default=None)
 
     def cooled(
         self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array, time: jax.Array
@@ -50,7 +50,7 @@ class Cooling:
             time: [s], a number or (n,).
         """
         rate, loss = self._rates(temperature, wall, touching, density)
-        return temperature - time * loss * _lasting(time * rate)
+        return temperature - time * loss * _mean_decay(time * rate)
 
     def pace(self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array) -> jax.Array:
         """How fast temperatures fall (n,) [K/s], of walls as `cooled` has them."""
@@ -60,13 +60,15 @@ class Cooling:
         self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """How fast walls (n,) come to the temperature around them [1/s], and how fast they cool [K/s]."""
-        free = self._sides(self.air, self.air_temperature, wall)
-        held = self._sides(self.mold, self.mold_temperature, wall)
+        free = self._heat_transfer(self.air, self.air_temperature, wall)
+        held = self._heat_transfer(self.mold, self.mold_temperature, wall)
         conductance, drive = (away + touching * (on - away) for away, on in zip(free, held, strict=True))
         each = 1.0 / (density * self.heat_capacity * wall)
         return each * conductance, each * (conductance * temperature - drive)
 
-    def _sides(self, other: jax.Array, other_temperature: jax.Array, wall: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _heat_transfer(
+        self, other: jax.Array, other_temperature: jax.Array, wall: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
         """How much heat is given off (n,), for each kelvin [W/(m^2 K)] and less [W/m^2]: to the air, and to something.
 
         A parabola with the heat q and p through its surfaces has there temperatures that are (2 q - p) wall / 6 k and
@@ -81,7 +83,7 @@ class Cooling:
         return one + two, one * self.air_temperature + two * other_temperature
 
 
-def _lasting(x: jax.Array) -> jax.Array:
+def _mean_decay(x: jax.Array) -> jax.Array:
     """(1 - exp(-x)) / x."""
     short, long = jnp.minimum(x, _SHORT), jnp.maximum(x, _SHORT)
     series = 1.0 - short * (1 / 2 - short * (1 / 6 - short * (1 / 24 - short / 120)))

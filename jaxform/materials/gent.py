@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.ranges import OF_LAWS, RANGES
 from jaxform.materials.law import Law, Slope, law
 
@@ -27,32 +27,32 @@ class Gent(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    mu: jax.Array = within(_RANGES["mu"])
-    j_max: jax.Array = within(_RANGES["j_max"])
-    density: jax.Array = within(RANGES["material.density"])
+    mu: jax.Array = ranged_parameter(_RANGES["mu"])
+    j_max: jax.Array = ranged_parameter(_RANGES["j_max"])
+    density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""
-        inside, left, beyond = self._left(i1)
+        inside, left, beyond = self._limit_terms(i1)
         within_limit = -0.5 * self.mu * self.j_max * jnp.log1p(-inside / self.j_max)
         slope = 0.5 * self.mu / left
         return within_limit + beyond * (slope + 0.5 * beyond * slope / (left * self.j_max))
 
     def slopes(self, i1: jax.Array, i2: jax.Array) -> tuple[jax.Array, Slope]:
         """dW/dI1 and dW/dI2 [Pa]."""
-        _, left, beyond = self._left(i1)
+        _, left, beyond = self._limit_terms(i1)
         return 0.5 * self.mu / left * (1.0 + beyond / (left * self.j_max)), None
 
     def curvatures(self, i1: jax.Array, i2: jax.Array) -> tuple[Slope, Slope, Slope]:
         """d2W/dI1^2, d2W/dI1 dI2 and d2W/dI2^2 [Pa]."""
-        _, left, _ = self._left(i1)
+        _, left, _ = self._limit_terms(i1)
         return 0.5 * self.mu / (jnp.square(left) * self.j_max), None, None
 
     def stiffness(self) -> jax.Array:
         """C of an equally stiff neo-Hookean sheet in small strain [Pa]."""
         return 0.5 * self.mu
 
-    def _left(self, i1: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def _limit_terms(self, i1: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """What of I1 - 3 counts as inside of the limit, the share that is then left of that, and what is beyond."""
         x = i1 - 3.0
         inside = jnp.minimum(x, (1.0 - _NEAREST) * self.j_max)

@@ -9,7 +9,13 @@ from typing import Self, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import declared_part, parameter, ranges_of, varying_numbers, within
+from jaxform.core.parameters import (
+    parameter,
+    parameter_ranges,
+    ranged_parameter,
+    register_part,
+    varying_parameter_names,
+)
 from jaxform.core.pytree import static
 from jaxform.materials.shift import Shift
 from jaxform.materials.viscous import Modes
@@ -73,12 +79,12 @@ class Law(_Dense):
         factor, numbers = self.shift.factor(temperature), {}
         moduli = factor if self.shift.stiffens else jnp.ones_like(factor)
         if self.shift.stiffens:
-            moduli_of = [name for name, allowed in ranges_of(self).items() if allowed.unit == "Pa"]
+            moduli_of = [name for name, allowed in parameter_ranges(self).items() if allowed.unit == "Pa"]
             zones = self.zones
             for name in moduli_of:
                 number = getattr(self, name)
                 numbers[name] = (number if name in zones else number[..., None]) * factor
-        modes = None if self.viscous is None else self.viscous.shifted(factor, moduli)
+        modes = None if self.viscous is None else self.viscous.apply_shift(factor, moduli)
         return dataclasses.replace(self.with_zones(numbers), viscous=modes, shift=None)
 
     def stiffness_at_once(self) -> jax.Array:
@@ -93,7 +99,7 @@ class Law(_Dense):
     @property
     def zones(self) -> dict[str, jax.Array]:
         """Its numbers that vary over the sheet, (..., n) each, by name."""
-        return {name: getattr(self, name) for name in varying_numbers(self)}
+        return {name: getattr(self, name) for name in varying_parameter_names(self)}
 
     def with_zones(self, zones: Mapping[str, jax.Array]) -> Self:
         """The same with other values of numbers that vary."""
@@ -105,14 +111,14 @@ class Law(_Dense):
 
     def slopes(self, i1: jax.Array, i2: jax.Array, /) -> tuple[Slope, Slope]:
         """dW/dI1 and dW/dI2 [Pa], numbers or of the shape of the invariants."""
-        return _along(lambda x: self.energy(x, i2), i1), _along(lambda x: self.energy(i1, x), i2)
+        return _derivative_along(lambda x: self.energy(x, i2), i1), _derivative_along(lambda x: self.energy(i1, x), i2)
 
     def curvatures(self, i1: jax.Array, i2: jax.Array, /) -> tuple[Slope, Slope, Slope]:
         """d2W/dI1^2, d2W/dI1 dI2 and d2W/dI2^2 [Pa]: the step's bound needs them, and none may be forgotten."""
         return (
-            _along(lambda x: self.slopes(x, i2)[0], i1),
-            _along(lambda x: self.slopes(i1, x)[0], i2),
-            _along(lambda x: self.slopes(i1, x)[1], i2),
+            _derivative_along(lambda x: self.slopes(x, i2)[0], i1),
+            _derivative_along(lambda x: self.slopes(i1, x)[0], i2),
+            _derivative_along(lambda x: self.slopes(i1, x)[1], i2),
         )
 
     def stiffness(self) -> jax.Array:
@@ -147,20 +153,20 @@ class PlaneLaw(Law):
         return self.slopes(2.0 * one, one)[0]
 
 
-def _along(function: Callable[[jax.Array], Slope], at: jax.Array) -> Slope:
+def _derivative_along(function: Callable[[jax.Array], Slope], at: jax.Array) -> Slope:
     """Derivative of a function that works element by element; None of one that is None."""
     if function(at) is None:
         return None
 
-    def spread(x: jax.Array) -> jax.Array:
+    def broadcast(x: jax.Array) -> jax.Array:
         value = function(x)
         assert value is not None
         return jnp.broadcast_to(value, jnp.shape(x))
 
-    return jax.jvp(spread, (at,), (jnp.ones_like(at),))[1]
+    return jax.jvp(broadcast, (at,), (jnp.ones_like(at),))[1]
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def law[T: Law](cls: type[T]) -> type[T]:
     """Makes a class a law: a frozen dataclass and a pytree, its parameters known to `replace` and to designs.
 
@@ -168,4 +174,4 @@ def law[T: Law](cls: type[T]) -> type[T]:
         InputError: It does not derive from `Law`, has no energy or density, or an undeclared parameter.
     """
     remedy = "derive it from jaxform.Law and give it an energy"
-    return declared_part(cls, Law, "energy", remedy, "material", needed=("density",))
+    return register_part(cls, Law, "energy", remedy, "material", needed=("density",))

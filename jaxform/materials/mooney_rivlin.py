@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 
@@ -20,9 +20,9 @@ class MooneyRivlin(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    c: jax.Array = within(RANGES["material.c"])
-    alpha: jax.Array = within(RANGES["material.alpha"])
-    density: jax.Array = within(RANGES["material.density"])
+    c: jax.Array = ranged_parameter(RANGES["material.c"])
+    alpha: jax.Array = ranged_parameter(RANGES["material.alpha"])
+    density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""
@@ -51,9 +51,9 @@ class ModifiedMooneyRivlin(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    a01: jax.Array = within(RANGES["material.a01"])
-    a02: jax.Array = within(RANGES["material.a02"])
-    density: jax.Array = within(RANGES["material.density"])
+    a01: jax.Array = ranged_parameter(RANGES["material.a01"])
+    a02: jax.Array = ranged_parameter(RANGES["material.a02"])
+    density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 
@@ -18,8 +18,8 @@ class NeoHookean(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    c: jax.Array = within(RANGES["material.c"])
-    density: jax.Array = within(RANGES["material.density"])
+    c: jax.Array = ranged_parameter(RANGES["material.c"])
+    density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""

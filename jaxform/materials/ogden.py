@@ -12,9 +12,9 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.ranges import OF_LAWS, RANGES
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 from jaxform.kernels.elementary import exp2, exp2m1, log2, log2p1
 from jaxform.materials.law import PlaneLaw, law
 
@@ -47,15 +47,15 @@ class Ogden(PlaneLaw):
         density: Mass per volume [kg/m^3].
     """
 
-    mu: jax.Array = within(_RANGES["mu"], listed=True)
-    alpha: jax.Array = within(_RANGES["alpha"], listed=True)
-    density: jax.Array = within(RANGES["material.density"])
+    mu: jax.Array = ranged_parameter(_RANGES["mu"], listed=True)
+    alpha: jax.Array = ranged_parameter(_RANGES["alpha"], listed=True)
+    density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, trace: jax.Array, determinant: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of both."""
-        plane, total = _Plane(trace, determinant), jnp.zeros_like(trace)
+        plane, total = _PlaneStretches(trace, determinant), jnp.zeros_like(trace)
         for mu, alpha in zip(self.mu, self.alpha, strict=True):
-            power = plane.to(0.5 * alpha)
+            power = plane.to_power(0.5 * alpha)
             # As above, of cosh(p y).
             cosine = power.cosine_before * plane.cosine + power.sines_before * plane.sine_squared
             total += mu / alpha * (2.0 * power.area * cosine + jnp.square(power.thickness) - 3.0)
@@ -68,7 +68,7 @@ class Ogden(PlaneLaw):
 
     def curvatures(self, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """d2W/dT2, d2W/dTdD and d2W/dD2 [Pa]."""
-        curved = _curved if trace.dtype == jnp.float64 else _smooth_curved
+        curved = _slopes_and_curvatures if trace.dtype == jnp.float64 else _smooth_curvatures
         by_trace, mixed, by_determinant = curved(list(self.mu), list(self.alpha), trace, determinant)[2:]
         return by_trace, mixed, by_determinant
 
@@ -91,55 +91,55 @@ class Ogden(PlaneLaw):
 def _slopes(
     mu: list[jax.Array], alpha: list[jax.Array], trace: jax.Array, determinant: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """dW/dT and dW/dD in double precision, by `_Powers`."""
-    return _Powers(mu, alpha, trace, determinant).slopes()
+    """dW/dT and dW/dD in double precision, by `_SlopePowers`."""
+    return _SlopePowers(mu, alpha, trace, determinant).slopes()
 
 
 @functools.partial(_slopes.defjvp, symbolic_zeros=True)
-def _slopes_change(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
+def _slopes_jvp(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
     """Along the strain by the second derivatives, along the law's numbers by the form that is smooth in all."""
     *numbers, trace, determinant = changes
     if isinstance(trace, SymbolicZero) and isinstance(determinant, SymbolicZero):
-        return _slopes(*at), _change(_smooth_slopes, at, changes)
-    *slopes, by_trace, mixed, by_determinant = _curved(*at)
+        return _slopes(*at), _jvp_of(_smooth_slopes, at, changes)
+    *slopes, by_trace, mixed, by_determinant = _slopes_and_curvatures(*at)
     rise, growth = (0.0 if isinstance(change, SymbolicZero) else change for change in (trace, determinant))
     along = by_trace * rise + mixed * growth, mixed * rise + by_determinant * growth
     still = [SymbolicZero(jax.typeof(values).to_tangent_aval()) for values in at[2:]]
     if not all(isinstance(change, SymbolicZero) for change in jax.tree.leaves(numbers)):
-        along = jax.tree.map(jnp.add, along, _change(_smooth_slopes, at, (*numbers, *still)))
+        along = jax.tree.map(jnp.add, along, _jvp_of(_smooth_slopes, at, (*numbers, *still)))
     return tuple(slopes), along
 
 
 @jax.custom_jvp
-def _curved(
+def _slopes_and_curvatures(
     mu: list[jax.Array], alpha: list[jax.Array], trace: jax.Array, determinant: jax.Array
 ) -> tuple[jax.Array, ...]:
-    """The slopes, d2W/dT2, d2W/dTdD and d2W/dD2, by `_Powers`."""
-    powers = _Powers(mu, alpha, trace, determinant)
+    """The slopes, d2W/dT2, d2W/dTdD and d2W/dD2, by `_SlopePowers`."""
+    powers = _SlopePowers(mu, alpha, trace, determinant)
     return *powers.slopes(), *powers.curvatures()
 
 
-@functools.partial(_curved.defjvp, symbolic_zeros=True)
-def _curved_change(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
-    return _curved(*at), _change(_smooth_curved, at, changes)
+@functools.partial(_slopes_and_curvatures.defjvp, symbolic_zeros=True)
+def _slopes_and_curvatures_jvp(at: tuple[Any, ...], changes: tuple[Any, ...]) -> tuple[Any, Any]:
+    return _slopes_and_curvatures(*at), _jvp_of(_smooth_curvatures, at, changes)
 
 
-def _change(function: Callable[..., Any], at: tuple[Any, ...], changes: tuple[Any, ...]) -> Any:
+def _jvp_of(function: Callable[..., Any], at: tuple[Any, ...], changes: tuple[Any, ...]) -> Any:
     """That of a function, with what varies."""
     values, tree = jax.tree.flatten(at)
     given = jax.tree.leaves(changes)
     varied = [k for k, change in enumerate(given) if not isinstance(change, SymbolicZero)]
 
-    def of_those(*those: jax.Array) -> Any:
+    def of_varied(*those: jax.Array) -> Any:
         every = list(values)
         for k, value in zip(varied, those, strict=True):
             every[k] = value
         return function(*jax.tree.unflatten(tree, every))
 
-    return jax.jvp(of_those, [values[k] for k in varied], [given[k] for k in varied])[1]
+    return jax.jvp(of_varied, [values[k] for k in varied], [given[k] for k in varied])[1]
 
 
-class _Powers:
+class _SlopePowers:
     """Derivatives from powers of x1 = l1^2 >= x2 and x3 = 1 / D alone: fast as they are, not to be varied.
 
     With f(x) = dw/dx = sum of c x^p, c = mu / 2, p = alpha / 2 - 1, and g(x) = x f'(x)::
@@ -159,33 +159,35 @@ class _Powers:
         self._terms = [(0.5 * modulus, 0.5 * power - 1.0) for modulus, power in zip(mu, alpha, strict=True)]
         self._trace, self._determinant = trace, determinant
         # By rounding the difference may be below 0. What several loops use each is worked out once, with one division.
-        half = once(jnp.sqrt(jnp.maximum(0.25 * jnp.square(trace) - determinant, _LEAST * determinant)))
-        both = once(0.5 / (determinant * half))
+        half = materialize(jnp.sqrt(jnp.maximum(0.25 * jnp.square(trace) - determinant, _LEAST * determinant)))
+        both = materialize(0.5 / (determinant * half))
         self._half, self._larger = half, 0.5 * trace + half
         self._inverse, self._per_difference = 2.0 * half * both, determinant * both
         highest = functools.reduce(jnp.maximum, (jnp.abs(power) for _, power in self._terms))
         most = _MOST / (2.0 + _TOGETHER * highest)
         ratio = log2p1(2.0 * half * self._larger * self._inverse)  # log2 of x1 / x2
         product = jnp.clip(log2(determinant), -most, most)
-        self._product, ratio = once((product, jnp.minimum(ratio, most)))
+        self._product, ratio = materialize((product, jnp.minimum(ratio, most)))
         # The smaller one of x1^p and x2^p, and what the other one is more: nothing is lost, however far apart they are.
         sizes = [(power, jnp.abs(power)) for _, power in self._terms]
-        self._less = once([exp2(0.5 * (power * self._product - size * ratio)) for power, size in sizes])
-        self._more = once([less * exp2m1(size * ratio) for less, (_, size) in zip(self._less, sizes, strict=True)])
-        self._quotient = once(self._apart([c for c, _ in self._terms]) * self._per_difference)
+        self._less = materialize([exp2(0.5 * (power * self._product - size * ratio)) for power, size in sizes])
+        self._more = materialize(
+            [less * exp2m1(size * ratio) for less, (_, size) in zip(self._less, sizes, strict=True)]
+        )
+        self._quotient = materialize(self._power_difference([c for c, _ in self._terms]) * self._per_difference)
 
-    def _apart(self, weights: list[jax.Array]) -> jax.Array:
+    def _power_difference(self, weights: list[jax.Array]) -> jax.Array:
         """Sum of weights times x1^p - x2^p."""
         own = zip(weights, self._terms, self._more, strict=True)
         return sum((weight * jnp.sign(p) * more for weight, (_, p), more in own), jnp.zeros_like(self._half))
 
-    def _at_second(self, weights: list[jax.Array]) -> jax.Array:
+    def _second_powers(self, weights: list[jax.Array]) -> jax.Array:
         """Sum of weights times x2^p."""
         own = zip(weights, self._terms, self._less, self._more, strict=True)
         terms = (weight * less + jnp.where(p < 0.0, weight, 0.0) * more for weight, (_, p), less, more in own)
         return sum(terms, jnp.zeros_like(self._half))
 
-    def _at_third(self, weights: list[jax.Array]) -> jax.Array:
+    def _third_powers(self, weights: list[jax.Array]) -> jax.Array:
         """Sum of weights times x3^p = 1 / (x1 x2)^p: a division costs as much as three powers."""
         total, weighted = jnp.zeros_like(self._half), list(zip(weights, self._less, self._more, strict=True))
         for first in range(0, len(weighted), _TOGETHER):
@@ -199,32 +201,32 @@ class _Powers:
     def slopes(self) -> tuple[jax.Array, jax.Array]:
         """dW/dT and dW/dD."""
         weights = [c for c, _ in self._terms]
-        by_trace = self._at_second(weights) + self._larger * self._quotient
-        return by_trace, -self._quotient - self._at_third(weights) * jnp.square(self._inverse)
+        by_trace = self._second_powers(weights) + self._larger * self._quotient
+        return by_trace, -self._quotient - self._third_powers(weights) * jnp.square(self._inverse)
 
     def curvatures(self) -> tuple[jax.Array, jax.Array, jax.Array]:
         """d2W/dT2, d2W/dTdD and d2W/dD2."""
         trace, inverse, larger, quotient = self._trace, self._inverse, self._larger, self._quotient
         tilted = [c * p for c, p in self._terms]
-        at_smaller, change = once((self._at_second(tilted), self._apart(tilted)))
+        at_smaller, change = materialize((self._second_powers(tilted), self._power_difference(tilted)))
         at_larger, smaller = at_smaller + change, self._determinant / larger
-        third = self._at_third([c * (p + 2.0) for c, p in self._terms]) * inverse**3
+        third = self._third_powers([c * (p + 2.0) for c, p in self._terms]) * inverse**3
         share = jnp.square(self._per_difference)
         by_trace = (larger * at_larger + smaller * at_smaller - 2.0 * self._determinant * quotient) * share
         mixed = (trace * quotient - at_larger - at_smaller) * share
         by_determinant = ((smaller * at_larger + larger * at_smaller) * inverse - 2.0 * quotient) * share
-        alike, *series = self._where_alike()
+        alike, *series = self._nearly_equal()
         found = zip((by_trace, mixed, by_determinant), series, strict=True)
         by_trace, mixed, by_determinant = (jnp.where(alike, near, far) for far, near in found)
         return by_trace, mixed, by_determinant + third
 
-    def _where_alike(self) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    def _nearly_equal(self) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Whether both are nearly alike, and the same there but for what x3 adds.
 
         With m = D^(1/2) and e = T / (2 m) - 1, f(x1) - f(x2) = sum of c m^p U_p(e) (x1 - x2) / m.
         """
         shrink = jnp.sqrt(self._inverse)
-        excess, shrink = once((0.5 * self._trace * shrink - 1.0, shrink))
+        excess, shrink = materialize((0.5 * self._trace * shrink - 1.0, shrink))
         by_trace = mixed = by_determinant = jnp.zeros_like(excess)
         for c, p in self._terms:
             power = 0.5 * c * exp2((0.5 * p) * self._product) * shrink
@@ -245,7 +247,7 @@ def _series(power: jax.Array, excess: jax.Array) -> tuple[jax.Array, jax.Array]:
     return power * total, power * slope
 
 
-def _smooth_curved(mu: Any, alpha: Any, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, ...]:
+def _smooth_curvatures(mu: Any, alpha: Any, trace: jax.Array, determinant: jax.Array) -> tuple[jax.Array, ...]:
     """The slopes and their derivatives, smooth in all."""
     one = jnp.ones_like(trace)
     slopes, along = jax.jvp(lambda trace: _smooth_slopes(mu, alpha, trace, determinant), (trace,), (one,))
@@ -257,20 +259,20 @@ def _smooth_slopes(
     mu: Iterable[jax.Array], alpha: Iterable[jax.Array], trace: jax.Array, determinant: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """dW/dT and dW/dD, smooth in all."""
-    plane = _Plane(trace, determinant)
+    plane = _PlaneStretches(trace, determinant)
     by_trace, by_determinant = jnp.zeros_like(trace), jnp.zeros_like(trace)
     for modulus, exponent in zip(mu, alpha, strict=True):
-        power, half = plane.to(0.5 * exponent), 0.5 * modulus
+        power, half = plane.to_power(0.5 * exponent), 0.5 * modulus
         # sinh(p y) = sinh((p - 1) y) cosh(y) + cosh((p - 1) y) sinh(y).
         sines = power.sines_before * plane.cosine + power.cosine_before
         # Else all of it would be worked out for each of the two again.
         first = half * power.area * sines
         second = half * (power.area * power.sines_before + jnp.square(power.thickness))
-        by_trace, by_determinant = once((by_trace + first, by_determinant - second))
+        by_trace, by_determinant = materialize((by_trace + first, by_determinant - second))
     return by_trace * plane.thickness, by_determinant * jnp.square(plane.thickness)
 
 
-class _Power(NamedTuple):
+class _StretchPowers(NamedTuple):
     """Of stretches to a power p: (l1 l2)^p and (l1 l2)^-p; cosh((p - 1) y), and sinh((p - 1) y) / sinh(y)."""
 
     area: jax.Array
@@ -279,7 +281,7 @@ class _Power(NamedTuple):
     sines_before: jax.Array
 
 
-class _Plane:
+class _PlaneStretches:
     """What powers of principal stretches are made of, element by element (n,)."""
 
     def __init__(self, trace: jax.Array, determinant: jax.Array) -> None:
@@ -294,16 +296,16 @@ class _Plane:
         stretch = jnp.where(alike, 1.0, 1.0 + excess) + sine  # exp(y)
         logs = _LN_2 * log2(area), _LN_2 * log2(stretch)
         # What all terms use is worked out once.
-        made = once((alike, thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
+        made = materialize((alike, thickness, excess, square, 0.5 / sine, 1.0 / stretch, *logs))
         self._alike, self.thickness, self.excess, self.sine_squared, self._half_sine, self._shrink, *logs = made
         self._log_area, self._angle = logs
         self.cosine, self._stretch = 1.0 + self.excess, stretch
 
-    def to(self, power: jax.Array) -> _Power:
+    def to_power(self, power: jax.Array) -> _StretchPowers:
         """Their power."""
-        area, growth = once((jnp.exp(power * self._log_area), jnp.exp(power * self._angle)))
+        area, growth = materialize((jnp.exp(power * self._log_area), jnp.exp(power * self._angle)))
         inverse = 1.0 / (area * growth)
         before, after = growth * self._shrink, inverse * area * self._stretch  # exp((p - 1) y), and its inverse
         sines = jnp.where(self._alike, _series(power - 1.0, self.excess)[0], (before - after) * self._half_sine)
-        sines = once(sines)
-        return _Power(area, inverse * growth, jnp.sqrt(1.0 + jnp.square(sines) * self.sine_squared), sines)
+        sines = materialize(sines)
+        return _StretchPowers(area, inverse * growth, jnp.sqrt(1.0 + jnp.square(sines) * self.sine_squared), sines)

@@ -7,7 +7,7 @@ from typing import ClassVar, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.parameters import parameter, ranged_parameter, register_part
 from jaxform.core.pytree import static
 from jaxform.core.ranges import RANGES
 
@@ -39,11 +39,11 @@ class Shift:
         return jnp.full_like(self.reference, -_KELVIN)
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def shift[T: Shift](cls: type[T]) -> type[T]:
     """Makes a class a shift: a frozen dataclass and a pytree, its numbers known to `replace` and to designs."""
     remedy = "derive it from Shift and give it a factor"
-    return declared_part(cls, Shift, "factor", remedy, "material.shift", needed=("reference",))
+    return register_part(cls, Shift, "factor", remedy, "material.shift", needed=("reference",))
 
 
 @shift
@@ -59,9 +59,9 @@ class Wlf(Shift):
     """
 
     kind: ClassVar[str] = "wlf"
-    reference: jax.Array = within(RANGES["material.shift.reference"])
-    c1: jax.Array = within(RANGES["material.shift.c1"])
-    c2: jax.Array = within(RANGES["material.shift.c2"])
+    reference: jax.Array = ranged_parameter(RANGES["material.shift.reference"])
+    c1: jax.Array = ranged_parameter(RANGES["material.shift.c1"])
+    c2: jax.Array = ranged_parameter(RANGES["material.shift.c2"])
 
     def factor(self, temperature: jax.Array) -> jax.Array:
         """The factor at temperatures [degC], of their shape."""
@@ -85,8 +85,8 @@ class Arrhenius(Shift):
     """
 
     kind: ClassVar[str] = "arrhenius"
-    reference: jax.Array = within(RANGES["material.shift.reference"])
-    activation_energy: jax.Array = within(RANGES["material.shift.activation_energy"])
+    reference: jax.Array = ranged_parameter(RANGES["material.shift.reference"])
+    activation_energy: jax.Array = ranged_parameter(RANGES["material.shift.activation_energy"])
 
     def factor(self, temperature: jax.Array) -> jax.Array:
         """The factor at temperatures [degC], of their shape."""

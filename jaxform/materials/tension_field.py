@@ -12,12 +12,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 
 _LEAST = 1e-30  # of a difference squared
 
 
-class Taut(NamedTuple):
+class RelaxedStrain(NamedTuple):
     """The strain in the plane with the width that a strip in uniaxial tension has, where the sheet is slack.
 
     Attributes:
@@ -43,17 +43,17 @@ class Taut(NamedTuple):
         The slopes of l1^2 by trace and determinant are l1^2 / (l1^2 - l2^2) and -1 / (l1^2 - l2^2).
         """
         # Next to no strain rounding decides; both nearly cancel, so it must decide the same for both.
-        slack, pull = once((self.slack, a * self.turn))
+        slack, pull = materialize((self.slack, a * self.turn))
         return jnp.where(slack, pull * self.larger, a), jnp.where(slack, -0.5 * scale * pull, b)
 
     def shares(self) -> tuple[jax.Array, jax.Array]:
         """How much of the present metric and of the initial one make up that of this strain (n,)."""
         pulled = jnp.maximum(self.larger, 1.0)
-        slack, share = once((self.slack, 0.5 * (pulled - self.determinant / pulled) / self.half))
+        slack, share = materialize((self.slack, 0.5 * (pulled - self.determinant / pulled) / self.half))
         return jnp.where(slack, share, 1.0), jnp.where(slack, pulled - share * self.larger, 0.0)
 
 
-def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
+def relax_slack_strain(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> RelaxedStrain:
     """Relaxed strain (n,), of l1^2 + l2^2, (l1 l2)^2 and ((l1^2 - l2^2) / 2)^2."""
     mean = 0.5 * trace
     # Equal stretches have no derivative of their difference; where they are slack nothing is pulled.
@@ -68,7 +68,7 @@ def taut(trace: jax.Array, determinant: jax.Array, square: jax.Array) -> Taut:
     width, twice = pulled * narrow, 2.0 * half
     both = 1.0 / (width * twice)
     inverse = both * twice
-    return Taut(
+    return RelaxedStrain(
         trace=jnp.where(slack, pulled + pulled * inverse, trace),
         determinant=jnp.where(slack, narrow, determinant),
         slack=slack,

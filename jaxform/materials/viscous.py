@@ -21,7 +21,7 @@ from typing import ClassVar, NamedTuple, Self, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.parameters import parameter, ranged_parameter, register_part
 from jaxform.core.pytree import static
 from jaxform.core.ranges import RANGES
 
@@ -31,7 +31,7 @@ Rows = list[jax.Array]
 _SHORT = 0.05  # of a mode's time: shorter steps take a series
 
 
-class Strained(NamedTuple):
+class StrainState(NamedTuple):
     """Of elements (n,): metric, inverse of the initial one, and trace and determinant of the strain in the plane."""
 
     metric: Symmetric
@@ -54,7 +54,7 @@ class Strained(NamedTuple):
         return c * scale, -b * scale, a * scale
 
     @property
-    def raised(self) -> Symmetric:
+    def mixed_components(self) -> Symmetric:
         """The present metric with its components raised by the initial one: by the theorem of Cayley and Hamilton."""
         a, b, c = self.metric
         r, scale = self.inverse, self._inverse_area
@@ -90,7 +90,7 @@ class Modes:
     time: jax.Array
 
     @staticmethod
-    def measure(strained: Strained) -> Rows:
+    def measure(strained: StrainState) -> Rows:
         """What the stress of a mode follows: 11, 12, 22 [1/m^2], and across."""
         raise NotImplementedError
 
@@ -98,30 +98,30 @@ class Modes:
         """Of a step [s]."""
         raise NotImplementedError
 
-    def at_first(self, inverse: jax.Array) -> jax.Array:
+    def initial_stress(self, inverse: jax.Array) -> jax.Array:
         """The stress (4 n_mode, n) of elements that were never strained, with this inverse metric (3, n)."""
         raise NotImplementedError
 
-    def shifted(self, times: jax.Array, moduli: jax.Array) -> Self:
+    def apply_shift(self, times: jax.Array, moduli: jax.Array) -> Self:
         """With factors (n,) on times and moduli, of each element."""
         numbers = {"modulus": self.modulus[:, None] * moduli[None], "time": self.time[:, None] * times[None]}
         return dataclasses.replace(self, **numbers)  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
-    def with_losses(self, step: jax.Array) -> Self:
+    def limit_losses(self, step: jax.Array) -> Self:
         """The same for `loss` over steps of a length [s]: modes too fast for such a step to show have an endless time.
 
         A mode that relaxes in t loses t times the square of the strain rate. From its stress no more than the rounding
         of that, over t, would come; of the power it is less than the share t over the step.
         """
-        time = _beside(self.time, step)
+        time = _as_column(self.time, step)
         fast = step > time * jnp.finfo(time.dtype).eps ** -0.5
         return dataclasses.replace(self, time=jnp.where(fast, jnp.inf, time))  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
-    def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
+    def energy(self, stress: list[Rows], strained: StrainState) -> jax.Array:
         """What the modes store (n,) [J/m^3], from the stress of each."""
         raise NotImplementedError
 
-    def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
+    def loss(self, stress: list[Rows], strained: StrainState) -> jax.Array:
         """What they dissipate (n,) [W/m^3]."""
         raise NotImplementedError
 
@@ -134,11 +134,11 @@ class Modes:
         raise NotImplementedError
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def modes[T: Modes](cls: type[T]) -> type[T]:
     """Makes a class a kind of modes: a frozen dataclass and a pytree, its numbers known to `replace` and to designs."""
     remedy = "derive it from Modes and say what its stress follows"
-    return declared_part(cls, Modes, "measure", remedy, "material.viscous", needed=("modulus", "time"))
+    return register_part(cls, Modes, "measure", remedy, "material.viscous", needed=("modulus", "time"))
 
 
 @modes
@@ -151,31 +151,31 @@ class Christensen(Modes):
     """
 
     kind: ClassVar[str] = "christensen"
-    modulus: jax.Array = within(RANGES["material.viscous.modulus"], listed=True)
-    time: jax.Array = within(RANGES["material.viscous.time"], listed=True)
+    modulus: jax.Array = ranged_parameter(RANGES["material.viscous.modulus"], listed=True)
+    time: jax.Array = ranged_parameter(RANGES["material.viscous.time"], listed=True)
 
     @staticmethod
-    def measure(strained: Strained) -> Rows:
+    def measure(strained: StrainState) -> Rows:
         """The strain E, with its components raised by the initial metric."""
-        plane = [0.5 * (new - old) for new, old in zip(strained.raised, strained.inverse, strict=True)]
+        plane = [0.5 * (new - old) for new, old in zip(strained.mixed_components, strained.inverse, strict=True)]
         return [*plane, 0.5 * (1.0 / strained.determinant - 1.0)]
 
     def recursion(self, step: jax.Array) -> Recursion:
         """The stress relaxes, and follows the strain."""
-        left, lag = _relaxed(step, self.time)
-        gain = _beside(self.modulus, lag) * (1.0 - lag)
+        left, lag = _relaxation_factors(step, self.time)
+        gain = _as_column(self.modulus, lag) * (1.0 - lag)
         return Recursion(left, gain, gain)
 
-    def at_first(self, inverse: jax.Array) -> jax.Array:
+    def initial_stress(self, inverse: jax.Array) -> jax.Array:
         """None."""
         return jnp.zeros((4 * len(self.modulus), inverse.shape[1]), inverse.dtype)
 
-    def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
+    def energy(self, stress: list[Rows], strained: StrainState) -> jax.Array:
         """Half the square of the stress over the modulus."""
         terms = (0.5 / modulus * _square(x, strained) for modulus, x in zip(self.modulus, stress, strict=True))
         return sum(terms, jnp.zeros_like(strained.determinant))
 
-    def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
+    def loss(self, stress: list[Rows], strained: StrainState) -> jax.Array:
         """The square of the stress over the viscosity."""
         rates = 1.0 / (self.modulus * self.time)
         terms = (rate * _square(x, strained) for rate, x in zip(rates, stress, strict=True))
@@ -204,27 +204,27 @@ class Maxwell(Modes):
     """
 
     kind: ClassVar[str] = "maxwell"
-    modulus: jax.Array = within(RANGES["material.viscous.modulus"], listed=True)
-    time: jax.Array = within(RANGES["material.viscous.time"], listed=True)
+    modulus: jax.Array = ranged_parameter(RANGES["material.viscous.modulus"], listed=True)
+    time: jax.Array = ranged_parameter(RANGES["material.viscous.time"], listed=True)
 
     @staticmethod
-    def measure(strained: Strained) -> Rows:
+    def measure(strained: StrainState) -> Rows:
         """The inverse of C."""
         return [*strained.present_inverse, strained.determinant]
 
     def recursion(self, step: jax.Array) -> Recursion:
         """The stress goes towards that of a sheet that was always strained as it is."""
-        left, lag = _relaxed(step, self.time)
-        modulus = _beside(self.modulus, lag)
+        left, lag = _relaxation_factors(step, self.time)
+        modulus = _as_column(self.modulus, lag)
         return Recursion(left, modulus * lag, modulus * (left - 1.0 + lag))
 
-    def at_first(self, inverse: jax.Array) -> jax.Array:
+    def initial_stress(self, inverse: jax.Array) -> jax.Array:
         """As in rubber that is not strained."""
         rows = jnp.concatenate([inverse, jnp.ones_like(inverse[:1])])
         modulus = self.modulus[:, None, :] if self.modulus.ndim == 2 else self.modulus[:, None, None]
         return (modulus * rows[None]).reshape(-1, inverse.shape[1])
 
-    def energy(self, stress: list[Rows], strained: Strained) -> jax.Array:
+    def energy(self, stress: list[Rows], strained: StrainState) -> jax.Array:
         """That of dumbbells: g / 2 (tr c - ln det c - 3) of the conformation c."""
         total = jnp.zeros_like(strained.determinant)
         for modulus, x in zip(self.modulus, stress, strict=True):
@@ -232,7 +232,7 @@ class Maxwell(Modes):
             total += 0.5 * modulus * (trace + across - 3.0 - jnp.log(determinant * across))
         return total
 
-    def loss(self, stress: list[Rows], strained: Strained) -> jax.Array:
+    def loss(self, stress: list[Rows], strained: StrainState) -> jax.Array:
         """G / (2 time) (tr c + tr c^-1 - 6), from squares of c - 1: near equilibrium a difference would be rounding."""
         total = jnp.zeros_like(strained.determinant)
         g11, g12, g22 = strained.metric
@@ -260,21 +260,21 @@ MODES: dict[str, type[Modes]] = {"christensen": Christensen, "maxwell": Maxwell}
 """Those that a scene file names."""
 
 
-def _relaxed(step: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _relaxation_factors(step: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Exp(-k), k the step over the times, and 1 - (1 - exp(-k)) / k: how far a mode lags behind."""
-    k = step / _beside(time, step)
+    k = step / _as_column(time, step)
     short = jnp.minimum(k, _SHORT)
     series = short * (1 / 2 - short * (1 / 6 - short * (1 / 24 - short * (1 / 120 - short / 720))))
     long = jnp.maximum(k, _SHORT)
     return jnp.exp(-k), jnp.where(k < _SHORT, series, 1.0 + jnp.expm1(-long) / long)
 
 
-def _beside(numbers: jax.Array, like: jax.Array) -> jax.Array:
+def _as_column(numbers: jax.Array, like: jax.Array) -> jax.Array:
     """Numbers (n_mode,), as (n_mode, 1) where the others are (n_mode, n)."""
     return numbers[:, None] if like.ndim > numbers.ndim > 0 else numbers
 
 
-def _square(x: Rows, strained: Strained) -> jax.Array:
+def _square(x: Rows, strained: StrainState) -> jax.Array:
     """The square (n,) [Pa^2] of a stress."""
     # In the plane that of the trace less twice the determinant.
     g = strained.initial
@@ -283,7 +283,7 @@ def _square(x: Rows, strained: Strained) -> jax.Array:
     return trace * trace - 2.0 * determinant + x[3] * x[3]
 
 
-def _conformation(modulus: jax.Array, x: Rows, strained: Strained) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _conformation(modulus: jax.Array, x: Rows, strained: StrainState) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Trace and determinant in the plane, and the eigenvalue across, of the conformation of a mode (n,)."""
     g, one = strained.metric, 1.0 / modulus
     trace = one * (x[0] * g[0] + 2.0 * x[1] * g[1] + x[2] * g[2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 
-from jaxform.core.parameters import within
+from jaxform.core.parameters import ranged_parameter
 from jaxform.core.ranges import OF_LAWS, RANGES
 from jaxform.materials.law import Law, Slope, law
 
@@ -22,10 +22,10 @@ class Yeoh(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    c1: jax.Array = within(_RANGES["c1"])
-    c2: jax.Array = within(_RANGES["c2"])
-    c3: jax.Array = within(_RANGES["c3"])
-    density: jax.Array = within(RANGES["material.density"])
+    c1: jax.Array = ranged_parameter(_RANGES["c1"])
+    c2: jax.Array = ranged_parameter(_RANGES["c2"])
+    c3: jax.Array = ranged_parameter(_RANGES["c3"])
+    density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
         """Strain energy per reference volume [J/m^3], of the shape of the invariants."""

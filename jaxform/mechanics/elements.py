@@ -9,17 +9,17 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.core.pytree import pytree
-from jaxform.kernels.blocks import Halves, PerBlock, entry, halves, on_cpu, once, over_blocks, put
+from jaxform.kernels.blocks import Halves, PerBlock, entry, materialize, on_cpu, over_blocks, put, split_halves
 from jaxform.mechanics.membrane import (
     Metric,
     Vector,
     cross,
     edges,
     gather,
-    looked_up,
+    gather_rows,
+    gather_sum,
     metric,
     minus,
-    summed_up,
     vector,
 )
 
@@ -64,24 +64,24 @@ class Elements:
     row_count: jax.Array
 
 
-def usual_rows(paired: bool) -> int:
+def typical_row_count(paired: bool) -> int:
     """How many shares a node has as a rule, of elements or of pairs of them."""
     return _USUAL_PAIR_ROWS if paired else _USUAL_ROWS
 
 
-class Shares(NamedTuple):
+class GatherTable(NamedTuple):
     """Where nodes find their shares of corner forces, for `over_blocks`; as in `Elements`."""
 
     slots: jax.Array
     row_count: Any
 
 
-def shares(elements: Elements) -> Shares:
+def gather_table(elements: Elements) -> GatherTable:
     """The nodes' shares of corner forces."""
-    return Shares(elements.slots, PerBlock(elements.row_count))
+    return GatherTable(elements.slots, PerBlock(elements.row_count))
 
 
-def with_overflow(corners: Corners, elements: Elements) -> Corners:
+def add_overflow(corners: Corners, elements: Elements) -> Corners:
     """Corner forces, and with them the shares that `slots` has no room for: added to others of the same nodes."""
     if elements.overflow.size == 0:
         return corners
@@ -90,7 +90,7 @@ def with_overflow(corners: Corners, elements: Elements) -> Corners:
     def add(k: jax.Array, flat: Corners) -> Corners:
         share, into = entry(elements.overflow, k), entry(elements.overflow_into, k)
         # All is read before anything is written (docs/explanation/kernels.md).
-        sums = once([entry(corner, share) + entry(corner, into) for corner in flat])
+        sums = materialize([entry(corner, share) + entry(corner, into) for corner in flat])
         return [put(corner, sum_[None], into) for corner, sum_ in zip(flat, sums, strict=True)]
 
     if on_cpu():
@@ -103,15 +103,15 @@ def with_overflow(corners: Corners, elements: Elements) -> Corners:
     return [new.reshape(corner.shape) for new, corner in zip(flat, corners, strict=True)]
 
 
-def assembled(corners: Corners, own: Shares) -> list[jax.Array]:
+def gather_shares(corners: Corners, own: GatherTable) -> list[jax.Array]:
     """Sum (n,) at nodes of their `own` shares of corner forces, component by component."""
     flat, slots = [corner.reshape(-1) for corner in corners], own.slots
 
     def add(k: jax.Array, totals: list[jax.Array]) -> list[jax.Array]:
         return [total + gather(corner, slots[k]) for total, corner in zip(totals, flat, strict=True)]
 
-    usual = usual_rows(len(corners[0]) == 2)
-    totals = summed_up(flat, slots[:usual])
+    usual = typical_row_count(len(corners[0]) == 2)
+    totals = gather_sum(flat, slots[:usual])
     if len(slots) > usual:
         # Few nodes have more, and they are packed together.
         totals = jax.lax.fori_loop(usual, own.row_count, add, totals)
@@ -121,28 +121,28 @@ def assembled(corners: Corners, own: Shares) -> list[jax.Array]:
 def nodal_sum(corners: Corners, elements: Elements) -> jax.Array:
     """Sum of the corners' shares at the nodes in use (3, place), 0 at the others."""
 
-    def work(own: Shares) -> Any:
-        return [assembled(corners, own)], []
+    def work(own: GatherTable) -> Any:
+        return [gather_shares(corners, own)], []
 
     into = [jnp.zeros((3, elements.slots.shape[1]), corners[0].dtype)]
-    (nodal,), _ = over_blocks(work, elements.node_block_count, (shares(elements),), into)
+    (nodal,), _ = over_blocks(work, elements.node_block_count, (gather_table(elements),), into)
     return nodal
 
 
-def over_elements(
+def map_elements(
     work: Callable[..., Any], elements: Elements, more: tuple[Any, ...], into: list[jax.Array], sums: int = 1
 ) -> Any:
     """What a pass over the blocks of elements in use writes and sums; `work` gets their geometry and `more`."""
-    return over_blocks(work, elements.block_count, (own_of(elements), *more), into, sums=sums)
+    return over_blocks(work, elements.block_count, (element_block(elements), *more), into, sums=sums)
 
 
-def no_corners(positions: jax.Array, elements: Elements) -> Corners:
+def allocate_corner_forces(positions: jax.Array, elements: Elements) -> Corners:
     """Room for corner forces, for elements whose nodes are at positions (3, place)."""
     shape = 3 if elements.orientation is None else 2, elements.area.size
     return [jnp.zeros(shape, positions.dtype) for _ in range(3)]
 
 
-class Own(NamedTuple):
+class ElementBlock(NamedTuple):
     """Of the elements of a block; as in `Elements`."""
 
     triangles: jax.Array
@@ -151,12 +151,12 @@ class Own(NamedTuple):
     orientation: jax.Array | None
 
 
-def own_of(elements: Elements) -> Own:
+def element_block(elements: Elements) -> ElementBlock:
     """What a pass over elements reads of each."""
-    return Own(elements.triangles, elements.inverse_metric, elements.area, elements.orientation)
+    return ElementBlock(elements.triangles, elements.inverse_metric, elements.area, elements.orientation)
 
 
-class Sides(NamedTuple):
+class EdgeVectors(NamedTuple):
     """Of vectors at the nodes, at elements: the first node's, and along both edges from it; each three times (n,)."""
 
     first: Vector
@@ -164,44 +164,44 @@ class Sides(NamedTuple):
     edge2: Vector
 
 
-def sides_of(own: Own, *nodal: Vector) -> list[Sides]:
+def edge_vectors(own: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
     """Of several at once, since they lie at the same nodes; kept for all their uses."""
     rows = [row for values in nodal for row in values]
     places = list(own.triangles)
     if own.orientation is not None:
         # Both elements of a pair have the nodes of the common edge.
-        places[:2] = [halves(nodes).first for nodes in places[:2]]
-    corners = [looked_up(rows, nodes) for nodes in places]
+        places[:2] = [split_halves(nodes).first for nodes in places[:2]]
+    corners = [gather_rows(rows, nodes) for nodes in places]
 
-    def one(first: Vector, second: Vector, third: Vector) -> Sides:
+    def at_elements(first: Vector, second: Vector, third: Vector) -> EdgeVectors:
         edge1 = minus(second, first)
         if own.orientation is not None:
-            first, edge1 = (once(_doubled(v)) for v in once((first, edge1)))
-        return Sides(first, *once((edge1, minus(third, first))))
+            first, edge1 = (materialize(_duplicate_halves(v)) for v in materialize((first, edge1)))
+        return EdgeVectors(first, *materialize((edge1, minus(third, first))))
 
-    return [one(*(vector(corner[k : k + 3]) for corner in corners)) for k in range(0, len(rows), 3)]
+    return [at_elements(*(vector(corner[k : k + 3]) for corner in corners)) for k in range(0, len(rows), 3)]
 
 
-def _doubled(v: Vector) -> Vector:
+def _duplicate_halves(v: Vector) -> Vector:
     """What both elements of a pair have, of a vector (n / 2,)."""
-    return vector(Halves(x, x).whole() for x in v)
+    return vector(Halves(x, x).concatenate() for x in v)
 
 
-def together(corners: Sequence[Vector], own: Own) -> list[Any]:
+def combine_pairs(corners: Sequence[Vector], own: ElementBlock) -> list[Any]:
     """Corner forces, component by component; of a pair's elements they are summed up at the common edge's ends."""
     if own.orientation is None:
         return list(corners)
 
-    def summed(part: jax.Array) -> jax.Array:
-        both = halves(part)
+    def sum_halves(part: jax.Array) -> jax.Array:
+        both = split_halves(part)
         return both.first + both.second
 
     # Kept, for they are cut into halves.
-    ends = once([(first, second) for first, second, _ in corners])
-    return [(Halves(*map(summed, two)), third) for two, (_, _, third) in zip(ends, corners, strict=True)]
+    ends = materialize([(first, second) for first, second, _ in corners])
+    return [(Halves(*map(sum_halves, two)), third) for two, (_, _, third) in zip(ends, corners, strict=True)]
 
 
-def metrics_of(positions: jax.Array, elements: Elements) -> tuple[Metric, Metric]:
+def element_metrics(positions: jax.Array, elements: Elements) -> tuple[Metric, Metric]:
     """Present metric and inverse of the initial one, all elements (room,) at once, of nodes at positions (3, place).
 
     Those that are not in use are as if not strained, so that nothing of them spoils a derivative.
@@ -220,19 +220,19 @@ def masked_metrics(there: jax.Array, g: Metric, inverse: jax.Array) -> tuple[Met
     return safe(g), safe(inverse)
 
 
-def normal_of(sides: Sides, own: Own) -> Vector:
+def element_normals(sides: EdgeVectors, own: ElementBlock) -> Vector:
     """Twice the current area long (n,), and nothing where the place is not in use; kept for all its uses."""
     normal = cross(sides.edge1, sides.edge2)
     if own.orientation is not None:
-        return once(vector(own.orientation * x for x in normal))
-    return once(vector(jnp.where(own.area > 0.0, x, 0.0) for x in normal))
+        return materialize(vector(own.orientation * x for x in normal))
+    return materialize(vector(jnp.where(own.area > 0.0, x, 0.0) for x in normal))
 
 
-def turned(v: Vector, own: Own) -> Vector:
-    """A change (n,) of what `normal_of` makes the normal of; it is masked elsewhere where the place is not in use."""
+def orient(v: Vector, own: ElementBlock) -> Vector:
+    """A change (n,) of what `element_normals` makes the normal of; unused places are masked elsewhere."""
     return v if own.orientation is None else vector(own.orientation * x for x in v)
 
 
-def used(area: jax.Array) -> jax.Array:
+def usage_factor(area: jax.Array) -> jax.Array:
     """1 where an element (n,) is in use, else 0."""
     return jnp.where(area > 0.0, 1.0, 0.0).astype(area.dtype)

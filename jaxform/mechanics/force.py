@@ -13,10 +13,10 @@ from typing import Any
 
 import jax
 
-from jaxform.kernels.differentiated import Differentiated
-from jaxform.mechanics.corners import Load, all_changes, corner_forces
-from jaxform.mechanics.elements import Elements, no_corners, nodal_sum
-from jaxform.mechanics.pullback import corner_cotangents, no_sums, zone_cotangents
+from jaxform.kernels.twice_differentiable import TwiceDifferentiable
+from jaxform.mechanics.corners import Load, corner_force_tangent, corner_forces
+from jaxform.mechanics.elements import Elements, allocate_corner_forces, nodal_sum
+from jaxform.mechanics.force_vjp import corner_cotangents, zero_sums, zone_cotangents
 
 
 def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
@@ -29,23 +29,23 @@ def force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
 
 
 def _force(load: Load, elements: Elements) -> tuple[jax.Array, jax.Array]:
-    corners, volume = corner_forces(load, elements, no_corners(load.positions, elements))
+    corners, volume = corner_forces(load, elements, allocate_corner_forces(load.positions, elements))
     return nodal_sum(corners, elements), volume
 
 
 def _tangent(load: Load, elements: Elements, change: Load) -> tuple[jax.Array, jax.Array]:
     """Derivative of `_force` along `change`, linear in it; a missing part of `change` is None."""
-    corners, volume = all_changes(load, elements, change, no_corners(load.positions, elements))
+    corners, volume = corner_force_tangent(load, elements, change, allocate_corner_forces(load.positions, elements))
     return nodal_sum(corners, elements), volume
 
 
 def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, volume: Any) -> list[jax.Array | None]:
     """Transpose of `_tangent`: from cotangents of force and volume to those of the leaves of the load."""
-    into = no_corners(load.positions, elements) if wanted[0] else []
+    into = allocate_corner_forces(load.positions, elements) if wanted[0] else []
     if nodal is None:
         wanted = [wanted[0], *(False for _ in wanted[1:])]
     thickens, presses = wanted[1:3]
-    corners, summed, sums = corner_cotangents(load, elements, wanted, nodal, volume, into, no_sums(load, wanted))
+    corners, summed, sums = corner_cotangents(load, elements, wanted, nodal, volume, into, zero_sums(load, wanted))
     found: list[jax.Array | None] = [None] * len(wanted)
     if wanted[0]:
         found[0] = nodal_sum(corners, elements)
@@ -59,4 +59,4 @@ def _cotangent(load: Load, elements: Elements, wanted: list[bool], nodal: Any, v
     return found
 
 
-_differentiated = Differentiated("membrane_force", _force, _tangent, _cotangent)
+_differentiated = TwiceDifferentiable("membrane_force", _force, _tangent, _cotangent)

@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from jaxform.kernels.blocks import on_cpu, once
+from jaxform.kernels.blocks import materialize, on_cpu
 from jaxform.materials import Law, PlaneLaw
-from jaxform.materials.tension_field import Taut, taut
+from jaxform.materials.tension_field import RelaxedStrain, relax_slack_strain
 
 Metric = tuple[jax.Array, jax.Array, jax.Array]
 Vector = tuple[jax.Array, jax.Array, jax.Array]
@@ -41,12 +41,12 @@ def gather(values: jax.Array, index: jax.Array) -> jax.Array:
     return jax.lax.gather(values, index, numbers, (*values.shape[:-1], 1), mode="promise_in_bounds")
 
 
-def looked_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
-    """Entries (n,) of several rows (n_node,) at the same places (n,), in one loop; as `summed_up`."""
-    return summed_up(rows, index[None])
+def gather_rows(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+    """Entries (n,) of several rows (n_node,) at the same places (n,), in one loop; as `gather_sum`."""
+    return gather_sum(rows, index[None])
 
 
-def summed_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+def gather_sum(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
     """Sums (n,) of the entries of several rows (n_node,) at places (k, n), over k, in one loop.
 
     XLA's CPU compiler makes a loop for each array that it works out, and each would take all indices apart again, which
@@ -54,13 +54,13 @@ def summed_up(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
     """
     if not on_cpu():
         return [jnp.sum(gather(row, index), axis=0) for row in rows]
-    return _summed_in_one_loop(list(rows), index)
+    return _gather_sum_fused(list(rows), index)
 
 
 @jax.custom_jvp
-def _summed_in_one_loop(rows: list[jax.Array], index: jax.Array) -> list[jax.Array]:
+def _gather_sum_fused(rows: list[jax.Array], index: jax.Array) -> list[jax.Array]:
     # Else every entry would be cut out anew, and looked up for every step of the loop.
-    index = once(index)
+    index = materialize(index)
     found = [gather(row, index) for row in rows]
     if len(index) == 1:
         # A sum over one alone would be seen through. Nothing is added, since minus nothing changes no number.
@@ -70,21 +70,21 @@ def _summed_in_one_loop(rows: list[jax.Array], index: jax.Array) -> list[jax.Arr
     return jax.lax.reduce(found, none, add, (0,))
 
 
-@functools.partial(_summed_in_one_loop.defjvp, symbolic_zeros=True)
+@functools.partial(_gather_sum_fused.defjvp, symbolic_zeros=True)
 def _(primals: Any, tangents: Any) -> tuple[list[jax.Array], list[Any]]:
     """Linear in the rows; JAX's own derivative of such a reduction is no loop, and none where a row has no tangent."""
     (rows, index), (changes, _) = primals, tangents
     moving = [change for change in changes if not isinstance(change, SymbolicZero)]
-    found, moved = _summed_in_one_loop(rows, index), iter(_summed_in_one_loop(moving, index) if moving else [])
+    found, moved = _gather_sum_fused(rows, index), iter(_gather_sum_fused(moving, index) if moving else [])
     none = [SymbolicZero(jax.typeof(values).to_tangent_aval()) for values in found]
     pairs = zip(changes, none, strict=True)
     return found, [zero if isinstance(change, SymbolicZero) else next(moved) for change, zero in pairs]
 
 
-def columns(values: jax.Array | Vector, index: jax.Array) -> Vector:
+def gather_columns(values: jax.Array | Vector, index: jax.Array) -> Vector:
     """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
     if isinstance(values, tuple):
-        return vector(looked_up(values, index))
+        return vector(gather_rows(values, index))
     flat, size = values.reshape(-1), values.shape[1]
     x, y, z = (gather(flat, index + k * size) for k in range(3))
     return x, y, z
@@ -101,16 +101,16 @@ def edges(positions: jax.Array | Vector, triangles: jax.Array) -> tuple[Vector, 
 
     Of positions row by row no derivative is taken, and the nodes' are kept for all their uses.
     """
-    rows, look_up = rows_of(positions), looked_up if isinstance(positions, tuple) else _gathered
+    rows, look_up = unstack_rows(positions), gather_rows if isinstance(positions, tuple) else _gather_each
     first, second, third = (vector(look_up(rows, nodes)) for nodes in triangles)
     return first, minus(second, first), minus(third, first)
 
 
-def _gathered(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
+def _gather_each(rows: Sequence[jax.Array], index: jax.Array) -> list[jax.Array]:
     return [gather(row, index) for row in rows]
 
 
-def rows_of(positions: jax.Array | Vector) -> Vector:
+def unstack_rows(positions: jax.Array | Vector) -> Vector:
     """The rows of (3, n), taken apart once: for loops over blocks, which would do it again for each."""
     x, y, z = positions
     return x, y, z
@@ -152,7 +152,7 @@ def _determinant(g: Metric) -> jax.Array:
     return g[0] * g[2] - g[1] * g[1]
 
 
-def inverse_of(g: Metric) -> Metric:
+def invert_metric(g: Metric) -> Metric:
     """The inverse of a metric."""
     scale = 1.0 / _determinant(g)
     return g[2] * scale, -g[1] * scale, g[0] * scale
@@ -162,7 +162,7 @@ def inverse_of(g: Metric) -> Metric:
 def reference_metric(positions: jax.Array, triangles: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Inverse metric (3, n_element) [1/m^2] and area (n_element,) [m^2] of the initial mesh."""
     g = metric(*edges(positions, triangles)[1:])
-    return jnp.stack(inverse_of(g)), 0.5 * jnp.sqrt(_determinant(g))
+    return jnp.stack(invert_metric(g)), 0.5 * jnp.sqrt(_determinant(g))
 
 
 def invariants(g: Metric, inverse_reference: jax.Array | Metric) -> Invariants:
@@ -177,14 +177,14 @@ def _invariants(trace: jax.Array, determinant: jax.Array) -> Invariants:
     return Invariants(trace, determinant, trace + flexibility, determinant + trace * flexibility)
 
 
-def relaxed(strain: Invariants) -> tuple[Invariants, Taut]:
+def relax_strain(strain: Invariants) -> tuple[Invariants, RelaxedStrain]:
     """The strain of a sheet that goes slack, and what of it is."""
     square = jnp.square(0.5 * strain.trace) - strain.determinant
-    return _relaxed(strain, square)
+    return _relax_strain(strain, square)
 
 
-def _relaxed(strain: Invariants, square: jax.Array) -> tuple[Invariants, Taut]:
-    found = taut(strain.trace, strain.determinant, square)
+def _relax_strain(strain: Invariants, square: jax.Array) -> tuple[Invariants, RelaxedStrain]:
+    found = relax_slack_strain(strain.trace, strain.determinant, square)
     return _invariants(found.trace, found.determinant), found
 
 
@@ -210,12 +210,12 @@ def _difference_squared(g: Metric, inverse_reference: jax.Array | Metric) -> jax
     return jnp.square(apart) + (r[0] * g[1] + r[1] * g[2]) * (r[1] * g[0] + r[2] * g[1])
 
 
-def as_taut(g: Metric, inverse_reference: jax.Array | Metric) -> Metric:
+def relaxed_metric(g: Metric, inverse_reference: jax.Array | Metric) -> Metric:
     """The metric of a sheet that is as wide as the tension in it would leave it, where it is slack."""
     strain = invariants(g, inverse_reference)
-    _, found = _relaxed(strain, _difference_squared(g, inverse_reference))
+    _, found = _relax_strain(strain, _difference_squared(g, inverse_reference))
     present, initial = found.shares()
-    first = inverse_of((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
+    first = invert_metric((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
     a, b, c = (present * now + initial * then for now, then in zip(g, first, strict=True))
     return a, b, c
 
@@ -230,7 +230,7 @@ def stress_factors(g: Metric, inverse_reference: jax.Array | Metric, material: L
     strain, scale = invariants(g, r), 2.0 * (r[0] * r[2] - r[1] * r[1])
     if not material.tension_field:
         return _factors(strain, scale, material)
-    strain, found = _relaxed(strain, _difference_squared(g, r))
+    strain, found = _relax_strain(strain, _difference_squared(g, r))
     return found.factors(*_factors(strain, scale, material), scale)
 
 
@@ -246,7 +246,7 @@ def _factors(strain: Invariants, scale: jax.Array, material: Law) -> tuple[jax.A
     if slope2 is None:
         return 2.0 * slope1 * jnp.ones_like(trace), -scale * jnp.square(flexibility) * slope1
     if slope2.ndim > 0:
-        slope2 = once(slope2)  # both factors would work it out again
+        slope2 = materialize(slope2)  # both factors would work it out again
     pull = slope1 + slope2 * trace
     return 2.0 * (slope1 + slope2 * flexibility), scale * (slope2 - jnp.square(flexibility) * pull)
 
@@ -273,14 +273,14 @@ def strain_energy(
 def energy_density(strain: Invariants, material: Law) -> jax.Array:
     """Strain energy per reference volume (n_element,) [J/m^3]."""
     if material.tension_field:
-        strain, _ = relaxed(strain)
+        strain, _ = relax_strain(strain)
     if isinstance(material, PlaneLaw):
         return material.energy(strain.trace, strain.determinant)
     return material.energy(strain.i1, strain.i2)
 
 
 @jax.jit
-def even_energy(material: Law, square: jax.Array) -> jax.Array:
+def equibiaxial_energy(material: Law, square: jax.Array) -> jax.Array:
     """Strain energy per volume [J/m^3] where a sheet is stretched alike both ways, by roots of `square` (n,).
 
     Where the law has zones, of the mean of their numbers.

@@ -18,7 +18,7 @@ from jaxform.kernels.blocks import over_blocks
 from jaxform.mechanics.membrane import dot
 
 
-class Rule(NamedTuple):
+class FieldRule(NamedTuple):
     """How a nodal field passes from one list of nodes to another.
 
     Attributes:
@@ -47,15 +47,15 @@ class Nodes:
         fields: The scene's own, by name (n_node,).
     """
 
-    positions: Any = dataclasses.field(metadata={"rule": Rule(smooth=True)})
-    velocities: jax.Array = dataclasses.field(metadata={"rule": Rule(smooth=True, beyond=0.0, absent=0.0)})
-    stuck: jax.Array = dataclasses.field(metadata={"rule": Rule(beyond=True, absent=False)})
-    contact_time: jax.Array = dataclasses.field(metadata={"rule": Rule(smooth=True, absent=-1.0)})
-    wall: jax.Array = dataclasses.field(metadata={"rule": Rule(beyond=0, absent=0)})
-    mode: jax.Array | None = dataclasses.field(metadata={"rule": Rule()})
-    fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": Rule(smooth=True, absent=0.0)})
+    positions: Any = dataclasses.field(metadata={"rule": FieldRule(smooth=True)})
+    velocities: jax.Array = dataclasses.field(metadata={"rule": FieldRule(smooth=True, beyond=0.0, absent=0.0)})
+    stuck: jax.Array = dataclasses.field(metadata={"rule": FieldRule(beyond=True, absent=False)})
+    contact_time: jax.Array = dataclasses.field(metadata={"rule": FieldRule(smooth=True, absent=-1.0)})
+    wall: jax.Array = dataclasses.field(metadata={"rule": FieldRule(beyond=0, absent=0)})
+    mode: jax.Array | None = dataclasses.field(metadata={"rule": FieldRule()})
+    fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": FieldRule(smooth=True, absent=0.0)})
 
-    def mapped(self, function: Callable[[Any, Rule], Any]) -> Nodes:
+    def map_fields(self, function: Callable[[Any, FieldRule], Any]) -> Nodes:
         """The same of every field, from its values and its rule."""
         made = {
             part.name: jax.tree.map(lambda values, rule=part.metadata["rule"]: function(values, rule), values)
@@ -64,18 +64,18 @@ class Nodes:
         }
         return dataclasses.replace(self, **made)
 
-    def stepped(self) -> Nodes:
+    def contact_fields(self) -> Nodes:
         """What contact knows of: neither the mode nor the scene's own fields."""
         return dataclasses.replace(self, mode=None, fields={})
 
-    def with_room(self, count: int) -> Nodes:
+    def pad(self, count: int) -> Nodes:
         """With places for so many nodes."""
 
-        def longer(values: jax.Array, rule: Rule) -> jax.Array:
+        def pad_field(values: jax.Array, rule: FieldRule) -> jax.Array:
             shape = *values.shape[:-1], count - values.shape[-1]
             return jnp.concatenate([values, jnp.full(shape, rule.beyond or 0, values.dtype)], axis=-1)
 
-        return self.mapped(longer)
+        return self.map_fields(pad_field)
 
 
 def highest_speed(velocities: jax.Array, blocks: jax.Array) -> jax.Array:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 from jaxform.materials import Law, Modes, PlaneLaw
-from jaxform.materials.viscous import Rows, Strained
+from jaxform.materials.viscous import Rows, StrainState
+from jaxform.mechanics.constitutive import plane_stress, split_modes, strain_state
 from jaxform.mechanics.membrane import (
     Invariants,
     Vector,
     edges,
     invariants,
-    inverse_of,
+    invert_metric,
     metric,
     principal_stretches,
-    relaxed,
+    relax_strain,
 )
-from jaxform.mechanics.response import free_across, modes_of, strained
 
 
 @jax.jit
@@ -27,7 +27,7 @@ def shape_bound(inverse_reference: jax.Array, area: jax.Array) -> jax.Array:
 
     lambda_G = (S + sqrt(S^2 - 3/A0^2))/2 with S = (sum of squared edge lengths)/(4 A0^2).
     """
-    g11, g12, g22 = inverse_of((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
+    g11, g12, g22 = invert_metric((inverse_reference[0], inverse_reference[1], inverse_reference[2]))
     total = (2.0 * (g11 + g22 - g12)) / (4.0 * jnp.square(area))
     gap = jnp.square(total) - 3.0 / jnp.square(area)
     return 0.5 * (total + jnp.sqrt(jnp.maximum(gap, 0.0)))
@@ -41,10 +41,10 @@ def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
     """
     if material.tension_field:
         # What is slack may be taut before the window's end.
-        strain, _ = relaxed(strain)
+        strain, _ = relax_strain(strain)
     a, b = principal_stretches(strain)
     if isinstance(material, PlaneLaw):
-        return _largest(_by_plane_law(strain, a, b, material))
+        return _largest(_plane_law_moduli(strain, a, b, material))
     slope1, slope2 = material.slopes(strain.i1, strain.i2)
     p, q = a * b, 1.0 / (a * b) ** 3
     first_a, first_b = q * b / a, q * a / b
@@ -63,7 +63,7 @@ def tangent_stiffness(strain: Invariants, material: Law) -> jax.Array:
     return _largest(terms)
 
 
-def _by_plane_law(strain: Invariants, a: jax.Array, b: jax.Array, material: PlaneLaw) -> list[jax.Array]:
+def _plane_law_moduli(strain: Invariants, a: jax.Array, b: jax.Array, material: PlaneLaw) -> list[jax.Array]:
     """The candidates of a law in trace and determinant: the block's (aa, bb, ab), then the others."""
     slope1, slope2 = material.slopes(strain.trace, strain.determinant)
     one, two = (2 * a, 2 * b), (2 * a * b * b, 2 * b * a * a)  # slopes of trace and determinant by the stretches
@@ -99,14 +99,14 @@ def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
     return [squares[0], mixed, squares[1]]
 
 
-def viscous_stiffness(strain: Invariants, now: Strained, stresses: list[Rows], modes: Modes) -> jax.Array:
+def viscous_stiffness(strain: Invariants, now: StrainState, stresses: list[Rows], modes: Modes) -> jax.Array:
     """What viscous modes add at most (n,) [Pa] to the largest eigenvalue of the tangent, from the stress of each.
 
     Three terms, each at its largest: the stress in the plane, the pressure that frees the sheet of stress across, and
     how the modes' own stress answers to strain.
     """
     larger, smaller = principal_stretches(strain)
-    one, mixed, two = free_across(stresses, now)
+    one, mixed, two = plane_stress(stresses, now)
     a, b, c = now.initial
     half = 0.5 * (one * a + 2.0 * mixed * b + two * c)
     determinant = (one * two - mixed * mixed) * (a * c - b * b)
@@ -116,7 +116,7 @@ def viscous_stiffness(strain: Invariants, now: Strained, stresses: list[Rows], m
     return jnp.maximum(in_plane, 0.0) + pressure + modes.stiffening(larger, smaller)
 
 
-def of_elements(
+def element_stiffness(
     positions: jax.Array | Vector,
     triangles: jax.Array,
     inverse_reference: jax.Array,
@@ -139,18 +139,18 @@ def of_elements(
         memory: The stress of its viscous modes (4 n_mode, n_element); None where it has none.
     """
     _, edge1, edge2 = edges(positions, triangles)
-    edge1, edge2 = once((edge1, edge2))
+    edge1, edge2 = materialize((edge1, edge2))
     g = metric(edge1, edge2)
     strain = invariants(g, inverse_reference)
     found = tangent_stiffness(strain, material)
     if memory is not None and material.viscous is not None:
-        found += viscous_stiffness(strain, strained(g, inverse_reference), modes_of(memory), material.viscous)
+        found += viscous_stiffness(strain, strain_state(g, inverse_reference), split_modes(memory), material.viscous)
     found *= bound
     return jnp.where(moving, found / material.density if material.density.ndim else found, 0.0)
 
 
 def stable_step(largest: jax.Array, material: Law) -> jax.Array:
-    """Safe bound on the central-difference step [s], from the largest stiffness `of_elements`.
+    """Safe bound on the central-difference step [s], from the largest stiffness `element_stiffness`.
 
     dt <= 2/sqrt(3 D lambda_G/rho), which holds in tension. The thickness cancels between stiffness and lumped mass.
     Infinite where nothing can move.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError, warn_of
-from jaxform.mesh.facets import Faces, no_surface
+from jaxform.mesh.facets import Faces, missing_surface_error
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class _Instance:
     """A part in the assembly: its name, what moves it, and what the instance itself has."""
 
     part: str
-    own: _Scope = field(default_factory=_Scope)
+    scope: _Scope = field(default_factory=_Scope)
     numbers: list[list[float]] = field(default_factory=list)
 
 
@@ -79,7 +79,7 @@ def read_inp(content: bytes, name: str) -> Faces:
             are no surface elements.
     """
     model = _model(content)
-    scopes = [model.top, model.assembly, *_placed(model)]
+    scopes = [model.top, model.assembly, *_assemble_instances(model)]
     if curved := sum(scope.curved for scope in scopes):
         warn_of(f"has {curved} elements with nodes on their sides, of which the corners are taken", value=name)
     points: list[tuple[float, float, float]] = []
@@ -96,7 +96,7 @@ def read_inp(content: bytes, name: str) -> Faces:
                 raise InputError(problem, "export it again, with all its nodes") from None
             counts.append(len(face))
     if not counts:
-        raise no_surface(solid=any(scope.solid for scope in scopes))
+        raise missing_surface_error(solid=any(scope.solid for scope in scopes))
     return Faces(np.array(points).reshape(-1, 3), np.array(corners, np.int64), np.array(counts, np.int64))
 
 
@@ -138,7 +138,7 @@ def _model(content: bytes) -> _Model:
             instance = _Instance(options.get("PART", "").upper())
             instance.numbers = [_numbers(row) for row in data]
             model.instances.append(instance)
-            scope = instance.own
+            scope = instance.scope
         elif word in ("ASSEMBLY", "END INSTANCE"):
             scope = model.assembly
         elif word in ("END PART", "END ASSEMBLY"):
@@ -193,22 +193,22 @@ def _add_elements(scope: _Scope, kind: str, data: list[list[str]]) -> None:
         raise InputError(f"has an element {row[0]} of type {kind} with {len(row) - 1} nodes", "export it again")
 
 
-def _placed(model: _Model) -> list[_Scope]:
+def _assemble_instances(model: _Model) -> list[_Scope]:
     """The instances where the assembly has them; parts as they are where there is no instance at all."""
     if not model.instances:
         return list(model.parts.values())
     scopes = []
     for instance in model.instances:
         part = model.parts.get(instance.part)
-        if part is None and not instance.own.nodes:
+        if part is None and not instance.scope.nodes:
             raise InputError(f"has an instance of part {instance.part!r}, which is not there", "export it again")
         part = part or _Scope()
-        scope = _Scope(part.nodes | instance.own.nodes, part.faces + instance.own.faces, part.solid, part.curved)
-        scopes.append(_moved(scope, instance))
+        scope = _Scope(part.nodes | instance.scope.nodes, part.faces + instance.scope.faces, part.solid, part.curved)
+        scopes.append(_transform(scope, instance))
     return scopes
 
 
-def _moved(scope: _Scope, instance: _Instance) -> _Scope:
+def _transform(scope: _Scope, instance: _Instance) -> _Scope:
     """A scope with its nodes translated, then turned about an axis, as an instance says."""
     if not instance.numbers or not scope.nodes:
         return scope
@@ -219,13 +219,13 @@ def _moved(scope: _Scope, instance: _Instance) -> _Scope:
         raise InputError(f"has an instance of part {instance.part!r} whose place is not understood", "export it again")
     places = places + np.array(shift)
     for row in turns:
-        places = _turned(places, np.array(row[:3]), np.array(row[3:6]), row[6])
+        places = _rotate(places, np.array(row[:3]), np.array(row[3:6]), row[6])
     moved = (tuple(row) for row in places.tolist())
     nodes: Any = dict(zip(scope.nodes, moved, strict=True))
     return _Scope(nodes, scope.faces, scope.solid, scope.curved)
 
 
-def _turned(places: Array, begin: Array, end: Array, degrees: float) -> Array:
+def _rotate(places: Array, begin: Array, end: Array, degrees: float) -> Array:
     """Places (n, 3) turned about the axis from one point to another, by the right-hand rule."""
     axis = (end - begin) / np.linalg.norm(end - begin)
     angle, arms = np.radians(degrees), places - begin

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import topology
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int32]
@@ -27,7 +27,7 @@ Snap = Callable[[Array, Array, NDArray[np.bool_]], Array]
 
 
 @dataclasses.dataclass(frozen=True)
-class Forest:
+class TriangleForest:
     """Triangles and nodes of all levels.
 
     Attributes:
@@ -61,7 +61,7 @@ class Forest:
         return np.repeat(np.arange(self.depth + 1), self.root_count << np.arange(self.depth + 1)).astype(np.int32)
 
 
-def extended(values: NDArray[np.floating], ends: NDArray[np.integer], depth: int) -> NDArray[np.floating]:
+def extend_values(values: NDArray[np.floating], ends: NDArray[np.integer], depth: int) -> NDArray[np.floating]:
     """Values at all nodes (n_node, ...) from those at the mesh's: new nodes have the mean of their ends (n_node, 2)."""
     count, whole = len(values), np.zeros((len(ends), *values.shape[1:]))
     whole[:count] = values
@@ -83,7 +83,7 @@ def build_forest(
     clamped: NDArray[np.bool_] | None = None,
     fixed: NDArray[np.bool_] | None = None,
     snap: Snap | None = None,
-) -> Forest:
+) -> TriangleForest:
     """Bisects a conforming mesh of consistently oriented triangles.
 
     Args:
@@ -109,20 +109,20 @@ def build_forest(
         if len(bad):
             raise InputError(problem, "remedy the mesh or leave [refinement] out", "parison", bad[0].tolist())
     count = len(positions)
-    nodes = _Nodes(
+    nodes = _NodeTable(
         positions=np.asarray(positions, float),
         ends=np.repeat(np.arange(count), 2).reshape(-1, 2),
         clamped=np.zeros(count, bool) if clamped is None else np.asarray(clamped, bool),
         fixed=np.zeros((count, 3), bool) if fixed is None else np.asarray(fixed, bool),
     )
-    level = _longest_first(nodes.positions, np.asarray(triangles, np.int64))
+    level = _rotate_longest_first(nodes.positions, np.asarray(triangles, np.int64))
     slots = _root_slots(level, count)
     held = nodes.clamped[level].all(1)  # a triangle that cannot move at all stays so in its parts
     rim = _rim(level)
-    still = _still_sides(level, rim, held, nodes.clamped)
+    still = _fixed_sides(level, rim, held, nodes.clamped)
     levels, middles, all_slots = [level], [], [slots]
     for _ in range(depth):
-        node, nodes = _with_middles(nodes, level[:, 1:], rim[:, 1], still[:, 1], snap)
+        node, nodes = _add_middle_nodes(nodes, level[:, 1:], rim[:, 1], still[:, 1], snap)
         peak, a, b = level.T
         second = a > b  # its neighbour across the refinement edge runs along it the other way
         level = np.stack([np.stack([node, peak, a], 1), np.stack([node, b, peak], 1)], 1).reshape(-1, 3)
@@ -133,7 +133,7 @@ def build_forest(
         all_slots.append(slots)
     whole = np.concatenate(levels)
     middle = np.concatenate([*middles, np.full(len(level), -1)])
-    return Forest(
+    return TriangleForest(
         root_count=len(triangles),
         depth=depth,
         positions=nodes.positions,
@@ -149,8 +149,8 @@ def build_forest(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Nodes:
-    """The nodes so far; see `Forest`."""
+class _NodeTable:
+    """The nodes so far; see `TriangleForest`."""
 
     positions: Array
     ends: NDArray[np.int64]
@@ -164,7 +164,7 @@ def _rim(triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
     return ~np.isin(half ^ 1, half)
 
 
-def _still_sides(
+def _fixed_sides(
     triangles: NDArray[np.int64], rim: NDArray[np.bool_], held: NDArray[np.bool_], clamped: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Sides (n, 3) that do not move: of a triangle that cannot, or of a rim that does not."""
@@ -181,13 +181,13 @@ def _child_sides(sides: NDArray[np.bool_], cut: NDArray[np.bool_]) -> NDArray[np
     return np.stack([np.stack([cut, begin, middle], 1), np.stack([middle, end, cut], 1)], 1).reshape(-1, 3)
 
 
-def _with_middles(
-    nodes: _Nodes,
+def _add_middle_nodes(
+    nodes: _NodeTable,
     edges: NDArray[np.int64],
     rim: NDArray[np.bool_],
     still: NDArray[np.bool_],
     snap: Snap | None,
-) -> tuple[NDArray[np.int64], _Nodes]:
+) -> tuple[NDArray[np.int64], _NodeTable]:
     """The nodes in the middle of edges (n, 2), and all nodes with those that are new."""
     count = len(nodes.positions)
     known, key = _keys(nodes.ends, count), _keys(edges, count)
@@ -203,7 +203,7 @@ def _with_middles(
         positions = snap(positions, nodes.positions[ends], on_rim)
     clamped = still[missing][first]
     fixed = on_rim[:, None] & nodes.fixed[ends].all(1)
-    return node, _Nodes(
+    return node, _NodeTable(
         np.concatenate([nodes.positions, positions]),
         np.concatenate([nodes.ends, ends]),
         np.concatenate([nodes.clamped, clamped]),
@@ -217,7 +217,7 @@ def _keys(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return np.where(low == high, -1 - low, low * np.int64(count) + high)
 
 
-def _longest_first(positions: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+def _rotate_longest_first(positions: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     """Turned round so that the first node faces the longest edge; of equally long ones the same for neighbours."""
     side = np.roll(triangles, -1, axis=1), np.roll(triangles, -2, axis=1)
     length = np.linalg.norm(positions[side[0]] - positions[side[1]], axis=2)
@@ -234,7 +234,7 @@ def _root_slots(triangles: NDArray[np.int64], node_count: int) -> NDArray[np.int
     order = np.argsort(corner, kind="stable")
     count = np.bincount(corner, minlength=node_count)
     rank = np.empty(len(corner), np.int64)
-    rank[order] = counted_up(count)
+    rank[order] = positions_in_rows(count)
     return 2 * rank.reshape(-1, 3)
 
 
@@ -263,7 +263,7 @@ def _half_edges(triangles: NDArray[np.int64]) -> Integers:
     return (2 * number + (begin > end)).reshape(-1, 3).astype(np.int32)
 
 
-def rim_sides(forest: Forest) -> NDArray[np.bool_]:
+def rim_sides(forest: TriangleForest) -> NDArray[np.bool_]:
     """Which sides of the triangles (n_triangle, 3), from each corner to the next, have none beyond."""
     sides = [_rim(forest.triangles[: forest.root_count].astype(np.int64))]
     for _ in range(forest.depth):
@@ -271,7 +271,7 @@ def rim_sides(forest: Forest) -> NDArray[np.bool_]:
     return np.concatenate(sides)
 
 
-def closure(split: NDArray[np.bool_], forest: Forest) -> NDArray[np.bool_]:
+def closure(split: NDArray[np.bool_], forest: TriangleForest) -> NDArray[np.bool_]:
     """What is bisected (n_triangle,) when those split are, so that no node hangs; as `remeshing.closed` in a run."""
     split, new = split.copy(), np.flatnonzero(split)
     while len(new):

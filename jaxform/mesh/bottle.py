@@ -71,7 +71,7 @@ class Bottle:
                 raise InputError("does not fit the bottle", f"use {least:.4g} to {most:.4g} m", key, value)
 
 
-def half(
+def half_bottle(
     shape: Bottle, element_size: float, *, swell: float = 1.0, neck_swell: float | None = None, inset: float = 0.0
 ) -> tuple[Array, NDArray]:
     """Half a bottle, z >= 0, neck open at y = height, or the parison that lies in it.
@@ -95,7 +95,7 @@ def half(
         raise InputError("does not fit the bottle", remedy, "element_size", element_size)
     lift = _lift(shape)
     try:
-        points, triangles, rim, top = _meshed(shape, lambda at: element_size * _fineness(lift(at), shape), inset)
+        points, triangles, rim, top = _mesh_outline(shape, lambda at: element_size * _fineness(lift(at), shape), inset)
     except ValueError as error:
         raise InputError(f"too large: {error}", "make it smaller", "element_size", element_size) from None
     u, slope = np.split(lift(points), [1], axis=1)
@@ -103,21 +103,21 @@ def half(
     width = np.sqrt(2 * np.maximum(u[:, 0], 0.0) + distance**2)
     angle = 0.5 * np.pi * distance / width
     outwards = np.where(distance > 0, np.sin(angle) / np.where(angle > 0, 2 / np.pi * angle, 1.0), 0.5 * np.pi)
-    share = swell + (_towards_neck(points[:, 1], shape) * (neck_swell - swell) if neck_swell is not None else 0.0)
+    share = swell + (_neck_fraction(points[:, 1], shape) * (neck_swell - swell) if neck_swell is not None else 0.0)
     height = share * width * np.cos(angle)
     place = points - slope * (share * (outwards - 1.0))[:, None]
     place[rim], height[rim] = points[rim], 0.0
     place[top, 1] = points[top, 1]
-    return np.column_stack([place[:, 0], _stood(place[:, 1], shape), height]), triangles
+    return np.column_stack([place[:, 0], _flatten_bottom(place[:, 1], shape), height]), triangles
 
 
-def _towards_neck(y: Array, shape: Bottle) -> Array:
+def _neck_fraction(y: Array, shape: Bottle) -> Array:
     """0 up to the shoulder, 1 from where the neck begins."""
     way = np.clip((y / shape.height - _SHOULDER) / (_NECK - _SHOULDER), 0.0, 1.0)
     return way**2 * (3.0 - 2.0 * way)
 
 
-def _stood(y: Array, shape: Bottle) -> Array:
+def _flatten_bottom(y: Array, shape: Bottle) -> Array:
     """The outline's lower end drawn up so that the round bottom becomes a flat one."""
     bent = _BOTTOM * shape.radius
     above = y + 0.5 * bent
@@ -130,7 +130,7 @@ def _fineness(lift: Array, shape: Bottle) -> Array:
     return np.clip(width / (0.4 * shape.radius), 0.5, 1.0)
 
 
-def _meshed(shape: Bottle, size: planform.Size, inset: float) -> tuple[Array, NDArray, NDArray, NDArray]:
+def _mesh_outline(shape: Bottle, size: planform.Size, inset: float) -> tuple[Array, NDArray, NDArray, NDArray]:
     """Points, triangles, and masks of the points on the outline and on the neck's open edge."""
     side = planform.resample(_side(shape, inset), size)
     top = planform.resample(side[[-1, 0]], size)[1:-1]
@@ -150,7 +150,7 @@ def _side(shape: Bottle, inset: float) -> Array:
     rank = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     fine = np.linspace(0.0, rank[-1], _SAMPLES)
     curve = np.stack([PchipInterpolator(rank, along)(fine) for along in (x, y)], axis=1)
-    return _moved_in(curve, inset)
+    return _offset_inward(curve, inset)
 
 
 def _hole(shape: Bottle, inset: float) -> Array:
@@ -161,7 +161,7 @@ def _hole(shape: Bottle, inset: float) -> Array:
     return np.stack([_HOLE[0] * shape.radius + x - _LEAN * y, _HOLE[1] * shape.height + y], axis=1)
 
 
-def _moved_in(curve: Array, inset: float) -> Array:
+def _offset_inward(curve: Array, inset: float) -> Array:
     """A curve (n, 2), clockwise about the inside, moved to its right; its ends stay level."""
     along = np.gradient(curve, axis=0)
     along[[0, -1], 0] = 0.0
@@ -173,7 +173,7 @@ def _moved_in(curve: Array, inset: float) -> Array:
 def _lift(shape: Bottle) -> Callable[[Array], Array]:
     """U and its gradient, (n, 3), at points (n, 2) [m]; solved on a fine mesh of its own, whatever mesh asks."""
     size = shape.hole[0] / 3
-    points, triangles, rim, _ = _meshed(shape, lambda at: np.full(len(at), size), 0.0)
+    points, triangles, rim, _ = _mesh_outline(shape, lambda at: np.full(len(at), size), 0.0)
     u = _torsion(points, triangles, rim)
     gradient, area = _gradients(points, triangles)
     slope = np.einsum("kij,ik->ij", gradient, u[triangles])

@@ -23,7 +23,7 @@ class Circle(NamedTuple):
     radius: float
 
 
-class Rectangle(NamedTuple):
+class OrientedRectangle(NamedTuple):
     """A corner (2,) [m], the sides a, b [m] from it, and by how much the first leans to the left of x [rad]."""
 
     corner: Array
@@ -36,9 +36,9 @@ class Rectangle(NamedTuple):
         cosine, sine = np.cos(self.angle), np.sin(self.angle)
         return np.array([[cosine, sine], [-sine, cosine]])
 
-    def grown(self, margin: float) -> Rectangle:
+    def enlarge(self, margin: float) -> OrientedRectangle:
         """The same, larger by a margin [m] on each side."""
-        return Rectangle(self.corner - margin * self.axes.sum(0), self.sides + 2 * margin, self.angle)
+        return OrientedRectangle(self.corner - margin * self.axes.sum(0), self.sides + 2 * margin, self.angle)
 
 
 def hull(points: Array) -> Array:
@@ -58,24 +58,24 @@ def smallest_circle(points: Array) -> Circle:
     return Circle(center, float(np.linalg.norm(points - center, axis=1).max()))
 
 
-def smallest_rectangle(corners: Array) -> Rectangle:
+def smallest_rectangle(corners: Array) -> OrientedRectangle:
     """The smallest rectangle round a convex polygon (k, 2) [m]; along the axes, where that is hardly larger."""
     side = np.roll(corners, -1, axis=0) - corners
     angles = np.unique(np.round(np.append(np.arctan2(side[:, 1], side[:, 0]) % (np.pi / 2), 0.0), 9))
-    found = [_along(corners, float(angle)) for angle in angles]
+    found = [_rectangle_at(corners, float(angle)) for angle in angles]
     best, straight = min(found, key=_size), found[0]
     return best if _size(best) < _NEARLY * _size(straight) else straight
 
 
-def _along(corners: Array, angle: float) -> Rectangle:
+def _rectangle_at(corners: Array, angle: float) -> OrientedRectangle:
     # Of the four ways to say the same rectangle the one that turns least.
     turned = angle - np.pi / 2 if angle > np.pi / 4 else angle
-    axes = Rectangle(np.zeros(2), np.zeros(2), turned).axes
+    axes = OrientedRectangle(np.zeros(2), np.zeros(2), turned).axes
     along = corners @ axes.T
-    return Rectangle(along.min(0) @ axes, np.ptp(along, axis=0), turned)
+    return OrientedRectangle(along.min(0) @ axes, np.ptp(along, axis=0), turned)
 
 
-def _size(rectangle: Rectangle) -> float:
+def _size(rectangle: OrientedRectangle) -> float:
     return float(np.prod(rectangle.sides))
 
 
@@ -102,7 +102,7 @@ def contour(values: Array, low: Array, pixel: float) -> Array:
     other, one = np.where(up, second, third), np.where(up, third, second)
     count = len(value)
     keys = [np.minimum(first, node) * count + np.maximum(first, node) for node in (other, one)]
-    loop = max(chained(*keys), key=len)
+    loop = max(closed_loops(*keys), key=len)
     # The two nodes of each edge, whose number is made of theirs.
     ends = np.divmod(loop, count)
     share = value[ends[0]] / (value[ends[0]] - value[ends[1]])
@@ -111,7 +111,7 @@ def contour(values: Array, low: Array, pixel: float) -> Array:
     return points if outlines.area(points) > 0 else points[::-1]
 
 
-def chained(begin: Integers, end: Integers) -> list[Integers]:
+def closed_loops(begin: Integers, end: Integers) -> list[Integers]:
     """The closed ways (k,) through numbers, each of which begins one step and ends one."""
     following = dict(zip(begin.tolist(), end.tolist(), strict=True))
     loops = []

@@ -39,14 +39,14 @@ class Faces:
     cell_data: dict[str, NDArray[Any]] = field(default_factory=dict)
 
 
-def no_surface(*, solid: bool) -> InputError:
+def missing_surface_error(*, solid: bool) -> InputError:
     """What to say of a file without faces."""
     if solid:
         return InputError("has solids but no surface", "extract their surface, and export that as triangles")
     return InputError("has no triangles", "export the surface as triangles")
 
 
-def located(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def locate_numbers(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     """Where the numbers of nodes that elements have (n,) are among those of all nodes, sorted.
 
     Raises:
@@ -72,10 +72,10 @@ def read_stl(content: bytes, name: str) -> Faces:
         if len(content) > expected:
             words = f"has {len(content) - expected} bytes after the last of its {count} triangles, which are left out"
             warn_of(words, "export it again if triangles are missing", value=name)
-        return _soup(np.frombuffer(content, _FACET, count, 84)["corners"].astype(np.float64))
+        return _unwelded_faces(np.frombuffer(content, _FACET, count, 84)["corners"].astype(np.float64))
     lower = content.lower()
     if b"facet" in lower[:100_000] and lower.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"solid"):
-        return _soup(_ascii_corners(content, lower))
+        return _unwelded_faces(_ascii_corners(content, lower))
     if len(content) >= 84 and count and b"\0" in content:
         there = (len(content) - 84) // _FACET.itemsize
         problem = f"is no ASCII STL file, and as a binary one not all of it is there: {there} of {count} triangles"
@@ -93,7 +93,7 @@ def _ascii_corners(content: bytes, lower: bytes) -> NDArray[np.float64]:
     return corners.reshape(-1, 3, 3)
 
 
-def _soup(corners: NDArray[np.float64]) -> Faces:
+def _unwelded_faces(corners: NDArray[np.float64]) -> Faces:
     count = len(corners)
     return Faces(corners.reshape(-1, 3), np.arange(3 * count), np.full(count, 3, np.int64))
 

@@ -27,7 +27,7 @@ _CHUNK = 4_000_000  # pairs of points and sides looked at together
 
 
 @dataclass(frozen=True)
-class Curve:
+class PolygonCurve:
     """A closed polygon by the arc length along it.
 
     Attributes:
@@ -39,7 +39,7 @@ class Curve:
     arc_length: Array
 
     @classmethod
-    def along(cls, corners: Array) -> Curve:
+    def through_corners(cls, corners: Array) -> PolygonCurve:
         """The curve through corners (k, 2) [m]."""
         steps = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         return cls(corners, np.concatenate([[0.0], np.cumsum(steps)]))
@@ -67,10 +67,10 @@ class Curve:
         return np.concatenate(found)
 
 
-class Graded:
+class ElementSize:
     """The size of elements: the same everywhere but near necks, where it is up to eight times smaller."""
 
-    def __init__(self, curve: Curve, largest: float) -> None:
+    def __init__(self, curve: PolygonCurve, largest: float) -> None:
         """Finds the necks of a curve for elements at most so large [m]."""
         from scipy.spatial import KDTree
 
@@ -100,11 +100,13 @@ class Graded:
         return size
 
 
-def filled(corners: Array, size: float, forced: NDArray[np.bool_] | None = None) -> tuple[Array, NDArray[np.int32]]:
+def fill_polygon(
+    corners: Array, size: float, forced: NDArray[np.bool_] | None = None
+) -> tuple[Array, NDArray[np.int32]]:
     """Nearly regular triangles over a simple polygon; elements are smaller in necks, so that two lie across them.
 
     Args:
-        corners: (k, 2) [m], counter-clockwise, as `cleaned` gives them.
+        corners: (k, 2) [m], counter-clockwise, as `clean` gives them.
         size: Length of the sides [m].
         forced: Corners (k,) that the mesh must have; others are left out where they are within a tenth of the size.
 
@@ -116,42 +118,42 @@ def filled(corners: Array, size: float, forced: NDArray[np.bool_] | None = None)
         InputError: The polygon is too narrow somewhere for the size.
     """
     forced = np.zeros(len(corners), bool) if forced is None else forced
-    corners, forced = outlines.blunted(corners, _TIP * size, forced)
-    curve = Curve.along(corners)
+    corners, forced = outlines.blunt(corners, _TIP * size, forced)
+    curve = PolygonCurve.through_corners(corners)
     narrow = None
     for flat in _FLATTER:
         # Teeth that the rim does not follow are no necks.
-        graded = Graded(_plain(curve, flat * size, forced), size)
+        graded = ElementSize(_simplify(curve, flat * size, forced), size)
         arc_length = _rim(curve, graded, flat, forced)
         loop = curve.at(arc_length)
         narrow = outlines.crossing(loop) if outlines.area(loop) > 0 else loop[0]
         if narrow is None:
-            return _checked(*_halved_chords(*_followed(curve, arc_length, graded)), size)
+            return _check_quality(*_split_chords(*_triangulate_to_rim(curve, arc_length, graded)), size)
     assert narrow is not None
-    raise _too_narrow(narrow, size)
+    raise _narrow_error(narrow, size)
 
 
-def _plain(curve: Curve, tolerance: float, forced: NDArray[np.bool_]) -> Curve:
+def _simplify(curve: PolygonCurve, tolerance: float, forced: NDArray[np.bool_]) -> PolygonCurve:
     """The curve with fewer corners, where it then does not cross itself."""
-    kept = outlines.essential(curve.corners, np.full(len(curve.corners), tolerance), forced)
+    kept = outlines.essential_corners(curve.corners, np.full(len(curve.corners), tolerance), forced)
     corners = curve.corners[kept]
-    return curve if outlines.crossing(corners) is not None else Curve.along(corners)
+    return curve if outlines.crossing(corners) is not None else PolygonCurve.through_corners(corners)
 
 
-def _checked(points: Array, triangles: NDArray[np.int32], size: float) -> tuple[Array, NDArray[np.int32]]:
+def _check_quality(points: Array, triangles: NDArray[np.int32], size: float) -> tuple[Array, NDArray[np.int32]]:
     """The mesh; raises where an element is so low that it would make the step useless."""
     corners = points[triangles]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
     height = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / longest
     if height.min() < _LOWEST * size:
-        raise _too_narrow(corners[np.argmin(height)].mean(0), size)
+        raise _narrow_error(corners[np.argmin(height)].mean(0), size)
     return points, triangles
 
 
-def to_polygon(corners: Array) -> Snap:
+def snap_to_polygon(corners: Array) -> Snap:
     """Puts the middles of a rim's edges on the polygon (k, 2) [m] in z = 0, where it is as near as a quarter edge."""
-    curve = Curve.along(corners)
+    curve = PolygonCurve.through_corners(corners)
 
     def snap(middles: Array, ends: Array, boundary: NDArray[np.bool_]) -> Array:
         moved, length = middles.copy(), np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -162,29 +164,31 @@ def to_polygon(corners: Array) -> Snap:
     return snap
 
 
-def _too_narrow(place: Array, size: float) -> InputError:
+def _narrow_error(place: Array, size: float) -> InputError:
     problem = f"is much narrower than an element ({size:.4g} m) at ({place[0]:.6g}, {place[1]:.6g}) m"
     return InputError(problem, "make element_size smaller, or the polygon wider there", "parison.polygon")
 
 
-def _followed(curve: Curve, arc_length: Array, graded: Graded) -> tuple[Array, NDArray[np.int64], int]:
+def _triangulate_to_rim(
+    curve: PolygonCurve, arc_length: Array, graded: ElementSize
+) -> tuple[Array, NDArray[np.int64], int]:
     """Points, triangles and how many of the points are the rim's; the rim is cut where triangles do not follow it."""
     for _ in range(_ATTEMPTS):
         loop = curve.at(arc_length)
-        points, triangles, missing = planform.attempted([loop], graded)
+        points, triangles, missing = planform.try_triangulate([loop], graded)
         if not len(missing):
             return points, triangles, len(loop)
         begin = arc_length[missing]
         end = np.append(arc_length, curve.length + arc_length[0])[missing + 1]
         arc_length = np.sort(np.concatenate([arc_length, (0.5 * (begin + end)) % curve.length]))
-    raise _too_narrow(loop[missing[0]], graded.largest)
+    raise _narrow_error(loop[missing[0]], graded.largest)
 
 
-def _rim(curve: Curve, graded: Graded, flat: float, forced: NDArray[np.bool_]) -> Array:
+def _rim(curve: PolygonCurve, graded: ElementSize, flat: float, forced: NDArray[np.bool_]) -> Array:
     """The arc length (n,) [m] of the points of the rim: corners that count, and points between them."""
     local = graded(curve.corners)
-    kept = outlines.essential(curve.corners, flat * local, forced)
-    kept = _merged(curve, kept, _SHORT * local * (flat == _FLATTER[0]), forced)
+    kept = outlines.essential_corners(curve.corners, flat * local, forced)
+    kept = _merge_close_corners(curve, kept, _SHORT * local * (flat == _FLATTER[0]), forced)
     corner = curve.arc_length[:-1][kept]
     arc_lengths = []
     for begin, end in zip(corner, np.append(corner[1:], curve.length + corner[0]), strict=True):
@@ -195,7 +199,9 @@ def _rim(curve: Curve, graded: Graded, flat: float, forced: NDArray[np.bool_]) -
     return np.unique(np.concatenate(arc_lengths) % curve.length)
 
 
-def _merged(curve: Curve, kept: NDArray[np.bool_], least: Array, forced: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _merge_close_corners(
+    curve: PolygonCurve, kept: NDArray[np.bool_], least: Array, forced: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Without corners that are nearer than the least (k,) [m] to the last one that counts; those forced stay."""
     kept, last = kept.copy(), -1
     if kept.sum() <= 4:
@@ -210,7 +216,7 @@ def _merged(curve: Curve, kept: NDArray[np.bool_], least: Array, forced: NDArray
     return kept if kept.sum() >= 3 else kept | forced
 
 
-def _halved_chords(points: Array, triangles: Index, rim: int) -> tuple[Array, NDArray[np.int32]]:
+def _split_chords(points: Array, triangles: Index, rim: int) -> tuple[Array, NDArray[np.int32]]:
     """The mesh with each inner edge that joins two of the first so many points cut in its middle."""
     outer = {(k, k + 1) for k in range(rim - 1)} | {(0, rim - 1)}
     middle: dict[tuple[int, int], int] = {}
@@ -222,11 +228,11 @@ def _halved_chords(points: Array, triangles: Index, rim: int) -> tuple[Array, ND
             if side[1] < rim and side not in outer and side not in middle:
                 middle[side] = len(places)
                 places.append(0.5 * (points[side[0]] + points[side[1]]))
-        cut += _cut(triangle, [middle.get(side) for side in sides])
+        cut += _split_triangle(triangle, [middle.get(side) for side in sides])
     return np.array(places), np.array(cut, np.int32)
 
 
-def _cut(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
+def _split_triangle(triangle: list[int], middles: list[int | None]) -> list[list[int]]:
     """A triangle cut at the middles of its sides, the first of which begins at its first corner."""
     count = sum(middle is not None for middle in middles)
     if count == 0:

@@ -42,7 +42,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
     ending = path.suffix.lower()
     readers = _READERS | _FURTHER if further else _READERS
     if ending not in readers and not os.path.isdir(path):
-        raise _unknown(ending, readers, value)
+        raise _unknown_format_error(ending, readers, value)
     content = disk.read_bytes(path, disk.MOST_MESH)
     if not content:
         raise InputError("is empty", REEXPORT, value=value)
@@ -60,7 +60,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
     return faces
 
 
-def _unknown(ending: str, readers: Collection[str], value: str) -> InputError:
+def _unknown_format_error(ending: str, readers: Collection[str], value: str) -> InputError:
     problem, remedy = "is of no known mesh format", f"use one of {', '.join(readers)}"
     if ending in _GEOMETRY:
         problem += ": a CAD program's own geometry, which has no triangles yet"
@@ -85,7 +85,7 @@ def _silence() -> Iterator[list[warnings.WarningMessage]]:
 
 
 @contextlib.contextmanager
-def _bounded(room: int) -> Iterator[None]:
+def _limit_memory(room: int) -> Iterator[None]:
     """Lets the process take so many bytes more, where the system can: meshio believes every number in a file."""
     try:
         import resource
@@ -105,11 +105,11 @@ def _bounded(room: int) -> Iterator[None]:
             resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def _by_meshio(file_format: str) -> Callable[[bytes, str], Faces]:
+def _meshio_reader(file_format: str) -> Callable[[bytes, str], Faces]:
     def read(content: bytes, name: str) -> Faces:
         import meshio
 
-        with _bounded(_ROOM + _ROOM_PER_BYTE * len(content)):
+        with _limit_memory(_ROOM + _ROOM_PER_BYTE * len(content)):
             raw = meshio.read(name, file_format=file_format)
         if np.ndim(raw.points) != 2 or not len(raw.points):
             raise ValueError("no points")
@@ -130,7 +130,7 @@ def _faces(raw: Any) -> Faces:
         elif block.type.startswith(("triangle", "quad")):
             raise InputError(f"has curved faces ({block.type})", "export it with straight triangles")
     if not kept:
-        raise facets.no_surface(solid=any(block.dim == 3 for block in raw.cells))
+        raise facets.missing_surface_error(solid=any(block.dim == 3 for block in raw.cells))
     data = {
         name: np.concatenate([np.asarray(blocks[index]) for index in kept])
         for name, blocks in raw.cell_data.items()
@@ -145,7 +145,7 @@ _READERS: dict[str, Callable[[bytes, str], Faces]] = {
     ".off": facets.read_off,
     ".ply": ply.read_ply,
     ".vtk": legacy_vtk.read_vtk,
-    ".vtu": _by_meshio("vtu"),
+    ".vtu": _meshio_reader("vtu"),
     ".msh": gmsh.read_msh,
 }
 _FURTHER: dict[str, Callable[[bytes, str], Faces]] = {
@@ -153,5 +153,5 @@ _FURTHER: dict[str, Callable[[bytes, str], Faces]] = {
     ".bdf": nastran.read_bdf,
     ".nas": nastran.read_bdf,
     ".fem": nastran.read_bdf,
-    ".mesh": _by_meshio("medit"),
+    ".mesh": _meshio_reader("medit"),
 }

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh.facets import Faces, located, no_surface
+from jaxform.mesh.facets import Faces, locate_numbers, missing_surface_error
 
 Array = NDArray[Any]
 
@@ -34,7 +34,7 @@ _SECTION = re.compile(rb"\$([A-Za-z]\w*)[ \t]*\r?\n?")
 
 
 @dataclass
-class _Read:
+class _MshContent:
     """What was read so far; elements by type as their numbers (n,) and nodes (n, k)."""
 
     version: float = 1.0
@@ -49,7 +49,7 @@ class _Read:
         self.elements.setdefault(kind, []).append((numbers.astype(np.int64), nodes.astype(np.int64)))
 
 
-class _Text:
+class _TextSection:
     """Numbers of a section that is text."""
 
     def __init__(self, content: bytes) -> None:
@@ -57,13 +57,13 @@ class _Text:
 
     def take(self, count: int, kind: str) -> Array:
         if not 0 <= count <= len(self.numbers) - self.place:
-            raise _cut()
+            raise _truncation_error()
         self.place += count
         found = self.numbers[self.place - count : self.place]
         return found if kind == "f8" else found.astype(np.int64)
 
 
-class _Binary:
+class _BinarySection:
     """Numbers of a binary section, whose end only its own numbers tell."""
 
     def __init__(self, content: bytes, place: int, order: str, size: int) -> None:
@@ -72,7 +72,7 @@ class _Binary:
     def take(self, count: int, kind: str) -> Array:
         dtype = np.dtype(self.order + (f"u{self.size}" if kind == "size" else kind))
         if not 0 <= count <= (len(self.content) - self.place) // dtype.itemsize:
-            raise _cut()
+            raise _truncation_error()
         found = np.frombuffer(self.content, dtype, count, self.place)
         self.place += found.nbytes
         return found.astype(np.float64 if kind == "f8" else np.int64)
@@ -84,7 +84,7 @@ class _Binary:
         return line
 
 
-def _cut() -> InputError:
+def _truncation_error() -> InputError:
     return InputError("is cut off: a section has fewer numbers than it says", "export or copy it again")
 
 
@@ -94,7 +94,7 @@ def read_msh(content: bytes, name: str) -> Faces:
     Raises:
         InputError: It is of another version, has curved faces or no faces, or its end is cut off.
     """
-    read, place = _Read(), 0
+    read, place = _MshContent(), 0
     found = False
     while head := _SECTION.search(content, place):
         name, place = head[1].decode(), head.end()
@@ -107,7 +107,7 @@ def read_msh(content: bytes, name: str) -> Faces:
     return _faces(read)
 
 
-def _section(content: bytes, place: int, name: str, read: _Read) -> int:
+def _section(content: bytes, place: int, name: str, read: _MshContent) -> int:
     """Reads a section from a place in the content; the place behind it."""
     end = content.find(b"$End" + name.encode() if name not in ("NOD", "ELM") else b"$END" + name.encode(), place)
     if end < 0:
@@ -130,16 +130,16 @@ def _section(content: bytes, place: int, name: str, read: _Read) -> int:
         if name.endswith("NodeData") or name == "ElementData":
             _text_data(content[place:end], name, read)
         elif read.version < 4.0 and reader in (_nodes, _parametric_nodes):
-            _nodes_of_2(content[place:end], read)
+            _text_nodes_v2(content[place:end], read)
         else:
-            reader(_Text(content[place:end]), read)
+            reader(_TextSection(content[place:end]), read)
         return end
-    binary = _Binary(content, place, read.order, read.size)
+    binary = _BinarySection(content, place, read.order, read.size)
     reader(binary, read)
     return binary.place
 
 
-def _format(section: bytes, read: _Read) -> None:
+def _format(section: bytes, read: _MshContent) -> None:
     words = section.split(b"\n", 1)
     version, binary, size = words[0].split()[:3]
     read.version, read.size = float(version), int(size)
@@ -151,14 +151,14 @@ def _format(section: bytes, read: _Read) -> None:
         read.order = {b"\1\0\0\0": "<", b"\0\0\0\1": ">"}[bytes(one)]
 
 
-def _count(numbers: Any, read: _Read) -> int:
+def _count(numbers: Any, read: _MshContent) -> int:
     """The number at the head of a section: in binary files of version 2 a line of text."""
-    if isinstance(numbers, _Binary):
+    if isinstance(numbers, _BinarySection):
         return int(numbers.line())
     return int(numbers.take(1, "i4")[0])
 
 
-def _nodes(numbers: Any, read: _Read) -> None:
+def _nodes(numbers: Any, read: _MshContent) -> None:
     if read.version < 4.0:
         _interleaved(numbers, _count(numbers, read), 3, read)
         return
@@ -176,9 +176,9 @@ def _nodes(numbers: Any, read: _Read) -> None:
         read.points.append(numbers.take(count * width, "f8").reshape(count, width)[:, :3])
 
 
-def _interleaved(numbers: Any, count: int, width: int, read: _Read) -> None:
+def _interleaved(numbers: Any, count: int, width: int, read: _MshContent) -> None:
     """Nodes that are a number and coordinates each, of which the first three are those in space."""
-    if isinstance(numbers, _Binary):
+    if isinstance(numbers, _BinarySection):
         item = np.dtype([("number", numbers.order + "i4"), ("place", numbers.order + "f8", (width,))])
         rows = np.frombuffer(numbers.take(count * item.itemsize, "u1").astype(np.uint8).tobytes(), item)
         read.numbers.append(rows["number"].astype(np.int64))
@@ -189,17 +189,17 @@ def _interleaved(numbers: Any, count: int, width: int, read: _Read) -> None:
     read.points.append(rows[:, 1:4])
 
 
-def _nodes_of_2(section: bytes, read: _Read) -> None:
+def _text_nodes_v2(section: bytes, read: _MshContent) -> None:
     """Nodes in text, a line each: number, x, y, z, and where they are parametric entity and parameters."""
     count, *rows = [line.split(None, 4)[:4] for line in section.split(b"\n") if line.strip()]
     table = np.array(rows[: int(count[0])]).astype(np.float64).reshape(-1, 4)
     if len(table) < int(count[0]):
-        raise _cut()
+        raise _truncation_error()
     read.numbers.append(table[:, 0].astype(np.int64))
     read.points.append(table[:, 1:])
 
 
-def _parametric_nodes(numbers: _Binary, read: _Read) -> None:
+def _parametric_nodes(numbers: _BinarySection, read: _MshContent) -> None:
     """Binary nodes of version 2 with, after x, y, z, dimension and number of their entity, and its parameters."""
     for _ in range(_count(numbers, read)):
         read.numbers.append(numbers.take(1, "i4"))
@@ -213,12 +213,12 @@ def _width(kind: int) -> int:
     return _NODES[kind]
 
 
-def _elements(numbers: Any, read: _Read) -> None:
+def _elements(numbers: Any, read: _MshContent) -> None:
     if read.version < 4.0:
-        if isinstance(numbers, _Binary):
-            _binary_elements_of_2(numbers, read)
+        if isinstance(numbers, _BinarySection):
+            _binary_elements_v2(numbers, read)
         else:
-            _elements_of_2(numbers, read)
+            _text_elements_v2(numbers, read)
         return
     old = read.version < 4.1
     blocks = int(numbers.take(2 if old else 4, "size")[0])
@@ -229,19 +229,19 @@ def _elements(numbers: Any, read: _Read) -> None:
         read.add(kind, rows[:, 0], rows[:, 1:])
 
 
-def _binary_elements_of_2(numbers: _Binary, read: _Read) -> None:
+def _binary_elements_v2(numbers: _BinarySection, read: _MshContent) -> None:
     left = _count(numbers, read)
     while left > 0:
         kind, count, tags = (int(number) for number in numbers.take(3, "i4"))
         if count < 1 or tags < 0:
-            raise _cut()
+            raise _truncation_error()
         width = 1 + tags + _width(kind)
         rows = numbers.take(count * width, "i4").reshape(count, width)
         read.add(kind, rows[:, 0], rows[:, 1 + tags :])
         left -= count
 
 
-def _elements_of_2(numbers: _Text, read: _Read) -> None:
+def _text_elements_v2(numbers: _TextSection, read: _MshContent) -> None:
     rows: dict[int, list[Array]] = {}
     for _ in range(_count(numbers, read)):
         number, kind, tags = numbers.take(3, "i4")
@@ -255,11 +255,11 @@ def _elements_of_2(numbers: _Text, read: _Read) -> None:
         read.add(kind, table[:, 0], table[:, 1:])
 
 
-def _text_data(section: bytes, name: str, read: _Read) -> None:
+def _text_data(section: bytes, name: str, read: _MshContent) -> None:
     lines = section.split(b"\n")
     strings = int(lines[0])
     label = lines[1].strip().strip(b'"').decode("latin-1") if strings else ""
-    numbers = _Text(b"\n".join(lines[1 + strings :]))
+    numbers = _TextSection(b"\n".join(lines[1 + strings :]))
     numbers.take(int(numbers.take(1, "i4")[0]), "f8")
     components, count = (int(number) for number in numbers.take(int(numbers.take(1, "i4")[0]), "i4")[1:3])
     if components == 1:
@@ -267,15 +267,15 @@ def _text_data(section: bytes, name: str, read: _Read) -> None:
         read.data["node" if name == "NodeData" else "element"][label] = rows[:, 0].astype(np.int64), rows[:, 1]
 
 
-def _node_data(numbers: _Binary, read: _Read) -> None:
+def _node_data(numbers: _BinarySection, read: _MshContent) -> None:
     _binary_data(numbers, read, "node")
 
 
-def _element_data(numbers: _Binary, read: _Read) -> None:
+def _element_data(numbers: _BinarySection, read: _MshContent) -> None:
     _binary_data(numbers, read, "element")
 
 
-def _binary_data(numbers: _Binary, read: _Read, where: str) -> None:
+def _binary_data(numbers: _BinarySection, read: _MshContent, where: str) -> None:
     strings = [numbers.line() for _ in range(min(int(numbers.line()), 100))]
     for _ in range(min(int(numbers.line()), 100)):
         numbers.line()
@@ -288,7 +288,7 @@ def _binary_data(numbers: _Binary, read: _Read, where: str) -> None:
         read.data[where][label] = rows["number"].astype(np.int64), rows["value"][:, 0].astype(np.float64)
 
 
-def _faces(read: _Read) -> Faces:
+def _faces(read: _MshContent) -> Faces:
     if not read.points or not sum(map(len, read.points)):
         raise InputError("has no nodes", "save the mesh, not the geometry alone")
     curved = [kind for kind in read.elements if kind in _CURVED]
@@ -297,31 +297,31 @@ def _faces(read: _Read) -> Faces:
         raise InputError(problem, "save a mesh of first order (Mesh.ElementOrder = 1)")
     straight = [kind for kind in (_TRIANGLE, _QUADRILATERAL) if kind in read.elements]
     if not straight:
-        raise no_surface(solid=any(kind in _SOLID for kind in read.elements))
-    numbers, places = _ordered(np.concatenate(read.numbers), np.concatenate(read.points))
+        raise missing_surface_error(solid=any(kind in _SOLID for kind in read.elements))
+    numbers, places = _sort_nodes(np.concatenate(read.numbers), np.concatenate(read.points))
     own, corners, counts = [], [], []
     for kind in straight:
         for number, nodes in read.elements[kind]:
             own.append(number)
-            corners.append(located(nodes.reshape(-1), numbers))
+            corners.append(locate_numbers(nodes.reshape(-1), numbers))
             counts.append(np.full(len(nodes), nodes.shape[1]))
     cells = np.concatenate(own)
     return Faces(
         places,
         np.concatenate(corners),
         np.concatenate(counts),
-        {label: _looked_up(numbers, *pair) for label, pair in read.data["node"].items()},
-        {label: _looked_up(cells, *pair) for label, pair in read.data["element"].items()},
+        {label: _look_up(numbers, *pair) for label, pair in read.data["node"].items()},
+        {label: _look_up(cells, *pair) for label, pair in read.data["element"].items()},
     )
 
 
-def _ordered(numbers: Array, places: Array) -> tuple[Array, Array]:
+def _sort_nodes(numbers: Array, places: Array) -> tuple[Array, Array]:
     """Nodes by their number, each once."""
     found, first = np.unique(numbers, return_index=True)
     return found, places[first]
 
 
-def _looked_up(wanted: Array, there: Array, values: Array) -> Array:
+def _look_up(wanted: Array, there: Array, values: Array) -> Array:
     """Values of the numbers that are wanted (n,); NaN where none is given."""
     found = np.full(len(wanted), np.nan)
     if len(there):

@@ -42,7 +42,7 @@ def _numbers(start: int, place: NDArray[np.int64], segment_count: int, closed: b
     return start + (place % max(1, segment_count) if closed else place)
 
 
-def whole(ratio: float) -> int:
+def round_count(ratio: float) -> int:
     """The nearest count to a ratio, at least 1, and never too large to multiply."""
     return max(1, round(min(ratio, 1e7)))
 
@@ -50,10 +50,10 @@ def whole(ratio: float) -> int:
 def cell_counts(extent: Sequence[float], element_size: float | None, elements: int | None) -> list[int]:
     """Rows of near-square cells of two triangles along the sides x, y [m] of a rectangle."""
     if element_size is not None:
-        return [whole(length / element_size) for length in extent]
+        return [round_count(length / element_size) for length in extent]
     cell_count = (elements or 0) / 2
-    across = whole(math.sqrt(cell_count * min(extent) / max(extent)))
-    along = whole(cell_count / across)
+    across = round_count(math.sqrt(cell_count * min(extent) / max(extent)))
+    along = round_count(cell_count / across)
     return [across, along] if extent[0] <= extent[1] else [along, across]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh.facets import Faces, no_surface
+from jaxform.mesh.facets import Faces, missing_surface_error
 
 Index = NDArray[np.int64]
 _TYPES = {
@@ -88,7 +88,7 @@ class _Cursor:
 
 
 @dataclass
-class _Read:
+class _VtkContent:
     """What was read so far; blocks of cells as their type, the places where each one's corners begin, the corners."""
 
     version: float
@@ -110,7 +110,7 @@ def read_vtk(content: bytes, name: str) -> Faces:
     found = re.match(r"# vtk DataFile Version (\d+\.\d+)", cursor.raw_line(), re.IGNORECASE)
     if not found:
         raise ValueError("no header")
-    read = _Read(float(found[1]))
+    read = _VtkContent(float(found[1]))
     cursor.raw_line()
     cursor.binary = {"ASCII": False, "BINARY": True}[cursor.raw_line().upper()]
     while words := cursor.words():
@@ -118,7 +118,7 @@ def read_vtk(content: bytes, name: str) -> Faces:
     return _faces(read)
 
 
-def _section(cursor: _Cursor, words: list[str], read: _Read) -> None:
+def _section(cursor: _Cursor, words: list[str], read: _VtkContent) -> None:
     word = words[0].upper()
     if word == "DATASET":
         if words[1].upper() not in ("POLYDATA", "UNSTRUCTURED_GRID"):
@@ -141,20 +141,20 @@ def _section(cursor: _Cursor, words: list[str], read: _Read) -> None:
         _attribute(cursor, word, words, read)
 
 
-def _cells(cursor: _Cursor, first: int, second: int, kind: int, read: _Read) -> None:
+def _cells(cursor: _Cursor, first: int, second: int, kind: int, read: _VtkContent) -> None:
     if read.version >= 5:
         starts = cursor.numbers(first, cursor.words()[1]).astype(np.int64)
         corners = cursor.numbers(second, cursor.words()[1]).astype(np.int64)
         if not len(starts):
             return
     else:
-        starts, corners = _untangled(cursor.numbers(second, "int").astype(np.int64), first)
+        starts, corners = _split_cell_list(cursor.numbers(second, "int").astype(np.int64), first)
     if starts[0] != 0 or starts[-1] != len(corners) or (np.diff(starts) < 0).any():
         raise ValueError("corners of cells do not fit")
     read.blocks.append((kind, starts, corners))
 
 
-def _untangled(mixed: Index, count: int) -> tuple[Index, Index]:
+def _split_cell_list(mixed: Index, count: int) -> tuple[Index, Index]:
     """Starts (count + 1,) and corners of cells given as number of corners, corners, number of corners, ..."""
     heads, place = np.zeros(count + 1, np.int64), 0
     for cell in range(count):
@@ -166,7 +166,7 @@ def _untangled(mixed: Index, count: int) -> tuple[Index, Index]:
     return heads - np.arange(count + 1), mixed[keep]
 
 
-def _field(cursor: _Cursor, read: _Read) -> None:
+def _field(cursor: _Cursor, read: _VtkContent) -> None:
     words = cursor.words()
     if words[0].upper() == "METADATA":
         while cursor.raw_line():
@@ -182,7 +182,7 @@ def _field(cursor: _Cursor, read: _Read) -> None:
         read.data[read.active][name] = values
 
 
-def _attribute(cursor: _Cursor, word: str, words: list[str], read: _Read) -> None:
+def _attribute(cursor: _Cursor, word: str, words: list[str], read: _VtkContent) -> None:
     if word == "SCALARS":
         size = int(words[3]) if len(words) > 3 else 1
         before = cursor.place
@@ -201,7 +201,7 @@ def _attribute(cursor: _Cursor, word: str, words: list[str], read: _Read) -> Non
         raise ValueError(f"unknown section {word}")
 
 
-def _faces(read: _Read) -> Faces:
+def _faces(read: _VtkContent) -> Faces:
     if read.points is None or not read.blocks:
         raise InputError("has no triangles", "export the surface as triangles")
     blocks = sorted(read.blocks, key=lambda block: _NUMBERED.index(block[0]))
@@ -218,10 +218,10 @@ def _faces(read: _Read) -> Faces:
     faces = [
         (cell, face)
         for cell in np.flatnonzero(np.isin(kinds, _STRAIGHT))
-        for face in _flat(int(kinds[cell]), corners[start[cell] : start[cell] + counts[cell]])
+        for face in _cell_faces(int(kinds[cell]), corners[start[cell] : start[cell] + counts[cell]])
     ]
     if not faces:
-        raise no_surface(solid=bool((kinds >= _FIRST_SOLID).any()))
+        raise missing_surface_error(solid=bool((kinds >= _FIRST_SOLID).any()))
     cell = np.array([cell for cell, _ in faces])
     return Faces(
         read.points,
@@ -232,7 +232,7 @@ def _faces(read: _Read) -> Faces:
     )
 
 
-def _flat(kind: int, corners: Index) -> list[Index]:
+def _cell_faces(kind: int, corners: Index) -> list[Index]:
     """The faces that a cell is: a strip is many triangles, every second one turned."""
     if kind == PIXEL:
         return [corners[[0, 1, 3, 2]]]

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-def parts(mask: Mask) -> tuple[NDArray[np.int64], int]:
+def label_parts(mask: Mask) -> tuple[NDArray[np.int64], int]:
     """The number of the connected part that each pixel is in, from 1, 0 outside; and how many there are."""
     from scipy import ndimage
 
@@ -26,21 +26,21 @@ def distance(mask: Mask) -> Array:
     return np.asarray(ndimage.distance_transform_edt(mask))
 
 
-def closed(mask: Mask, reach: float) -> Mask:
+def close_gaps(mask: Mask, reach: float) -> Mask:
     """A mask with all gaps filled that are up to twice so many pixels wide."""
     wide = int(reach) + 1
     near = distance(~np.pad(mask, wide)) <= reach
     return (distance(near) > reach)[wide:-wide, wide:-wide] | mask
 
 
-def filled(mask: Mask) -> Mask:
+def fill_holes(mask: Mask) -> Mask:
     """A mask with what it surrounds."""
     from scipy import ndimage
 
     return np.asarray(ndimage.binary_fill_holes(mask), bool)
 
 
-def grown(mask: Mask, pixels: int) -> Mask:
+def dilate(mask: Mask, pixels: int) -> Mask:
     """A mask with what is so many steps from it; below 0 without its outermost so many."""
     from scipy import ndimage
 
@@ -48,14 +48,14 @@ def grown(mask: Mask, pixels: int) -> Mask:
     return np.asarray(change(mask, iterations=abs(pixels)), bool)
 
 
-def least_around(values: Array, pixels: int) -> Array:
+def local_minimum(values: Array, pixels: int) -> Array:
     """The least value up to so many pixels away, along rows and columns."""
     from scipy import ndimage
 
     return np.asarray(ndimage.minimum_filter(values, size=2 * pixels + 1, mode="constant", cval=np.inf))
 
 
-def narrow_minima_filled(values: Array, reach: float) -> Array:
+def fill_narrow_minima(values: Array, reach: float) -> Array:
     """Values with minima filled that are narrower than a disc with so many pixels as its radius: a grey closing."""
     from scipy import ndimage
 

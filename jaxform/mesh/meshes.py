@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import facets, formats, polygons, topology
-from jaxform.mesh.rows import distinct
+from jaxform.mesh.rows import distinct_rows
 
 FORMATS = formats.ENDINGS
 WELD_TOLERANCE = 1e-9
@@ -69,7 +69,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0, further: bool = False) ->
     faces = formats.read_faces(path, further)
     count = len(faces.points)
     if not (faces.counts >= 3).any():
-        raise replace(facets.no_surface(solid=False), value=str(path))
+        raise replace(facets.missing_surface_error(solid=False), value=str(path))
     if faces.corners.size and (faces.corners.min() < 0 or faces.corners.max() >= count):
         raise InputError("has triangles of nodes that do not exist", formats.REEXPORT, value=str(path))
     positions = _finite(path, faces.points, np.unique(faces.corners), float(scale))
@@ -81,7 +81,7 @@ def read_mesh(path: str | Path, *, scale: float = 1.0, further: bool = False) ->
     return Mesh(positions, triangles.astype(np.int32), _scalars(faces.point_data, count), cells)
 
 
-def merged(parts: Sequence[Mesh]) -> Mesh:
+def merge(parts: Sequence[Mesh]) -> Mesh:
     """Several meshes as one, without their fields; nodes are not welded."""
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
     triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
@@ -97,11 +97,13 @@ def nodal_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
     doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     count, weight = len(mesh.positions), np.repeat(doubled / (doubled.max(initial=0.0) or 1.0), 3)
 
-    def summed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_to_nodes(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.bincount(mesh.triangles.reshape(-1), values, count)
 
     with np.errstate(all="ignore"):
-        found = {name: summed(weight * np.repeat(x, 3)) / summed(weight) for name, x in mesh.cell_fields.items()}
+        found = {
+            name: sum_to_nodes(weight * np.repeat(x, 3)) / sum_to_nodes(weight) for name, x in mesh.cell_fields.items()
+        }
     return found | mesh.fields
 
 
@@ -120,12 +122,12 @@ def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
     # Exact copies first: an STL file has six of each node, and the search below lists pairs.
-    unique, first, inverse, _ = distinct(mesh.positions)
+    unique, first, inverse, _ = distinct_rows(mesh.positions)
     pairs = KDTree(unique).query_pairs(tolerance, output_type="ndarray") if len(unique) else np.zeros((0, 2), int)
-    cluster = topology.connected(pairs[:, 0], pairs[:, 1], len(unique)) if len(unique) else inverse
+    cluster = topology.connected_parts(pairs[:, 0], pairs[:, 1], len(unique)) if len(unique) else inverse
     leader = np.full(len(unique), len(mesh.positions), dtype=np.int64)
     np.minimum.at(leader, cluster, first)
-    return used(replace(mesh, triangles=leader[cluster[inverse]][mesh.triangles]))
+    return drop_unused_nodes(replace(mesh, triangles=leader[cluster[inverse]][mesh.triangles]))
 
 
 def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
@@ -134,12 +136,12 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
     Returns:
         The cleaned mesh, and how many triangles went.
     """
-    bad = degenerate(mesh.positions, mesh.triangles)
+    bad = find_degenerate(mesh.positions, mesh.triangles)
     cells = {name: value[~bad] for name, value in mesh.cell_fields.items()}
-    return used(replace(mesh, triangles=mesh.triangles[~bad], cell_fields=cells)), int(bad.sum())
+    return drop_unused_nodes(replace(mesh, triangles=mesh.triangles[~bad], cell_fields=cells)), int(bad.sum())
 
 
-def degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
+def find_degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Which triangles have a repeated node, (relative) no area, or the nodes of an earlier triangle.
 
     Args:
@@ -157,7 +159,7 @@ def degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -
     ordered = np.sort(triangles, axis=1)
     repeated = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
     copied = np.ones(len(triangles), dtype=bool)
-    copied[distinct(ordered).first] = False
+    copied[distinct_rows(ordered).first] = False
     return repeated | copied | (doubled_area <= DEGENERATE_HEIGHT * longest_squared)
 
 
@@ -227,7 +229,7 @@ def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]], beside: Seq
     Path(path).write_text("\n".join([*lines, *rows, "  </Collection>", "</VTKFile>", ""]), encoding="utf-8")
 
 
-def used(mesh: Mesh) -> Mesh:
+def drop_unused_nodes(mesh: Mesh) -> Mesh:
     """The same without the nodes that no triangle uses."""
     kept, renumbered = np.unique(mesh.triangles, return_inverse=True)
     kept = kept.astype(np.int64)

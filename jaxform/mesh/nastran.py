@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxform.core.errors import InputError, warn_of
-from jaxform.mesh.facets import Faces, located, no_surface
+from jaxform.mesh.facets import Faces, locate_numbers, missing_surface_error
 
 _SHELLS = {"CTRIA3": 3, "CTRIAR": 3, "CTRIA6": 3, "CQUAD4": 4, "CQUADR": 4, "CQUAD8": 4, "CQUAD": 4, "CSHEAR": 4}
 """Cards of shells and membranes and their corners, which come first."""
@@ -40,22 +40,22 @@ def read_bdf(content: bytes, name: str) -> Faces:
     curved, solid = 0, False
     for card, fields in _cards(text):
         if card == "GRID":
-            nodes[_whole(fields[0], card)] = _place(fields)
+            nodes[_parse_integer(fields[0], card)] = _parse_position(fields)
         elif card in _SHELLS:
             count = _SHELLS[card]
-            corners += [_whole(field, card) for field in fields[2 : 2 + count]]
+            corners += [_parse_integer(field, card) for field in fields[2 : 2 + count]]
             counts.append(count)
             curved += card in _CURVED and any(fields[2 + count : 2 + 2 * count])
         elif card == "GRDSET" and fields[1] not in ("", "0"):
-            raise _elsewhere(card, fields[1])
+            raise _coordinate_system_error(card, fields[1])
         solid |= card in _SOLIDS
     if curved:
         warn_of(f"has {curved} elements with nodes on their sides, of which the corners are taken", value=name)
     if not counts or not nodes:
-        raise no_surface(solid=solid)
+        raise missing_surface_error(solid=solid)
     numbers = np.array(sorted(nodes))
     points = np.array([nodes[number] for number in numbers.tolist()])
-    return Faces(points, located(np.array(corners, np.int64), numbers), np.array(counts, np.int64))
+    return Faces(points, locate_numbers(np.array(corners, np.int64), numbers), np.array(counts, np.int64))
 
 
 def _cards(text: str) -> Iterator[tuple[str, list[str]]]:
@@ -73,15 +73,15 @@ def _cards(text: str) -> Iterator[tuple[str, list[str]]]:
             break
         if head and head[0] not in "+*":
             if name:
-                yield name, _padded(fields)
+                yield name, _pad(fields)
             name, fields = head.rstrip("*"), row
         else:
             fields += row
     if name:
-        yield name, _padded(fields)
+        yield name, _pad(fields)
 
 
-def _padded(fields: list[str]) -> list[str]:
+def _pad(fields: list[str]) -> list[str]:
     return fields + [""] * (2 * _FIELDS - len(fields))
 
 
@@ -97,16 +97,16 @@ def _row(line: str) -> tuple[str, list[str]]:
     return head, [line[_WIDTH + k * width : _WIDTH + (k + 1) * width].strip() for k in range(count)]
 
 
-def _whole(field: str, card: str) -> int:
+def _parse_integer(field: str, card: str) -> int:
     try:
         return int(field)
     except ValueError:
         raise InputError(f"has {field!r} for a number in a card {card}", "export or copy it again") from None
 
 
-def _place(fields: list[str]) -> list[float]:
+def _parse_position(fields: list[str]) -> list[float]:
     if fields[1] not in ("", "0"):
-        raise _elsewhere("GRID", fields[1])
+        raise _coordinate_system_error("GRID", fields[1])
     try:
         return [float(_EXPONENT.sub(r"e\1", field.lower().replace("d", "e")) or 0.0) for field in fields[2:5]]
     except ValueError:
@@ -114,6 +114,6 @@ def _place(fields: list[str]) -> list[float]:
         raise InputError(problem, "export or copy it again") from None
 
 
-def _elsewhere(card: str, system: str) -> InputError:
+def _coordinate_system_error(card: str, system: str) -> InputError:
     problem = f"has nodes in other coordinates ({card}, coordinate system {system})"
     return InputError(problem, "export it with all nodes in the basic coordinate system")

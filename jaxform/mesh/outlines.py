@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -26,7 +26,7 @@ def area(corners: Array) -> float:
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
-def cleaned(polygon: Any, key: str = "parison.polygon") -> Array:
+def clean(polygon: Any, key: str = "parison.polygon") -> Array:
     """The corners (k, 2) [m] of a simple polygon, counter-clockwise, repeated ones left out.
 
     Args:
@@ -47,7 +47,7 @@ def cleaned(polygon: Any, key: str = "parison.polygon") -> Array:
         raise InputError(f"has {len(corners)} corners", f"give at most {MOST_CORNERS}", key)
     size = float(np.ptp(corners, axis=0).max(initial=0.0)) if len(corners) else 0.0
     apart = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1) > _SAME * size
-    corners = _without_flat(corners[apart])
+    corners = _drop_collinear(corners[apart])
     middle = corners.mean(0) if len(corners) else 0.0
     if len(corners) < 3 or np.linalg.svd(corners - middle, compute_uv=False)[1] <= _SAME * size:
         raise InputError("encloses no area", "give three corners or more, not on one line", key, polygon)
@@ -58,7 +58,7 @@ def cleaned(polygon: Any, key: str = "parison.polygon") -> Array:
     return corners if area(corners) > 0 else corners[::-1].copy()
 
 
-def _without_flat(corners: Array) -> Array:
+def _drop_collinear(corners: Array) -> Array:
     """Without the corners that lie on the line between those beside them."""
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     turn = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
@@ -76,26 +76,26 @@ def crossing(corners: Array) -> Array | None:
     beside = last - np.arange(count) - 1
     for part in np.array_split(np.arange(count), 1 + int(beside.sum()) // _CHUNK):
         one = np.repeat(part, beside[part])
-        other = counted_up(beside[part]) + one + 1
+        other = positions_in_rows(beside[part]) + one + 1
         one, other = order[one], order[other]
         near = (low[one, 1] <= high[other, 1]) & (low[other, 1] <= high[one, 1])
         one, other = one[near], other[near]
-        met = _meet(begin[one], end[one], begin[other], end[other])
+        met = _sides_meet(begin[one], end[one], begin[other], end[other])
         step = (other - one) % count
         joined = (step == 1) | (step == count - 1)
-        met[joined] = _folded(begin, end, one[joined], other[joined])
+        met[joined] = _sides_overlap(begin, end, one[joined], other[joined])
         if met.any():
-            return _meeting(*(side[index[met][0]] for index in (one, other) for side in (begin, end)))
+            return _meeting_point(*(side[index[met][0]] for index in (one, other) for side in (begin, end)))
     return None
 
 
-def _meet(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.bool_]:
+def _sides_meet(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.bool_]:
     """Whether sides from a to b and from c to d (n, 2) cross or touch, where their boxes do."""
     one, other = _turn(a, b, c) * _turn(a, b, d), _turn(c, d, a) * _turn(c, d, b)
     return (one <= 0) & (other <= 0)
 
 
-def _folded(begin: Array, end: Array, one: Index, other: Index) -> NDArray[np.bool_]:
+def _sides_overlap(begin: Array, end: Array, one: Index, other: Index) -> NDArray[np.bool_]:
     """Whether sides that share a corner lie on each other: the second goes straight back."""
     flat = np.abs(_turn(begin[one], end[one], begin[other]) + _turn(begin[one], end[one], end[other]))
     ahead, back = end[one] - begin[one], end[other] - begin[other]
@@ -103,7 +103,7 @@ def _folded(begin: Array, end: Array, one: Index, other: Index) -> NDArray[np.bo
     return (flat <= 1e-12 * length) & (np.einsum("ij,ij->i", ahead, back) < 0)
 
 
-def _meeting(a: Array, b: Array, c: Array, d: Array) -> Array:
+def _meeting_point(a: Array, b: Array, c: Array, d: Array) -> Array:
     """Where two sides meet, or the middle of what they share."""
     along, across = b - a, d - c
     turned = along[0] * across[1] - along[1] * across[0]
@@ -117,7 +117,7 @@ def _turn(a: Array, b: Array, c: Array) -> Array:
     return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
 
 
-def blunted(corners: Array, width: float, kept: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+def blunt(corners: Array, width: float, kept: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     """The polygon with its sharp corners cut off where it is so wide [m], and which corners (k,) were kept before."""
     before, after = np.roll(corners, 1, axis=0) - corners, np.roll(corners, -1, axis=0) - corners
     lengths = np.stack([np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)])
@@ -132,7 +132,7 @@ def blunted(corners: Array, width: float, kept: NDArray[np.bool_]) -> tuple[Arra
     return made[there], np.repeat(kept, 2)[there]
 
 
-def essential(corners: Array, tolerance: Array, forced: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def essential_corners(corners: Array, tolerance: Array, forced: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The corners (k,) without which the polygon would be off by more than the tolerance (k,) [m]."""
     count = len(corners)
     kept = forced.copy()
@@ -146,7 +146,7 @@ def essential(corners: Array, tolerance: Array, forced: NDArray[np.bool_]) -> ND
         between = np.arange(begin + 1, end) % count
         if not len(between):
             continue
-        off = _off(corners[between], corners[begin % count], corners[end % count]) / tolerance[between]
+        off = _distance_to_side(corners[between], corners[begin % count], corners[end % count]) / tolerance[between]
         worst = int(np.argmax(off))
         if off[worst] > 1:
             kept[between[worst]] = True
@@ -158,7 +158,7 @@ def essential(corners: Array, tolerance: Array, forced: NDArray[np.bool_]) -> ND
     return kept
 
 
-def _off(points: Array, begin: Array, end: Array) -> Array:
+def _distance_to_side(points: Array, begin: Array, end: Array) -> Array:
     """Distance (n,) [m] of points (n, 2) to a side."""
     side = end - begin
     share = np.clip((points - begin) @ side / max(float(side @ side), 1e-300), 0.0, 1.0)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
 Size = Callable[[Array], Array]
@@ -42,25 +42,25 @@ def triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.i
     Raises:
         ValueError: The curves are too close to each other, or too coarse, for the mesh to follow them.
     """
-    points, triangles, missing = attempted(loops, size)
+    points, triangles, missing = try_triangulate(loops, size)
     if len(missing):
         raise ValueError("the triangles do not follow the curves")
     return points, triangles.astype(np.int32)
 
 
-def attempted(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+def try_triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """As `triangulate`, and the rim's edges (k,) that are no triangle's, by their first point; it raises nothing."""
     rim = np.concatenate(loops)
     inner = _lattice(rim, size)
-    inner = inner[_free(inner, loops, _CLEAR * size(inner))]
+    inner = inner[_is_clear(inner, loops, _CLEAR * size(inner))]
     for _ in range(_ROUNDS):
         points = np.concatenate([rim, inner])
-        moved = _neighbours_mean(points, _kept(points, loops))[len(rim) :]
-        stays = _free(moved, loops, 0.5 * _CLEAR * size(moved))
+        moved = _neighbours_mean(points, _inner_triangles(points, loops))[len(rim) :]
+        stays = _is_clear(moved, loops, 0.5 * _CLEAR * size(moved))
         inner = np.where(stays[:, None], moved, inner)
     points = np.concatenate([rim, inner])
-    triangles = _kept(points, loops)
-    return points, triangles, _missing(triangles, loops)
+    triangles = _inner_triangles(points, loops)
+    return points, triangles, _missing_edges(triangles, loops)
 
 
 def _lattice(rim: Array, size: Size) -> Array:
@@ -81,7 +81,7 @@ def _lattice(rim: Array, size: Size) -> Array:
 _ROW = np.sqrt(0.75)  # distance of a hexagonal lattice's rows
 
 
-def _free(points: Array, loops: Sequence[Array], clearance: Array) -> NDArray[np.bool_]:
+def _is_clear(points: Array, loops: Sequence[Array], clearance: Array) -> NDArray[np.bool_]:
     """Whether points are inside the loops and that far from them."""
     return inside(points, loops) & (_rim_distance(points, loops) > clearance)
 
@@ -99,7 +99,7 @@ def inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
     crossings = np.zeros(len(points), np.int64)
     for part in np.array_split(np.arange(len(begin)), 1 + int(count.sum()) // _MOST_PAIRS):
         side = np.repeat(part, count[part])
-        point = counted_up(count[part]) + first[side]
+        point = positions_in_rows(count[part]) + first[side]
         left = x[point] < begin[side, 0] + (y[point] - begin[side, 1]) * slope[side]
         crossings += np.bincount(point[left], minlength=len(points))
     found = np.zeros(len(points), bool)
@@ -116,7 +116,7 @@ def _rim_distance(points: Array, loops: Sequence[Array]) -> Array:
     return KDTree(np.concatenate(samples)).query(points)[0]
 
 
-def _kept(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
+def _inner_triangles(points: Array, loops: Sequence[Array]) -> NDArray[np.int64]:
     """The Delaunay triangles inside the loops."""
     from scipy.spatial import Delaunay
 
@@ -138,7 +138,7 @@ def _neighbours_mean(points: Array, triangles: NDArray[np.int64]) -> Array:
     return total / np.maximum(count, 1.0)[:, None]
 
 
-def _missing(triangles: NDArray[np.int64], loops: Sequence[Array]) -> NDArray[np.int64]:
+def _missing_edges(triangles: NDArray[np.int64], loops: Sequence[Array]) -> NDArray[np.int64]:
     """The edges of the loops that are not edges of triangles, by the number of their first point."""
     sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     start = np.cumsum([0, *map(len, loops)])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh.facets import Faces, no_surface
+from jaxform.mesh.facets import Faces, missing_surface_error
 
 Array = NDArray[Any]
 
@@ -63,7 +63,7 @@ def read_ply(content: bytes, name: str) -> Faces:
         InputError: It is no PLY file, its vertices have no x, y and z, it has no faces, or its end is cut off.
     """
     order, elements, body = _header(content)
-    table = _Binary(body, order) if order else _Text(body)
+    table = _PlyBinary(body, order) if order else _PlyText(body)
     for element in elements:
         table.read(element)
     by_name = {element.name: element for element in elements}
@@ -110,12 +110,12 @@ def _property(words: list[str], line: str) -> _Property:
     return _Property(words[2], _TYPES[types[0]])
 
 
-def _cut(element: _Element, there: int) -> InputError:
+def _truncation_error(element: _Element, there: int) -> InputError:
     problem = f"is cut off: {there} of its {element.count} items `{element.name}` are there"
     return InputError(problem, "export or copy it again")
 
 
-def _filled(element: _Element, columns: list[Array], counts: list[Array]) -> None:
+def _fill_element(element: _Element, columns: list[Array], counts: list[Array]) -> None:
     """Sets the numbers of an element; of scalars the columns are (n,), of lists all their numbers."""
     for own, column, count in zip(element.properties, columns, counts, strict=True):
         if own.count_type:
@@ -124,20 +124,20 @@ def _filled(element: _Element, columns: list[Array], counts: list[Array]) -> Non
             element.scalars[own.name] = column
 
 
-class _Binary:
+class _PlyBinary:
     """The numbers of a binary file."""
 
     def __init__(self, body: bytes, order: str) -> None:
         self.body, self.order, self.place = body, order, 0
 
     def read(self, element: _Element) -> None:
-        if not self._read_alike(element):
+        if not self._read_uniform(element):
             self._read_each(element)
 
-    def _read_alike(self, element: _Element) -> bool:
+    def _read_uniform(self, element: _Element) -> bool:
         """Reads items whose lists are as long as those of the first one; False where they are not."""
         if not element.properties or not element.count:
-            _filled(element, *_nothing(element))
+            _fill_element(element, *_empty_columns(element))
             return True
         lengths, place = [], self.place
         for own in element.properties:
@@ -145,7 +145,7 @@ class _Binary:
             if own.count_type:
                 kind = np.dtype(self.order + own.count_type)
                 if place + kind.itemsize > len(self.body):
-                    raise _cut(element, 0)
+                    raise _truncation_error(element, 0)
                 length = int(np.frombuffer(self.body, kind, 1, place)[0])
                 place += kind.itemsize
             if length < 0 or place + length > len(self.body):
@@ -160,7 +160,7 @@ class _Binary:
         there = (len(self.body) - self.place) // item.itemsize
         listed = any(own.count_type for own in element.properties)
         if there < element.count and not listed:
-            raise _cut(element, there)
+            raise _truncation_error(element, there)
         if there < element.count:
             return False
         rows = np.frombuffer(self.body, item, element.count, self.place)
@@ -168,7 +168,7 @@ class _Binary:
         if any((count != length).any() for count, length in zip(counts, lengths, strict=True)):
             return False
         self.place += rows.nbytes
-        _filled(element, [rows[f"v{k}"].reshape(-1) for k in range(len(lengths))], counts)
+        _fill_element(element, [rows[f"v{k}"].reshape(-1) for k in range(len(lengths))], counts)
         return True
 
     def _read_each(self, element: _Element) -> None:
@@ -184,15 +184,15 @@ class _Binary:
                     length = int(np.frombuffer(self.body, head, 1, place)[0])
                     place += head.itemsize
                 if length < 0 or place + length * kind.itemsize > len(self.body):
-                    raise _cut(element, item)
+                    raise _truncation_error(element, item)
                 counts[k].append(length)
                 columns[k].append(np.frombuffer(self.body, kind, length, place))
                 place += length * kind.itemsize
         self.place = place
-        _filled(element, [np.concatenate(column) for column in columns], [np.array(count) for count in counts])
+        _fill_element(element, [np.concatenate(column) for column in columns], [np.array(count) for count in counts])
 
 
-class _Text:
+class _PlyText:
     """The numbers of a text file, which follow each other whatever the lines are."""
 
     def __init__(self, body: bytes) -> None:
@@ -204,12 +204,12 @@ class _Text:
 
     def read(self, element: _Element) -> None:
         if not element.properties or not element.count:
-            _filled(element, *_nothing(element))
+            _fill_element(element, *_empty_columns(element))
             return
-        if not self._read_alike(element):
+        if not self._read_uniform(element):
             self._read_each(element)
 
-    def _read_alike(self, element: _Element) -> bool:
+    def _read_uniform(self, element: _Element) -> bool:
         """Reads items whose lists are as long as those of the first one; False where they are not."""
         starts, place = [], 0
         for own in element.properties:
@@ -220,15 +220,17 @@ class _Text:
         listed = [place - 1 for (place, _), own in zip(starts, element.properties, strict=True) if own.count_type]
         there = (len(self.numbers) - self.place) // place if place else 0
         if there < element.count and not listed:
-            raise _cut(element, there)
+            raise _truncation_error(element, there)
         if there < element.count:
             return False
         rows = self.numbers[self.place : self.place + element.count * place].reshape(element.count, place)
         if (rows[:, listed] != rows[:1, listed]).any():
             return False
         self.place += rows.size
-        columns = [_typed(rows[:, at : at + length].reshape(-1), own) for (at, length), own in _paired(starts, element)]
-        _filled(element, columns, [rows[:, at - 1].astype(np.int64) for at, _ in starts])
+        columns = [
+            _cast(rows[:, at : at + length].reshape(-1), own) for (at, length), own in _pair_starts(starts, element)
+        ]
+        _fill_element(element, columns, [rows[:, at - 1].astype(np.int64) for at, _ in starts])
         return True
 
     def _length(self, place: int) -> int:
@@ -246,24 +248,24 @@ class _Text:
                 length = self._length(place) if own.count_type else 1
                 place += bool(own.count_type)
                 if place + length > len(self.numbers):
-                    raise _cut(element, item)
+                    raise _truncation_error(element, item)
                 counts[k].append(length)
                 columns[k].append(self.numbers[place : place + length])
                 place += length
         self.place = place
-        joined = [_typed(np.concatenate(column), own) for column, own in zip(columns, element.properties, strict=True)]
-        _filled(element, joined, [np.array(count) for count in counts])
+        joined = [_cast(np.concatenate(column), own) for column, own in zip(columns, element.properties, strict=True)]
+        _fill_element(element, joined, [np.array(count) for count in counts])
 
 
-def _paired(starts: list[tuple[int, int]], element: _Element) -> zip[tuple[tuple[int, int], _Property]]:
+def _pair_starts(starts: list[tuple[int, int]], element: _Element) -> zip[tuple[tuple[int, int], _Property]]:
     return zip(starts, element.properties, strict=True)
 
 
-def _typed(numbers: Array, own: _Property) -> Array:
+def _cast(numbers: Array, own: _Property) -> Array:
     return numbers if own.type.startswith("f") else numbers.astype(np.int64)
 
 
-def _nothing(element: _Element) -> tuple[list[Array], list[Array]]:
+def _empty_columns(element: _Element) -> tuple[list[Array], list[Array]]:
     empty: list[Array] = [np.zeros(0) for _ in element.properties]
     return empty, [np.zeros(0, np.int64) for _ in element.properties]
 
@@ -280,7 +282,7 @@ def _faces(elements: dict[str, _Element]) -> tuple[Array, Array, dict[str, Array
     if strips is not None and strips.lists:
         triangles = _strips(next(iter(strips.lists.values()))[1].astype(np.int64))
         return np.full(len(triangles), 3), triangles.reshape(-1), {}
-    raise no_surface(solid=False)
+    raise missing_surface_error(solid=False)
 
 
 def _strips(corners: Array) -> Array:

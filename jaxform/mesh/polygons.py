@@ -32,7 +32,7 @@ def split(positions: Array, corners: Index, counts: Index) -> tuple[Index, Index
     owner: list[Index] = [np.zeros(0, np.int64)]
     for count in np.unique(counts[counts >= 3]):
         face = np.flatnonzero(counts == count)
-        fans = _cut(positions, corners[start[face, None] + np.arange(count)])
+        fans = _triangulate_faces(positions, corners[start[face, None] + np.arange(count)])
         triangles.append(fans.reshape(-1, 3))
         owner.append(np.repeat(face, count - 2))
     joined = np.concatenate(owner)
@@ -40,7 +40,7 @@ def split(positions: Array, corners: Index, counts: Index) -> tuple[Index, Index
     return np.concatenate(triangles)[order], joined[order]
 
 
-def _cut(positions: Array, faces: Index) -> Index:
+def _triangulate_faces(positions: Array, faces: Index) -> Index:
     """The triangles (f, k - 2, 3) of faces (f, k)."""
     fans = _fan(faces)
     if faces.shape[1] == 3:
@@ -48,8 +48,8 @@ def _cut(positions: Array, faces: Index) -> Index:
     # Scaled to the box of the faces, so that no unit of length makes the products overflow or vanish.
     used = positions[faces]
     scaled = (used - used.min((0, 1))) / (np.ptp(used, axis=(0, 1)).max() or 1.0)
-    for index in np.flatnonzero(~_covered(scaled, np.broadcast_to(_fan(_numbers(faces)), fans.shape))):
-        fans[index] = faces[index][_cut_one(scaled[index])]
+    for index in np.flatnonzero(~_fan_covers(scaled, np.broadcast_to(_fan(_numbers(faces)), fans.shape))):
+        fans[index] = faces[index][_triangulate_face(scaled[index])]
     return fans
 
 
@@ -64,7 +64,7 @@ def _fan(faces: Index) -> Index:
     return faces[:, np.stack([np.zeros_like(second), second, second + 1], axis=1)]
 
 
-def _covered(corners: Array, triangles: Index) -> NDArray[np.bool_]:
+def _fan_covers(corners: Array, triangles: Index) -> NDArray[np.bool_]:
     """Whether no triangle (f, t, 3) of a face with corners (f, k, 3) turns against the face."""
     points = np.take_along_axis(corners[:, :, None], triangles.reshape(len(corners), -1)[..., None, None], axis=1)
     points = points.reshape(*triangles.shape, 3)
@@ -75,19 +75,19 @@ def _covered(corners: Array, triangles: Index) -> NDArray[np.bool_]:
     return (along >= -_FLAT * np.einsum("fx,fx->f", whole, whole)[:, None]).all(axis=1)
 
 
-def _cut_one(corners: Array) -> Index:
+def _triangulate_face(corners: Array) -> Index:
     """Triangles (k - 2, 3) of a face with corners (k, 3) that a fan from the first corner does not cover."""
     count = len(corners)
     if count > _MOST_CORNERS:
         raise InputError(f"has a face with {count} corners that is not convex", "export the surface as triangles")
     for first in range(1, count):
         fan = _fan((first + np.arange(count)[None]) % count)
-        if _covered(corners[None], fan)[0]:
+        if _fan_covers(corners[None], fan)[0]:
             return fan[0]
-    return _ears(_projected(corners))
+    return _ears(_project(corners))
 
 
-def _projected(corners: Array) -> Array:
+def _project(corners: Array) -> Array:
     """Corners (k, 2) in the plane of the face, turning to the left."""
     normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
     axis = int(np.argmax(np.abs(normal)))

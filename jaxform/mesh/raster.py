@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,16 +28,16 @@ class Hits(NamedTuple):
 
     triangle: Index
     pixel: Index
-    rows: Rows
+    rows: PixelRows
 
-    def of(self, values: Array) -> Array:
+    def interpolate(self, values: Array) -> Array:
         """Values of triangles at their corners (n_triangle, 3) at the pixels' middles (n,), linear in between."""
         rows, (one, two, three) = self.rows, values[self.rows.triangle].T
         first, rise = (a * one + b * two + c * three for a, b, c in (rows.first, rows.rise))
-        return _spread(first, rows.columns) + _spread(rise, rows.columns) * rows.along
+        return _repeat(first, rows.columns) + _repeat(rise, rows.columns) * rows.along
 
 
-class Rows(NamedTuple):
+class PixelRows(NamedTuple):
     """What of triangles lies in rows of pixels.
 
     Attributes:
@@ -55,7 +55,7 @@ class Rows(NamedTuple):
     along: Array
 
 
-def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
+def rasterize(corners: Array, width: int, height: int) -> Iterator[Hits]:
     """The pixels whose middles triangles cover; pixel (i, j) has its middle at (i + 1/2, j + 1/2), number i + j width.
 
     Args:
@@ -69,28 +69,28 @@ def hits(corners: Array, width: int, height: int) -> Iterator[Hits]:
     with np.errstate(invalid="ignore", over="ignore"):
         low = np.clip(np.ceil(np.minimum(np.minimum(one, two), three) - 0.5), 0, size)
         high = np.clip(np.floor(np.maximum(np.maximum(one, two), three) - 0.5), -1, size - 1)
-        turned = _turned(two - one, three - one)
+        turned = _cross(two - one, three - one)
         extent = np.maximum(np.where(np.isfinite(one + two + three), high - low + 1, 0.0), 0.0)
     count = np.where(turned != 0, extent[:, 0] * extent[:, 1], 0).astype(np.int64)
     some = np.flatnonzero(count)
     total = np.cumsum(count[some])
     for part in np.split(some, np.searchsorted(total, np.arange(_AT_ONCE, total[-1] if len(total) else 0, _AT_ONCE))):
         if len(part):
-            yield _hits_of(part, corners[part], turned[part], low[part], high[part], width)
+            yield _rasterize_rows(part, corners[part], turned[part], low[part], high[part], width)
 
 
-def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array, width: int) -> Hits:
+def _rasterize_rows(part: Index, corners: Array, turned: Array, low: Array, high: Array, width: int) -> Hits:
     """Row by row of pixels: a row's are covered from one side of the triangle to another."""
     rows = (high - low + 1)[:, 1].astype(np.int64)
-    y = _spread(low[:, 1], rows) + counted_up(rows)
-    first, last = _spread(low[:, 0], rows), _spread(high[:, 0], rows)
+    y = _repeat(low[:, 1], rows) + positions_in_rows(rows)
+    first, last = _repeat(low[:, 0], rows), _repeat(high[:, 0], rows)
     slopes, begins = [], []
     # The weights, cross products with the opposite sides, are linear in the place.
     for corner in range(3):
         begin, side = corners[:, (corner + 1) % 3], corners[:, (corner + 2) % 3] - corners[:, (corner + 1) % 3]
         across, up = -side[:, 1] / turned, side[:, 0] / turned
-        begins.append(_spread(up, rows) * (y + 0.5) - _spread(across * begin[:, 0] + up * begin[:, 1], rows))
-        slopes.append(_spread(across, rows))
+        begins.append(_repeat(up, rows) * (y + 0.5) - _repeat(across * begin[:, 0] + up * begin[:, 1], rows))
+        slopes.append(_repeat(across, rows))
     for slope, begin in zip(slopes, begins, strict=True):
         with np.errstate(divide="ignore", invalid="ignore"):
             place = -(begin + _EDGE) / slope - 0.5
@@ -98,23 +98,23 @@ def _hits_of(part: Index, corners: Array, turned: Array, low: Array, high: Array
         last = np.where(slope < 0, np.minimum(last, np.floor(place)), last)
         last = np.where((slope == 0) & (begin < -_EDGE), -1.0, last)
     columns = np.maximum(last - first + 1, 0).astype(np.int64)
-    along, triangle = counted_up(columns), _spread(part, rows)
-    pixel = _spread((first + y * width).astype(np.int64), columns) + along
+    along, triangle = positions_in_rows(columns), _repeat(part, rows)
+    pixel = _repeat((first + y * width).astype(np.int64), columns) + along
     two, three = (begin + slope * (first + 0.5) for begin, slope in zip(begins[1:], slopes[1:], strict=True))
     weights, rise = [1.0 - two - three, two, three], [-slopes[1] - slopes[2], *slopes[1:]]
-    return Hits(_spread(triangle, columns), pixel, Rows(triangle, weights, rise, columns, along.astype(float)))
+    return Hits(_repeat(triangle, columns), pixel, PixelRows(triangle, weights, rise, columns, along.astype(float)))
 
 
-def _spread(values: NDArray[Any], counts: Index) -> Any:
+def _repeat(values: NDArray[Any], counts: Index) -> Any:
     """Each value (n,) as often as its count says."""
     return np.repeat(values, counts)
 
 
-def _turned(one: Array, other: Array) -> Array:
+def _cross(one: Array, other: Array) -> Array:
     return one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
 
 
-def nearest(
+def nearest_in_pixels(
     corners: Array, depth: Array, width: int, height: int, kept: Callable[[Hits], NDArray[np.bool_]] | None = None
 ) -> NDArray[np.int32]:
     """The triangle that is seen in each pixel (height * width,), -1 where none is.
@@ -127,8 +127,8 @@ def nearest(
         kept: Which of the pairs count (n,), where the triangles are cut open; all by default.
     """
     best, seen = np.full(width * height, np.inf), np.full(width * height, -1, np.int32)
-    for found in hits(corners, width, height):
-        triangle, pixel, away = found.triangle, found.pixel, found.of(depth)
+    for found in rasterize(corners, width, height):
+        triangle, pixel, away = found.triangle, found.pixel, found.interpolate(depth)
         if kept is not None:
             some = kept(found)
             triangle, pixel, away = triangle[some], pixel[some], away[some]
@@ -142,7 +142,7 @@ def weights(corners: Array, triangle: NDArray[np.integer], pixel: NDArray[np.int
     """Weights (3, n) of the corners of triangles (n,), which are in pixels (n_triangle, 3, 2), at pixels' middles."""
     row, column = np.divmod(pixel, width)
     one, two, three = corners[:, 0], corners[:, 1], corners[:, 2]
-    turned = _turned(two - one, three - one)[triangle]
+    turned = _cross(two - one, three - one)[triangle]
     x, y = column + 0.5, row + 0.5
 
     def opposite(begin: Array, end: Array) -> Array:

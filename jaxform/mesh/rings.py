@@ -71,7 +71,7 @@ class Ring(NamedTuple):
         return radius * unit
 
 
-def graded(radius: float, size: Profile, density: float) -> tuple[Array, list[int]]:
+def graded_rings(radius: float, size: Profile, density: float) -> tuple[Array, list[int]]:
     """Radii [m] of rings and their numbers of segments, from 0 on, from the local size over the radius.
 
     Args:
@@ -89,14 +89,14 @@ def graded(radius: float, size: Profile, density: float) -> tuple[Array, list[in
     fine = np.linspace(0.0, radius, 20_001)
     local = np.interp(fine, size.at, size.value)
     rank = np.concatenate([[0.0], np.cumsum(np.diff(fine) * 0.5 * (1 / local[1:] + 1 / local[:-1]))])
-    ring_count = max(2, grids.whole(rank[-1]))
+    ring_count = max(2, grids.round_count(rank[-1]))
     radii = np.interp(np.linspace(0.0, rank[-1], ring_count + 1), rank, fine)
     local = np.interp(radii, size.at, size.value)
     segments = [max(1, math.floor(density * r / s + 0.5)) for r, s in zip(radii, local, strict=True)]
     return radii, [0, *segments[1:]]
 
 
-def staggered(wanted: Sequence[float]) -> list[Ring]:
+def staggered_rings(wanted: Sequence[float]) -> list[Ring]:
     """Rings with about the wanted numbers of segments, from the inside outwards; the last has just so many."""
     counts = _counts(wanted[-1])
     rings: list[Ring] = []

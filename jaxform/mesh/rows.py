@@ -24,12 +24,12 @@ class Distinct(NamedTuple):
     count: NDArray[np.int64]
 
 
-def counted_up(counts: NDArray[np.integer]) -> NDArray[np.int64]:
+def positions_in_rows(counts: NDArray[np.integer]) -> NDArray[np.int64]:
     """0, 1, ... up to each count (n,), one after the other: the places of entries in their rows."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
-def ascending(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def unique_ascending(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     """Each of some numbers (n,) once, ascending; NumPy's `unique` takes many times as long."""
     found = np.sort(numbers)
     first = np.ones(len(found), bool)
@@ -37,7 +37,7 @@ def ascending(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return found[first]
 
 
-def distinct(rows: NDArray[Any]) -> Distinct:
+def distinct_rows(rows: NDArray[Any]) -> Distinct:
     """The distinct ones of rows (n, c) of numbers."""
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]

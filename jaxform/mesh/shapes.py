@@ -16,7 +16,7 @@ from jaxform.mesh.bisection import Snap
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
 from jaxform.mesh.resolution import as_length, check_count, check_resolution, triangle_side
-from jaxform.mesh.surfaces import check_surface, held_rim, snapped, snapped_corners
+from jaxform.mesh.surfaces import check_surface, clamped_nodes, snap_corners, snap_to_planes
 
 Symmetry = Literal["none", "half", "quarter"]
 PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
@@ -75,47 +75,47 @@ def disc(
     density = 6 / _parts(symmetry)
     radius = as_length("parison.radius", radius)
     if isinstance(element_size, Profile):
-        radii, segments = rings.graded(radius, element_size, density)
+        radii, segments = rings.graded_rings(radius, element_size, density)
     else:
         check_resolution(element_size, elements, largest=radius)
-        ring_count = grids.whole(radius / element_size if element_size else math.sqrt((elements or 0) / density))
+        ring_count = grids.round_count(radius / element_size if element_size else math.sqrt((elements or 0) / density))
         if elements and symmetry != "none":
             ring_count = max(2, ring_count)
         check_count(density * ring_count**2, element_size)
         segments = [math.floor(density * ring + 0.5) for ring in range(ring_count + 1)]
         radii = radius * (np.arange(ring_count + 1) / ring_count)
     if symmetry == "none":
-        return _without_spokes(radii, segments)
+        return _spokeless_disc(radii, segments)
     ring_count = len(segments) - 1
     arcs = [grids.ring(r, count, symmetry) for r, count in zip(radii, segments, strict=True)]
     starts = np.cumsum([0, *map(len, arcs)])
     bands = [grids.zip_rings(starts[k], segments[k], starts[k + 1], segments[k + 1], False) for k in range(ring_count)]
     clamped = np.arange(starts[-1]) >= starts[-2]
-    return replace(_sheet(np.concatenate(arcs), np.concatenate(bands), clamped, symmetry), snap=_to_rim(radius))
+    return replace(_sheet(np.concatenate(arcs), np.concatenate(bands), clamped, symmetry), snap=_snap_to_rim(radius))
 
 
-def _without_spokes(radii: NDArray[np.float64], segments: Sequence[int]) -> Sheet:
+def _spokeless_disc(radii: NDArray[np.float64], segments: Sequence[int]) -> Sheet:
     """A whole disc with rings at radii (n + 1,) [m], the first 0, and about so many segments."""
-    staggered = rings.staggered(segments[1:])
+    staggered = rings.staggered_rings(segments[1:])
     nodes = [ring.positions(radius) for radius, ring in zip(radii[1:], staggered, strict=True)]
     positions = np.concatenate([np.zeros((1, 3)), *nodes])
     clamped = np.arange(len(positions)) >= len(positions) - len(nodes[-1])
-    return replace(_sheet(positions, rings.triangles(staggered), clamped, "none"), snap=_to_rim(float(radii[-1])))
+    return replace(_sheet(positions, rings.triangles(staggered), clamped, "none"), snap=_snap_to_rim(float(radii[-1])))
 
 
-def _to_rim(radius: float) -> Snap:
+def _snap_to_rim(radius: float) -> Snap:
     """Middles of the rim's chords go to the circle."""
 
     def snap(
         middles: NDArray[np.float64], ends: NDArray[np.float64], boundary: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
         on_rim = boundary & (np.abs(np.hypot(ends[..., 0], ends[..., 1]) - radius) <= 1e-9 * radius).all(1)
-        return np.where(on_rim[:, None], _scaled_to(middles, radius), middles)
+        return np.where(on_rim[:, None], _scale_to_radius(middles, radius), middles)
 
     return snap
 
 
-def _scaled_to(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+def _scale_to_radius(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     distance = np.linalg.norm(points, axis=1, keepdims=True)
     return points * radius / np.where(distance > 0, distance, 1.0)
 
@@ -193,7 +193,7 @@ def sphere(
     radius = as_length("parison.radius", radius)
     arc = radius * math.pi / 2
     check_resolution(element_size, elements, largest=arc)
-    division = grids.whole(arc / element_size if element_size else math.sqrt((elements or 0) * parts / 8))
+    division = grids.round_count(arc / element_size if element_size else math.sqrt((elements or 0) * parts / 8))
     if elements and symmetry == "quarter":
         division = max(2, division)
     check_count(8 * division**2 / parts, element_size)
@@ -205,7 +205,7 @@ def sphere(
     direction = np.sin(np.pi / 2 * lattice / division)
     positions = radius * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     sheet = _sheet(positions, index.reshape(-1, 3), np.zeros(len(positions), dtype=bool), symmetry)
-    return replace(sheet, snap=lambda middles, _, __: _scaled_to(middles, radius))
+    return replace(sheet, snap=lambda middles, _, __: _scale_to_radius(middles, radius))
 
 
 def bottle_half(
@@ -246,7 +246,7 @@ def bottle_half(
 
     shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
     try:
-        positions, triangles = bottle.half(shape, element_size, swell=swell, neck_swell=neck_swell, inset=inset)
+        positions, triangles = bottle.half_bottle(shape, element_size, swell=swell, neck_swell=neck_swell, inset=inset)
     except InputError as error:
         raise replace(error, key=f"parison.{error.key}") from None
     clamped = np.isin(np.arange(len(positions)), topology.boundary_nodes(triangles))
@@ -293,16 +293,16 @@ def outline(
     Raises:
         InputError: A number is out of range, or the polygon crosses itself, has no area, or is too narrow.
     """
-    corners = outlines.cleaned(polygon)
+    corners = outlines.clean(polygon)
     check_resolution(element_size, elements, largest=float(np.ptp(corners, axis=0).min()))
     area = outlines.area(corners)
     size = element_size if element_size else triangle_side(area, elements or 1)
     check_count(4 / math.sqrt(3) * area / size**2, element_size)
-    corners, fixed = snapped_corners(corners, planes)
+    corners, fixed = snap_corners(corners, planes)
     at_cut_ends = (fixed != np.roll(fixed, 1, axis=0)).any(1) | (fixed != np.roll(fixed, -1, axis=0)).any(1)
-    points, triangles = filling.filled(corners, size, at_cut_ends)
+    points, triangles = filling.fill_polygon(corners, size, at_cut_ends)
     sheet = from_mesh(Mesh(np.insert(points, 2, 0.0, axis=1), triangles), planes=planes)
-    return replace(sheet, snap=filling.to_polygon(corners))
+    return replace(sheet, snap=filling.snap_to_polygon(corners))
 
 
 def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()) -> Sheet:
@@ -325,11 +325,11 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     """
     mesh = meshes.weld(mesh)
     check_surface(mesh)
-    positions, fixed = snapped(mesh.positions, planes)
+    positions, fixed = snap_to_planes(mesh.positions, planes)
     rim = topology.boundary_edges(mesh.triangles)
     # An edge is cut, not open, when one plane holds both its ends; rim corners are ends of open edges too.
     rim = rim[~(fixed[rim[:, 0]] & fixed[rim[:, 1]]).any(axis=1)]
-    clamped = held_rim(mesh, clamp, rim)
+    clamped = clamped_nodes(mesh, clamp, rim)
     part = topology.components(mesh.triangles, len(positions))
     loose = np.setdiff1d(part[rim], part[clamped])
     if loose.size:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.core.words import coordinate
+from jaxform.core.formatting import format_coordinate
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 
@@ -20,7 +20,7 @@ PLANE_TOLERANCE = 1e-6
 
 def check_surface(mesh: Mesh) -> None:
     """Raises InputError where triangles are degenerate or turned, or three meet at an edge."""
-    bad = np.flatnonzero(meshes.degenerate(mesh.positions, mesh.triangles))
+    bad = np.flatnonzero(meshes.find_degenerate(mesh.positions, mesh.triangles))
     many = topology.nonmanifold_edges(mesh.triangles)
     against = topology.inconsistent_edges(mesh.triangles)
     if bad.size:
@@ -35,10 +35,10 @@ def check_surface(mesh: Mesh) -> None:
 
 
 def _place(mesh: Mesh, edge: NDArray[np.int64]) -> str:
-    return "at (" + ", ".join(coordinate(x, digits=6) for x in mesh.positions[edge].mean(axis=0)) + ") m"
+    return "at (" + ", ".join(format_coordinate(x, digits=6) for x in mesh.positions[edge].mean(axis=0)) + ") m"
 
 
-def plane_of(text: str) -> tuple[int, float]:
+def parse_plane(text: str) -> tuple[int, float]:
     """Axis and place [m] of a symmetry plane that is written `x`, which is x = 0, or `x=0.15`.
 
     Raises:
@@ -54,13 +54,15 @@ def plane_of(text: str) -> tuple[int, float]:
     return "xyz".index(axis.strip()), level
 
 
-def snapped(positions: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def snap_to_planes(
+    positions: NDArray[np.float64], planes: Sequence[str]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Positions moved exactly onto the planes they are on, and which components those hold."""
     key, positions, fixed = "parison.planes", positions.copy(), np.zeros(positions.shape, dtype=bool)
     tolerance = PLANE_TOLERANCE * meshes.size(positions)
     for plane in planes:
         try:
-            axis, level = plane_of(plane)
+            axis, level = parse_plane(plane)
         except InputError as error:
             raise replace(error, key=key, value=list(planes)) from None
         name, away = f"{'xyz'[axis]} = {level:g}", positions[:, axis] - level
@@ -75,17 +77,15 @@ def snapped(positions: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDAr
     return positions, fixed
 
 
-def snapped_corners(
-    corners: NDArray[np.float64], planes: Sequence[str]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def snap_corners(corners: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """A polygon's corners (k, 2) [m] in z = 0 moved exactly onto the planes, and which components (k, 3) those hold."""
-    moved, fixed = snapped(np.insert(corners, 2, 0.0, axis=1), planes)
+    moved, fixed = snap_to_planes(np.insert(corners, 2, 0.0, axis=1), planes)
     # Corners beside the one of two planes may be the same now.
     apart = (moved != np.roll(moved, -1, axis=0)).any(1)
     return moved[apart, :2], fixed[apart]
 
 
-def held_rim(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.bool_]:
+def clamped_nodes(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Nodes (n_node,) that never move, as `clamp` says."""
     key, clamped = "parison.clamp", np.zeros(len(mesh.positions), dtype=bool)
     if clamp == "boundary":

@@ -16,7 +16,7 @@ def edges(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np
         The edges, smaller index first, sorted, without repeats, shape (k, 2); and the number of triangles on
         each, shape (k,).
     """
-    return _counted(np.sort(_sides(triangles), axis=1))
+    return _count_pairs(np.sort(_sides(triangles), axis=1))
 
 
 def boundary_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
@@ -57,8 +57,8 @@ def nonmanifold_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
 
 def inconsistent_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     """Edges that two triangles run through in the same direction (their normals disagree), shape (k, 2)."""
-    directed, count = _counted(_sides(triangles))
-    return _counted(np.sort(directed[count > 1], axis=1))[0]
+    directed, count = _count_pairs(_sides(triangles))
+    return _count_pairs(np.sort(directed[count > 1], axis=1))[0]
 
 
 def orientations(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
@@ -81,7 +81,7 @@ def orientations(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDA
     # A part of the doubled graph is one triangle's side together with the sides of others that go with it.
     link = np.where(agree, b, b + count), np.where(agree, b + count, b)
     rows, columns = np.concatenate([a, a + count]), np.concatenate(link)
-    sheet, part = connected(rows, columns, 2 * count), connected(a, b, count)
+    sheet, part = connected_parts(rows, columns, 2 * count), connected_parts(a, b, count)
     # The side that is in the same sheet as the part's first triangle.
     leader = np.unique(part, return_index=True)[1]
     return part, np.where(sheet[:count] == sheet[leader][part], 1, -1)
@@ -97,7 +97,7 @@ def feature_edges(
     normal /= np.where(length > 0, length, 1.0)
     sides = np.sort(_sides(triangles), axis=1)
     owner = np.repeat(np.arange(len(triangles)), 3)
-    edge, count = _counted(sides)
+    edge, count = _count_pairs(sides)
     order = np.argsort(_keys(sides)[0], kind="stable")
     first = np.cumsum(count) - count
     one, other = owner[order[first]], owner[order[first + np.minimum(count, 2) - 1]]
@@ -105,7 +105,7 @@ def feature_edges(
     return vertices[edge[(count != 2) & rims | (count >= 2) & bent]]
 
 
-def points_along(edges: NDArray[np.floating], step: float) -> NDArray[np.floating]:
+def edge_points(edges: NDArray[np.floating], step: float) -> NDArray[np.floating]:
     """Points (k, 3) [m] along edges (n, 2, 3) [m], two in a step or more, both ends included."""
     count = np.ceil(2 * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1) / step).astype(int) + 1
     # An edge without length has both its ends as well.
@@ -118,17 +118,17 @@ def points_along(edges: NDArray[np.floating], step: float) -> NDArray[np.floatin
 def open_rims(triangles: NDArray[np.integer], node_count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Edges (k, 2) of one triangle only, and the number (k,) of the open rim of which each is a part, from 0."""
     edge = boundary_edges(triangles)
-    part = connected(edge[:, 0], edge[:, 1], node_count)[edge[:, 0]]
+    part = connected_parts(edge[:, 0], edge[:, 1], node_count)[edge[:, 0]]
     return edge, np.unique(part, return_inverse=True)[1]
 
 
 def components(triangles: NDArray[np.integer], node_count: int) -> NDArray[np.int32]:
     """Number of the connected part that each of `node_count` nodes belongs to, shape (n,)."""
     side = _sides(triangles)
-    return connected(side[:, 0], side[:, 1], node_count)
+    return connected_parts(side[:, 0], side[:, 1], node_count)
 
 
-def connected(one: NDArray[np.integer], other: NDArray[np.integer], count: int) -> NDArray[np.int32]:
+def connected_parts(one: NDArray[np.integer], other: NDArray[np.integer], count: int) -> NDArray[np.int32]:
     """Number of the part that each of `count` things belongs to, shape (n,), where pairs of them are connected."""
     # Most runs need none of this part of SciPy, which takes a tenth of a second to import.
     from scipy.sparse import coo_array
@@ -142,7 +142,7 @@ def _sides(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.asarray(triangles, dtype=np.int64).reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def _counted(pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _count_pairs(pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     keys, base = _keys(pairs)
     key, count = np.unique(keys, return_counts=True)
     return np.stack([key // base, key % base], axis=1), count

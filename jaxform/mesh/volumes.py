@@ -23,7 +23,7 @@ def areas(positions: Array, triangles: Index) -> Array:
     return 0.5 * np.linalg.norm(doubled, axis=1)
 
 
-def conserving(positions: Array, triangles: Index, nodal: Array, elements: Array) -> Array:
+def conserve_volume(positions: Array, triangles: Index, nodal: Array, elements: Array) -> Array:
     """A nodal thickness (n,) [m] near a given positive one, whose volume is that of the elements' thickness (m,) [m].
 
     Each node's is multiplied by the mean, by area, of what its elements are thicker than their corners say. The volume
@@ -37,7 +37,7 @@ def conserving(positions: Array, triangles: Index, nodal: Array, elements: Array
     return nodal * np.where(around > 0, share, 1.0)
 
 
-def with_folds(mesh: Mesh, thickness: Array, file: str = "") -> Array:
+def add_fold_volume(mesh: Mesh, thickness: Array, file: str = "") -> Array:
     """The elements' thickness (m,) [m] such that with their area it has the volume of their folds too.
 
     Where a sheet has wrinkled the thickness is that of its material, which has a larger area than the elements: the
@@ -65,12 +65,12 @@ def with_folds(mesh: Mesh, thickness: Array, file: str = "") -> Array:
 def nodal_fields(mesh: Mesh) -> dict[str, Array]:
     """The mesh's fields at its nodes; of a positive one that its triangles have too, with the triangles' volume.
 
-    The volume of `thickness` is that of what lies in folds too, as `with_folds` says, which raises and warns.
+    The volume of `thickness` is that of what lies in folds too, as `add_fold_volume` says, which raises and warns.
     """
     found = meshes.nodal_fields(mesh)
     for name in mesh.fields.keys() & mesh.cell_fields.keys():
         nodal, elements = mesh.fields[name], mesh.cell_fields[name]
         if nodal.min() > 0 and elements.min() > 0:
-            elements = with_folds(mesh, elements) if name == "thickness" else elements
-            found[name] = conserving(mesh.positions, mesh.triangles, nodal, elements)
+            elements = add_fold_volume(mesh, elements) if name == "thickness" else elements
+            found[name] = conserve_volume(mesh.positions, mesh.triangles, nodal, elements)
     return found

@@ -7,7 +7,7 @@ from typing import ClassVar, NamedTuple, dataclass_transform
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import declared_part, parameter, within
+from jaxform.core.parameters import parameter, ranged_parameter, register_part
 from jaxform.core.pytree import static
 
 
@@ -69,7 +69,7 @@ class Field:
         return 0.5 * (first + second)
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(parameter, within, static))
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def field[T: Field](cls: type[T]) -> type[T]:
     """Makes a class a field: a frozen dataclass and a pytree, its numbers known to `replace` and to designs.
 
@@ -77,9 +77,9 @@ def field[T: Field](cls: type[T]) -> type[T]:
         InputError: It does not derive from `Field`, says not how it starts, or has an undeclared number.
     """
     remedy = "derive it from jaxform.Field and say what it is at first, `start`"
-    return declared_part(cls, Field, "start", remedy, "fields")
+    return register_part(cls, Field, "start", remedy, "fields")
 
 
-def stepped(fields: dict[str, Field], values: dict[str, jax.Array], step: Surroundings) -> dict[str, jax.Array]:
+def advance_fields(fields: dict[str, Field], values: dict[str, jax.Array], step: Surroundings) -> dict[str, jax.Array]:
     """The values of all fields at the end of a step."""
     return {name: jnp.broadcast_to(fields[name].after(own, step), own.shape) for name, own in values.items()}

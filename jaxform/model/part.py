@@ -120,7 +120,7 @@ def check_part(part: Part | None, triangle_count: int | None) -> None:
         raise InputError("is no mask of the mold's triangles", remedy, "part.walls", part.walls.shape)
 
 
-def named(paths: Sequence[str], wanted: Sequence[str]) -> list[int]:
+def select_mold_files(paths: Sequence[str], wanted: Sequence[str]) -> list[int]:
     """Which of the mold's files (their places in `paths`) are wanted, by path or else by file name.
 
     Raises:

@@ -23,7 +23,7 @@ from jaxform.materials import Cooling, Law
 from jaxform.mesh import reference
 from jaxform.model.field import Field
 from jaxform.model.part import Part
-from jaxform.model.tables import Forest, Tables
+from jaxform.model.tables import BisectionHierarchy, Precomputed
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import Motion
 from jaxform.tools.search import SearchGrid
@@ -125,7 +125,7 @@ class Adaptivity(NamedTuple):
     """How the mesh becomes finer: within which limits, and what it can be refined to."""
 
     limits: Refinement
-    forest: Forest
+    forest: BisectionHierarchy
 
 
 @pytree
@@ -153,7 +153,7 @@ class Scene:
     solver: Solver
     mold: Mold | None
     refinement: Refinement | None
-    tables: Tables
+    tables: Precomputed
     name: str = static(default="scene")
     fields: dict[str, Field] = dataclasses.field(default_factory=dict)
     cooling: Cooling | None = None
@@ -209,7 +209,7 @@ class Scene:
 
     def pushes(self) -> np.ndarray:
         """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
-        return pushes_of(self.pressure, self.solver, self.parison)
+        return sample_pressures(self.pressure, self.solver, self.parison)
 
     def strongest_push(self) -> float:
         """The pressure of the largest magnitude [Pa], with its sign; on the host."""
@@ -240,7 +240,7 @@ class Scene:
         return [reason for reason, holds in parts.items() if holds]
 
 
-def pushes_of(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:
+def sample_pressures(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:
     """As `Scene.pushes`, of the parts of a scene."""
     volume = 0.0
     if pressure.follows_volume:

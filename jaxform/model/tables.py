@@ -14,7 +14,7 @@ MOST_COOLING = 1.0  # K, of the sheet in a window
 
 
 @pytree
-class Sheet:
+class ReferenceGeometry:
     """The initial geometry, component-first.
 
     Attributes:
@@ -31,7 +31,7 @@ class Sheet:
 
 
 @pytree
-class Pairs:
+class ElementPairs:
     """Elements in pairs that share an edge, with which the nodes of both begin.
 
     Attributes:
@@ -64,7 +64,7 @@ class Assembly:
     table: jax.Array
     overflow_node: jax.Array
     overflow: jax.Array
-    pairs: Pairs | None = None
+    pairs: ElementPairs | None = None
 
 
 @pytree
@@ -94,7 +94,7 @@ class Bend:
 
 
 @pytree
-class Forest:
+class BisectionHierarchy:
     """Every triangle of the mesh bisected beforehand; see `jaxform.mesh.bisection`, which explains the numbering.
 
     Attributes:
@@ -119,9 +119,9 @@ class Forest:
         node_room: Room for so many nodes.
     """
 
-    sheet: Sheet
+    sheet: ReferenceGeometry
     bound: jax.Array
-    heavier: jax.Array
+    mass_scale: jax.Array
     partner: jax.Array
     middle: jax.Array
     half_edges: jax.Array
@@ -155,7 +155,7 @@ class Counts:
 
 
 @pytree
-class Box:
+class SceneBox:
     """What a sheet and its mold lie in at first, and wherever the mold moves.
 
     Attributes:
@@ -168,7 +168,7 @@ class Box:
 
 
 @pytree
-class Tables:
+class Precomputed:
     """What the host built for a scene; depends on its meshes and limits, not on the numbers to be designed.
 
     Attributes:
@@ -192,15 +192,15 @@ class Tables:
         rim: Edges of rims that move; None where every rim is clamped or stays on a symmetry plane.
     """
 
-    sheet: Sheet
+    sheet: ReferenceGeometry
     assembly: Assembly
     bound: jax.Array
     mobility: jax.Array
     size: jax.Array
-    box: Box | None
+    box: SceneBox | None
     grid: SearchGrid | None
-    forest: Forest | None
-    lying: jax.Array | None
+    forest: BisectionHierarchy | None
+    initial_contact: jax.Array | None
     longest_window: np.int32 | jax.Array
     planned: np.int32 | jax.Array
     window_count: int = static()

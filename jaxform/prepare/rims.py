@@ -16,7 +16,7 @@ def moving_rim(
     triangles: np.ndarray,
     held: np.ndarray,
     origin: np.ndarray,
-    forest: bisection.Forest | None = None,
+    forest: bisection.TriangleForest | None = None,
 ) -> Rim | None:
     """The rim of a sheet whose edges sweep a cone with the origin as they move; None where none do.
 

@@ -32,7 +32,7 @@ def expected_stretch(parison: Parison, material: Law, pushes: np.ndarray, mold: 
     far = LARGEST_STRETCH
     if mold is None or mold.motion is None:
         load = _MARGIN * float(np.max(np.abs(pushes), initial=0.0)) * 0.5 * extents[1]
-        far = float(_borne(material, as_real(load / float(np.min(np.asarray(parison.thickness))))))
+        far = float(_bearable_stretch(material, as_real(load / float(np.min(np.asarray(parison.thickness))))))
     if mold is None:
         return far
     both = _extents(np.concatenate([np.asarray(parison.positions, float), mold.where_it_turns()]), parison)
@@ -51,11 +51,11 @@ def _extents(places: np.ndarray, parison: Parison) -> np.ndarray:
 
 
 @jax.jit
-def _borne(material: Law, load: jax.Array) -> jax.Array:
+def _bearable_stretch(material: Law, load: jax.Array) -> jax.Array:
     """The largest stretch [-] at which a sphere does not bear a load, its pressure times radius over thickness [Pa]."""
     stretches = jnp.linspace(1.0, LARGEST_STRETCH, 101)
 
-    def largest(zones: dict[str, jax.Array]) -> jax.Array:
+    def largest_stretch(zones: dict[str, jax.Array]) -> jax.Array:
         law = material.with_zones(zones)
 
         def density(stretch: jax.Array) -> jax.Array:
@@ -69,4 +69,4 @@ def _borne(material: Law, load: jax.Array) -> jax.Array:
         return jnp.max(jnp.where(yields, jnp.append(stretches[1:], LARGEST_STRETCH), 1.0))
 
     zones = material.zones
-    return largest(zones) if not zones else jnp.max(jax.vmap(largest, in_axes=-1)(zones))
+    return largest_stretch(zones) if not zones else jnp.max(jax.vmap(largest_stretch, in_axes=-1)(zones))

@@ -7,7 +7,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.pytree import marked, pytree
+from jaxform.core.pytree import marked_field_names, pytree
 from jaxform.sheet.state import LOSS
 
 _DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
@@ -54,7 +54,7 @@ class Energy:
 
         Of work so small that rounding shows in it, relative to a hundred times the rounding.
         """
-        kept = self.strain + self.kinetic + sum(getattr(self, name) for name in marked(self, LOSS))
+        kept = self.strain + self.kinetic + sum(getattr(self, name) for name in marked_field_names(self, LOSS))
         largest = jnp.maximum(jnp.abs(self.work), self.peak_work) + self.rounding / UNBALANCED
         return jnp.abs(kept - self.work) / largest
 
@@ -87,7 +87,7 @@ class Energy:
         return self.quasi_static_error
 
 
-def unmoved(energy: Energy) -> list[str]:
+def warnings_of_no_work(energy: Energy) -> list[str]:
     """A sentence where the pressure did so little work that nothing moved which could be measured."""
     if bool(energy.measurable):
         return []

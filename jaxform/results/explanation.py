@@ -11,8 +11,8 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxform.core.errors import InputError
-from jaxform.core.words import place
-from jaxform.model.replacing import in_words
+from jaxform.core.formatting import format_place
+from jaxform.model.replacement import describe_out_of_range
 from jaxform.results.result import Result
 from jaxform.sheet.state import Status
 
@@ -63,22 +63,24 @@ def explain(result: Result) -> Any:
         raise InputError("is traced, its numbers are not known yet", "explain it outside of the function", "result")
     count = np.shape(result.status)
     if not count:
-        return _explained(result)
+        return _describe_status(result)
     # Each leaf is brought to the host once; what the host's loop adds is no array.
     leaves = jax.tree.map(np.asarray, dataclasses.replace(result, schedule=None, seconds=None, filling=None))
     return [explain(jax.tree.map(operator.itemgetter(k), leaves)) for k in range(count[0])]
 
 
-def _explained(result: Result) -> str:
+def _describe_status(result: Result) -> str:
     status = int(result.status)
     if status == 0:
         return "ok"
     what = [
-        words + (_left_open(result) if bit == Status.UNFILLED else "") for bit, words in _WORDS.items() if status & bit
+        words + (_describe_gap(result) if bit == Status.UNFILLED else "")
+        for bit, words in _WORDS.items()
+        if status & bit
     ]
     remedy = [words for bit, words in _REMEDIES.items() if status & bit]
     if status & Status.INPUT:
-        return "; ".join([f"{what[0]}: {in_words(np.asarray(result.out_of_range))}", *what[1:], *remedy])
+        return "; ".join([f"{what[0]}: {describe_out_of_range(np.asarray(result.out_of_range))}", *what[1:], *remedy])
     if status == Status.UNFILLED:
         return "; ".join([*what, *remedy])
     speed = np.linalg.norm(np.asarray(result.velocities), axis=1)
@@ -88,10 +90,10 @@ def _explained(result: Result) -> str:
     return "; ".join([*what, where, *remedy])
 
 
-def _left_open(result: Result) -> str:
+def _describe_gap(result: Result) -> str:
     """Where how much of a mold is left open, in words."""
     if result.filling is None:
         return ""
     left, depth = result.filling.left, result.filling.depth
     share = f"{100 * left.width / depth:.0f} % of the opening's depth of {depth:.3g} m"
-    return f": {left.width:.3g} m are left at {place(left.place)}, {share}"
+    return f": {left.width:.3g} m are left at {format_place(left.place)}, {share}"

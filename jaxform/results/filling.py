@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.formatting import format_place
 from jaxform.core.pytree import as_real
-from jaxform.core.words import place
 from jaxform.model.scene import Scene
 from jaxform.sheet.state import Status
 from jaxform.tools import facing
-from jaxform.tools.gaps import NO_GAP, Gap, places_of, widest_gap
+from jaxform.tools.gaps import NO_GAP, Gap, mold_points, widest_gap
 
 if TYPE_CHECKING:
     from jaxform.results.result import Result
@@ -46,7 +46,7 @@ class Filling(NamedTuple):
         return self.left.width > 0.0
 
 
-def filling_of(result: Result, scene: Scene) -> Filling:
+def measure_filling(result: Result, scene: Scene) -> Filling:
     """How far the formed part is from filling its mold; no gap where there is no mold, or no part."""
     positions, lost = np.asarray(result.positions, float), Status.RUNAWAY | Status.ESCAPED | Status.BURST
     if scene.mold is None or scene.tables.grid is None or int(result.status) & lost or not np.isfinite(positions).all():
@@ -57,9 +57,9 @@ def filling_of(result: Result, scene: Scene) -> Filling:
     places = _places(scene, offset)
     gap = widest_gap(*formed, places=places)
     if gap.element < 0 or not gap.width > _SMALL * float(grid.size):
-        return Filling(_moved(gap, offset), 0.0, NO_GAP)
+        return Filling(_offset_gap(gap, offset), 0.0, NO_GAP)
     start = np.asarray(scene.parison.positions, float)
-    ahead = facing.facing(start[: scene.first_nodes], np.asarray(scene.parison.triangles), push, mold, grid)
+    ahead = facing.find_facing(start[: scene.first_nodes], np.asarray(scene.parison.triangles), push, mold, grid)
     depth = 0.0 if ahead is None else ahead.depth(places)
     depth = depth or _first_gap(scene, push, places)
     left = NO_GAP
@@ -67,7 +67,7 @@ def filling_of(result: Result, scene: Scene) -> Filling:
         held = clamped[triangles].any(1) | np.asarray(result.stuck)[triangles].all(1)
         left = widest_gap(*formed, held=held, counts=None if ahead is None else ahead.meets, places=places)
         left = left if left.width >= OPEN * depth else NO_GAP
-    return Filling(_moved(gap, offset), depth, _moved(left, offset))
+    return Filling(_offset_gap(gap, offset), depth, _offset_gap(left, offset))
 
 
 def _places(scene: Scene, offset: Array) -> Array:
@@ -75,14 +75,14 @@ def _places(scene: Scene, offset: Array) -> Array:
     assert scene.mold is not None
     part = scene.part
     if part is None:
-        return places_of(scene.mold)
-    places = places_of(scene.mold, None if part.walls is None else np.asarray(part.walls))
+        return mold_points(scene.mold)
+    places = mold_points(scene.mold, None if part.walls is None else np.asarray(part.walls))
     return places[np.asarray(part.holds(places + offset))]
 
 
 def _first_gap(scene: Scene, push: float, places: Array) -> float:
     """The widest gap [m] before the sheet as it was at first, of one that meets nothing straight along the push."""
-    parison, lying = scene.parison, scene.tables.lying
+    parison, lying = scene.parison, scene.tables.initial_contact
     assert scene.mold is not None
     wall = np.zeros(len(parison.positions), int) if lying is None else np.asarray(lying)
     first, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
@@ -121,17 +121,17 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
             return []
         return [
             f"the sheet sticks all around a place of the mold that is {gap.width:.3g} m before it, at "
-            f"{place(gap.place)}: its elements are too large to follow the mold there; add [refinement], or make "
-            "parison.element_size smaller"
+            f"{format_place(gap.place)}: its elements are too large to follow the mold there; add [refinement], or "
+            "make parison.element_size smaller"
         ]
     if not noticed:
         return []
     return [
-        f"the mold is not filled everywhere: {gap.width:.3g} m are left at {place(gap.place)}, "
+        f"the mold is not filled everywhere: {gap.width:.3g} m are left at {format_place(gap.place)}, "
         f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise pressure.value or solver.end_time, or "
         "say mold.fill = false"
     ]
 
 
-def _moved(gap: Gap, offset: Array) -> Gap:
+def _offset_gap(gap: Gap, offset: Array) -> Gap:
     return gap._replace(place=gap.place + offset) if gap.element >= 0 else gap

@@ -51,7 +51,7 @@ def _shares(result: Result, scene: Scene, walls: Any) -> Any:
     return jax.lax.fori_loop(0, _RINGS, spread, first)
 
 
-def only_part(result: Result, scene: Scene) -> Result:
+def mask_part(result: Result, scene: Scene) -> Result:
     """The result in which the part alone counts: other elements have neither volume nor wall, and the mass is its own.
 
     The same result where the scene has no `Part`. Pure, so it can be traced.
@@ -70,11 +70,11 @@ def only_part(result: Result, scene: Scene) -> Result:
     )
 
 
-def counted(result: Result, scene: Scene) -> tuple[Result, list[str]]:
-    """As `only_part`, on the host; of a part without any element, the whole sheet, and a sentence that says so."""
+def restrict_to_part(result: Result, scene: Scene) -> tuple[Result, list[str]]:
+    """As `mask_part`, on the host; of a part without any element, the whole sheet, and a sentence that says so."""
     if scene.part is None:
         return result, []
-    part = only_part(result, scene)
+    part = mask_part(result, scene)
     if np.asarray(part.used).any():
         return part, []
     return result, [

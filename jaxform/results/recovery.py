@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.model.tables import Sheet
+from jaxform.model.tables import ReferenceGeometry
 
 _MOST = 2.0  # how far from the mean a value may be carried, as a factor: past a sharp bend the gradient means little
 _SPREADS = 6.0  # how far a value may be carried to a rim, in standard deviations there: a linear function needs 3
@@ -25,7 +25,7 @@ _MOMENTS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]], np.int32)  # a symmetric 
 _EVEN = 1e-6  # h/h0 that differ by less are alike; a root has no slope at 0
 
 
-def nodal_ratio(ratio: jax.Array, sheet: Sheet, positions: jax.Array, mobile: jax.Array) -> jax.Array:
+def nodal_ratio(ratio: jax.Array, sheet: ReferenceGeometry, positions: jax.Array, mobile: jax.Array) -> jax.Array:
     """Elements' h/h0 at the nodes (n_node,): the best linear fit by initial area, carried from inside to clamped nodes.
 
     Args:
@@ -58,7 +58,7 @@ def _sums_at_nodes(shares: jax.Array, triangles: jax.Array, count: int) -> jax.A
 
 
 def _fits(
-    values: jax.Array, sheet: Sheet, positions: jax.Array, mobile: jax.Array
+    values: jax.Array, sheet: ReferenceGeometry, positions: jax.Array, mobile: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """At the nodes their elements' mean and variance, and value and gradient (3, n_node) of the best linear function.
 
@@ -82,11 +82,11 @@ def _fits(
     axes = np.eye(3, dtype=values.dtype)[:, :, None]
     even = (mobile[:, None] & mobile[None]) | (axes == 1.0)
     matrix = jnp.where(even, second - first[:, None] * first[None], 0.0) / size[None, None] + _RIDGE * axes
-    slope = _solved(matrix, jnp.where(mobile, rise - mean[None] * first, 0.0) / size[None])
+    slope = _solve(matrix, jnp.where(mobile, rise - mean[None] * first, 0.0) / size[None])
     return mean, variance, mean - jnp.sum(slope * first, axis=0), slope
 
 
-def _solved(matrix: jax.Array, right: jax.Array) -> jax.Array:
+def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     """Solves symmetric 3x3 systems, (3, 3, n) and (3, n): the rows' vector products are the inverse's columns."""
     one, other = jnp.roll(matrix, -1, axis=0), jnp.roll(matrix, -2, axis=0)
     columns = jnp.roll(one, -1, axis=1) * jnp.roll(other, -2, axis=1)

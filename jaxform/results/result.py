@@ -9,14 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.core.pytree import abbreviate, marked, pytree, row_count
+from jaxform.core.pytree import abbreviate, marked_field_names, pytree, row_count
 from jaxform.mechanics import membrane
-from jaxform.mechanics.nodes import Rule
+from jaxform.mechanics.nodes import FieldRule
 from jaxform.model.scene import Scene
 from jaxform.results.energy import Energy
 from jaxform.results.filling import Filling
 from jaxform.results.recovery import nodal_ratio
-from jaxform.sheet.account import (
+from jaxform.sheet.discretization import Discretization, RefinedMesh, element_levels, present_discretization
+from jaxform.sheet.energy_balance import (
     enclosed_volume,
     energy_rounding,
     kinetic_energy,
@@ -24,9 +25,8 @@ from jaxform.sheet.account import (
     present_pressure,
     strain_energy,
 )
-from jaxform.sheet.discretization import Discretization, Mesh, levels, present_discretization
-from jaxform.sheet.heat import Heat, Walls, further, touching
-from jaxform.sheet.state import Schedule, State, Taken, nothing_moves
+from jaxform.sheet.heat import ThermalElements, ThermalState, contact_share, temperature_change
+from jaxform.sheet.state import Schedule, State, Taken, is_at_rest
 
 NODAL, OF_ELEMENTS = {"of": "nodes"}, {"of": "elements"}
 """Mark what a result has for each node, and for each element."""
@@ -118,7 +118,7 @@ class Result:
 
     def of(self, kind: dict[str, str], chosen: np.ndarray | slice) -> dict[str, Any]:
         """The nodal values, or those of elements, of the chosen ones alone: NumPy arrays by name."""
-        names = marked(self, kind)
+        names = marked_field_names(self, kind)
         return {name: jax.tree.map(lambda values: np.asarray(values)[chosen], getattr(self, name)) for name in names}
 
 
@@ -139,7 +139,7 @@ def make_result(
     _, edge1, edge2 = membrane.edges(state.nodes.positions, sheet.triangles)
     strain = membrane.invariants(membrane.metric(edge1, edge2), sheet.inverse_metric)
     # What has wrinkled is as thick as the material that lies in folds.
-    own = membrane.relaxed(strain)[0] if scene.material.tension_field else strain
+    own = membrane.relax_strain(strain)[0] if scene.material.tension_field else strain
     ratio = 1.0 / jnp.sqrt(own.determinant)
     count = now.mass.size
     counts = scene.tables.counts
@@ -153,7 +153,7 @@ def make_result(
         place = jnp.arange(forest.owner.size)
         first_nodes = forest.first_nodes if counts is None else counts.nodes
         active, node = (place < first_nodes) | (mesh.place > 0), mesh.place
-        triangles, level = forest.sheet.triangles[:, mesh.element], levels(mesh.element, forest)
+        triangles, level = forest.sheet.triangles[:, mesh.element], element_levels(mesh.element, forest)
         reference, mobility = reference[:, mesh.node], forest.mobility[:, mesh.node]
     ratios = nodal_ratio(ratio, sheet, reference, mobility > 0.0)
 
@@ -161,10 +161,10 @@ def make_result(
         """In the order of the scene's nodes; what does not exist has another value."""
         return values if mesh is None else jnp.where(active, values[..., node], otherwise)
 
-    def ordered(values: jax.Array, rule: Rule) -> jax.Array:
+    def in_scene_order(values: jax.Array, rule: FieldRule) -> jax.Array:
         return nodal(values, scene.parison.positions.T if rule.absent is None else rule.absent)
 
-    nodes = dataclasses.replace(state.nodes, mode=None).mapped(ordered)
+    nodes = dataclasses.replace(state.nodes, mode=None).map_fields(in_scene_order)
     change = _change_of_temperature(state, scene, now, ratio, last)
     volume = enclosed_volume(state.nodes.positions, sheet)
     return Result(
@@ -189,7 +189,9 @@ def make_result(
             strain=strain_energy(state, scene, now),
             kinetic=kinetic_energy(state, now.mass) - state.account.kinetic_excess,
             external_work=state.account.external_work + last_work(state, scene, volume),
-            tool_work=jnp.zeros_like(state.time) if state.account.tool_whole is None else state.account.tool_whole,
+            tool_work=jnp.zeros_like(state.time)
+            if state.account.total_tool_work is None
+            else state.account.total_tool_work,
             **(dict.fromkeys(("viscous_loss", "cooling_loss"), jnp.zeros_like(state.time)) | state.account.losses()),
             kinetic_peak=state.account.kinetic_peak,
             peak_work=jax.lax.stop_gradient(state.account.peak_work),
@@ -200,7 +202,7 @@ def make_result(
         windows=state.windows,
         shortened=state.shortened,
         status=state.status,
-        loading=None if state.account.pressed is None else present_pressure(state, scene, volume).own,
+        loading=None if state.account.load_state is None else present_pressure(state, scene, volume).state,
         schedule=None if taken is None else Schedule(*taken, None if mesh is None else mesh.split_at),
         temperature=None if change is None else nodal(change, 0.0) + jnp.asarray(scene.parison.temperature),
     )
@@ -215,29 +217,29 @@ def _change_of_temperature(
         return None
     used, time = sheet.area > 0.0, state.time
     wall = now.thickness * jnp.where(used, ratio, 1.0)
-    share = touching(nodes, sheet.triangles, heat.time, time)
+    share = contact_share(nodes, sheet.triangles, heat.time, time)
     density = now.zones.get("density", scene.material.density)
-    walls = Walls(now.temperature, wall, share, density)
-    change = further(heat, cooling, walls, time)
+    walls = ThermalElements(now.temperature, wall, share, density)
+    change = temperature_change(heat, cooling, walls, time)
     # From there on it touches what it touches now.
     begun = jnp.broadcast_to(time, change.shape)
-    walls = walls._replace(share=touching(nodes, sheet.triangles, begun, time))
-    still = (state.status == 0) & nothing_moves(state, scene) & last
+    walls = walls._replace(share=contact_share(nodes, sheet.triangles, begun, time))
+    still = (state.status == 0) & is_at_rest(state, scene) & last
     end = jnp.where(still, jnp.maximum(scene.solver.end_time, time), time)
-    change = further(Heat(change, begun, change), cooling, walls, end)
+    change = temperature_change(ThermalState(change, begun, change), cooling, walls, end)
     shares = jnp.stack([sheet.area, jnp.where(used, sheet.area * change, 0.0)])
     area, total = (membrane.sum_to_nodes(row, sheet.triangles, now.mass.size) for row in shares)
     return total / jnp.where(area > 0.0, area, 1.0)
 
 
-def _added_mass(scene: Scene, now: Discretization, mesh: Mesh | None) -> jax.Array:
+def _added_mass(scene: Scene, now: Discretization, mesh: RefinedMesh | None) -> jax.Array:
     adaptivity, volume = scene.adaptivity, now.sheet.area * now.thickness
     if adaptivity is None or mesh is None:
         return jnp.zeros((), volume.dtype)
-    return jnp.sum(volume * (adaptivity.forest.heavier[mesh.element] - 1.0)) / jnp.sum(volume)
+    return jnp.sum(volume * (adaptivity.forest.mass_scale[mesh.element] - 1.0)) / jnp.sum(volume)
 
 
-def only_used(scene: Scene, result: Result) -> tuple[Scene, Result]:
+def drop_unused(scene: Scene, result: Result) -> tuple[Scene, Result]:
     """The part with the nodes and elements alone that exist, for pictures and files: room is left out on the host.
 
     A mold that moves is where it was at that time.

@@ -59,16 +59,16 @@ def is_axisymmetric(scene: Scene) -> bool:
     sheet, thickness = np.asarray(parison.positions, float), np.asarray(parison.thickness, float)
     if np.ptp(thickness) > _ALIKE * thickness.max():
         rings = np.stack([np.hypot(*sheet[:, :2].T) / np.ptp(sheet), thickness / thickness.max()], axis=1)
-        if not _in_rings(rings, rings[:, 0] > _ALIKE, 2):
+        if not _is_ring_pattern(rings, rings[:, 0] > _ALIKE, 2):
             return False
     if scene.mold is None:
         return True
     mold = scene.mold.where_it_turns()
     rings = np.stack([np.hypot(*mold[:, :2].T), mold[:, 2]], axis=1) / np.ptp(mold)
-    return _in_rings(rings, rings[:, 0] > _ALIKE, _ROUND // whole)
+    return _is_ring_pattern(rings, rings[:, 0] > _ALIKE, _ROUND // whole)
 
 
-def _in_rings(values: Array, off_axis: NDArray[np.bool_], fewest: int) -> bool:
+def _is_ring_pattern(values: Array, off_axis: NDArray[np.bool_], fewest: int) -> bool:
     """Whether each of the values (n, 2) off the axis is there so many times at least."""
     _, count = np.unique((values[off_axis] / _ALIKE).round(), axis=0, return_counts=True)
     return bool((count >= fewest).all())

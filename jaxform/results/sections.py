@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform.mesh.rows import distinct
+from jaxform.mesh.rows import distinct_rows
 from jaxform.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-class Curve(NamedTuple):
+class SectionCurve(NamedTuple):
     """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called.
 
     Where it was to run through a place, `marked` is the arc length there. Where its points are in the formed part,
@@ -63,7 +63,7 @@ def meridian_arc(scene: Scene, result: Result) -> Array:
     return np.interp(radius, radius[order], arc)
 
 
-def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[Curve]:
+def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[SectionCurve]:
     """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet.
 
     Args:
@@ -81,7 +81,7 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
             outwards = np.argsort(radius)
             marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
         wall, place = np.asarray(result.thickness, float)[order], np.asarray(result.positions, float)[order]
-        return [Curve(arc[order], wall, "all nodes", place, marked)]
+        return [SectionCurve(arc[order], wall, "all nodes", place, marked)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
     longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
     found = []
@@ -90,13 +90,13 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
         pieces = cuts(scene, result, axis, level)
         if through is None:
-            found += [Curve(piece.arc, piece.thickness, name, piece.place) for piece in pieces[:1]]
+            found += [SectionCurve(piece.arc, piece.thickness, name, piece.place) for piece in pieces[:1]]
         elif pieces:
             found.append(_nearest(pieces, scene, result, np.asarray(through), name))
     return found
 
 
-def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, name: str) -> Curve:
+def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, name: str) -> SectionCurve:
     """Of the pieces of a section, the one that runs nearest to a place [m] in the initial sheet."""
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     element = int(np.argmin(np.linalg.norm(corners.mean(1) - through, axis=1)))
@@ -104,7 +104,7 @@ def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, na
     away = [np.linalg.norm(piece.place - place, axis=1) for piece in pieces]
     best = int(np.argmin([distance.min() for distance in away]))
     arc, wall = pieces[best].arc, pieces[best].thickness
-    return Curve(arc, wall, name, pieces[best].place, float(arc[np.argmin(away[best])]))
+    return SectionCurve(arc, wall, name, pieces[best].place, float(arc[np.argmin(away[best])]))
 
 
 def symmetry_planes(scene: Scene) -> dict[int, float]:
@@ -158,7 +158,7 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
     sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
     cut = (height[sides[..., 0]] > 0) != (height[sides[..., 1]] > 0)
     crossed = cut.sum(1) == 2
-    edge, _, index, _ = distinct(sides[crossed][cut[crossed]])
+    edge, _, index, _ = distinct_rows(sides[crossed][cut[crossed]])
     share = height[edge[:, 0]] / (height[edge[:, 0]] - height[edge[:, 1]])
     place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
     wall = np.asarray(result.thickness, float)
@@ -167,7 +167,7 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
     return sorted(pieces, key=lambda piece: -piece.arc[-1])
 
 
-def crossed(faces: Array, axis: int, level: float) -> Array:
+def cut_triangles(faces: Array, axis: int, level: float) -> Array:
     """Where a plane across an axis cuts triangles (n, 3, 3): the ends of a line in each that it cuts, (k, 2, 3)."""
     above = faces[..., axis] >= level
     cut = above.any(1) & ~above.all(1)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.model.scene import Parison, Scene, make_parison
-from jaxform.results.result import Result, only_used
+from jaxform.results.result import Result, drop_unused
 
 Array = NDArray[np.float64]
 
@@ -28,20 +28,22 @@ def parison_of(result: Result, scene: Scene) -> Parison:
         The parison, with the final positions (n_node, 3) [m], and with a nodal thickness (n_node,) [m] of which the
         elements' volumes sum up to those of the part to rounding.
     """
-    kept, part = only_used(scene, result)
+    kept, part = drop_unused(scene, result)
     positions, triangles = np.asarray(part.positions, float), np.asarray(part.triangles)
     temperature = kept.parison.temperature if part.temperature is None else part.temperature
     return make_parison(
         positions,
         triangles,
-        _conserving(np.asarray(part.thickness, float), positions, triangles, np.asarray(part.element_volume, float)),
+        _conserve_volume(
+            np.asarray(part.thickness, float), positions, triangles, np.asarray(part.element_volume, float)
+        ),
         np.asarray(kept.parison.clamped),
         np.asarray(kept.parison.fixed),
         None if temperature is None else np.asarray(temperature),
     )
 
 
-def _conserving(thickness: Array, positions: Array, triangles: NDArray[np.integer], volume: Array) -> Array:
+def _conserve_volume(thickness: Array, positions: Array, triangles: NDArray[np.integer], volume: Array) -> Array:
     """A nodal thickness (n_node,) [m] near the given one, whose elements have the given volume (n_element,) in all.
 
     An element's thickness is the mean of its nodes'. What it has too much or too little of its volume is shared out

@@ -8,17 +8,17 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxform.core.rules import by_own_rules
-from jaxform.core.words import place
+from jaxform.core.formatting import format_place
+from jaxform.core.promotion import with_standard_promotion
 from jaxform.loads import Pressure
-from jaxform.materials.tension_field import taut
+from jaxform.materials.tension_field import relax_slack_strain
 from jaxform.model.scene import Scene
-from jaxform.results.energy import Energy, unmoved
+from jaxform.results.energy import Energy, warnings_of_no_work
 from jaxform.results.explanation import explain
-from jaxform.results.filling import filling_of, mold_offset, warnings_of_filling
-from jaxform.results.part import counted
+from jaxform.results.filling import measure_filling, mold_offset, warnings_of_filling
+from jaxform.results.part import restrict_to_part
+from jaxform.results.part_warnings import thinnest_element, warnings_of_part
 from jaxform.results.result import Result, Seconds
-from jaxform.results.review import thinnest, warnings_of_part
 from jaxform.results.scatter import thinnest_recovered
 from jaxform.results.sections import symmetry_planes
 from jaxform.sheet.state import Status
@@ -35,13 +35,15 @@ def formed_areas(result: Result) -> np.ndarray:
     return volume / np.where(wall > 0.0, wall, 1.0)
 
 
-def wrinkled(result: Result) -> np.ndarray:
+def wrinkle_fraction(result: Result) -> np.ndarray:
     """How much of the sheet lies in folds (n_element,), where it is narrower than the tension in it would leave it.
 
     One less the area that the elements have over that of their material; of a law with `tension_field`.
     """
     larger, smaller = np.square(np.asarray(result.stretches, float)).T
-    relaxed = taut(*map(jnp.asarray, (larger + smaller, larger * smaller, np.square(0.5 * (larger - smaller)))))
+    relaxed = relax_slack_strain(
+        *map(jnp.asarray, (larger + smaller, larger * smaller, np.square(0.5 * (larger - smaller))))
+    )
     return 1.0 - np.sqrt(larger * smaller / np.asarray(relaxed.determinant, float))
 
 
@@ -58,11 +60,11 @@ PENDING = ("penetration_max", "penetration_place", "gap_max", "gap_place")
 """Keys of a summary that is written before the part is measured against the mold: they are null there."""
 
 
-@by_own_rules
+@with_standard_promotion
 def summarize(result: Result, scene: Scene) -> dict[str, Any]:
     """The contents of summary.json as plain numbers and words."""
-    result = with_filling(result, scene)
-    beyond, filling = penetrated(result, scene), result.filling
+    result = add_filling(result, scene)
+    beyond, filling = measure_penetration(result, scene), result.filling
     assert filling is not None
     measured = {
         "penetration_max": beyond.deepest,
@@ -75,14 +77,14 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
         *facts["warnings"],
         *warnings_of_part(result, scene),
         *warnings_of_mold(result, scene, beyond),
-        *_passed_through(beyond),
-        *_unmeasured(beyond),
+        *_warnings_of_ribs(beyond),
+        *_warnings_of_unmeasured(beyond),
         *warnings_of_filling(result, scene, filling),
     ]
     return facts | measured | {"warnings": warned}
 
 
-@by_own_rules
+@with_standard_promotion
 def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
     """The summary as far as it takes no time: the keys of `PENDING` are null, and a warning says so."""
     unmeasured = (
@@ -99,7 +101,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
     energy = {name: float(getattr(result.energy, name)) for name in kinds}
-    part, doubts = counted(result, scene)
+    part, doubts = restrict_to_part(result, scene)
     slow = float(result.energy.quasi_static_error)
     return {
         "scene": scene.name,
@@ -114,9 +116,9 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         "compile_seconds": seconds.compile,
         "run_seconds": seconds.run,
         "thickness": wall_statistics(part),
-        "thinnest": thinnest(part, scene) | thinnest_recovered(part, scene),
+        "thinnest": thinnest_element(part, scene) | thinnest_recovered(part, scene),
         "symmetry_planes": {"xyz"[axis]: level for axis, level in symmetry_planes(scene).items()},
-        "contact_fraction": float(area[_touching(result)].sum() / area.sum()),
+        "contact_fraction": float(area[_contact_elements(result)].sum() / area.sum()),
         **_wrinkles(result, scene, area),
         **_temperatures(result, scene),
         "mass": float(part.mass),
@@ -132,7 +134,11 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
 
 def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float]:
     """The share of the sheet that lies in folds, where its law lets it wrinkle."""
-    return {"wrinkled_fraction": float(area @ wrinkled(result) / area.sum())} if scene.material.tension_field else {}
+    return (
+        {"wrinkled_fraction": float(area @ wrinkle_fraction(result) / area.sum())}
+        if scene.material.tension_field
+        else {}
+    )
 
 
 def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
@@ -149,10 +155,10 @@ def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
 def warnings_of(result: Result, scene: Scene) -> list[str]:
     """What to mind about a part that was formed as asked for: a sentence each, with the remedy."""
     still = int(result.status) & ~Status.UNFILLED == 0 and (scene.motion is not None or bool(np.any(scene.pushes())))
-    return [*(unmoved(result.energy) if still else []), *_hasty(result, scene)]
+    return [*(warnings_of_no_work(result.energy) if still else []), *_warnings_of_inertia(result, scene)]
 
 
-def _hasty(result: Result, scene: Scene) -> list[str]:
+def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
     error = float(result.energy.quasi_static_error)
     if not scene.solver.quasi_static or not error > SLOW_ENOUGH:
         return []
@@ -183,15 +189,17 @@ def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[
     side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
     size = float(np.ptp(np.asarray(scene.parison.positions), axis=0).max())
     if beyond.nodes <= _NODES_BEYOND * size and beyond.elements <= _ELEMENTS_BEYOND * side:
-        return _cut_edge(beyond, corners, np.asarray(result.element_thickness, float)[np.asarray(result.used)])
+        return _warnings_of_cut_edges(
+            beyond, corners, np.asarray(result.element_thickness, float)[np.asarray(result.used)]
+        )
     return [
-        f"the sheet is beyond the mold, deepest at {place(beyond.place)} with {beyond.elements:.3g} m: it hangs over "
-        "the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
+        f"the sheet is beyond the mold, deepest at {format_place(beyond.place)} with {beyond.elements:.3g} m: it hangs "
+        "over the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
         "elements smaller"
     ]
 
 
-def _passed_through(beyond: Penetration) -> list[str]:
+def _warnings_of_ribs(beyond: Penetration) -> list[str]:
     """A sentence where the sheet passed through ribs or pins of the mold between its nodes."""
     ribs = beyond.ribs
     if not ribs.count:
@@ -199,13 +207,13 @@ def _passed_through(beyond: Penetration) -> list[str]:
     where = "in 1 place" if ribs.count == 1 else f"in about {ribs.count} places"
     return [
         f"the sheet passed through a rib or pin of the mold {where}, which stands {ribs.height:.3g} m above it at "
-        f"{place(ribs.place)} and is {ribs.width:.2g} m wide there: only nodes meet the mold, none met it; the wall "
-        "is as if it were not there; make parison.element_size smaller than it is wide, or add [refinement] with "
+        f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: only nodes meet the mold, none met it; the "
+        "wall is as if it were not there; make parison.element_size smaller than it is wide, or add [refinement] with "
         "a larger max_level"
     ]
 
 
-def _unmeasured(beyond: Penetration) -> list[str]:
+def _warnings_of_unmeasured(beyond: Penetration) -> list[str]:
     """A sentence where elements are so large that they are not compared with the mold."""
     if not beyond.unmeasured:
         return []
@@ -215,7 +223,7 @@ def _unmeasured(beyond: Penetration) -> list[str]:
     ]
 
 
-def _cut_edge(beyond: Penetration, corners: np.ndarray, walls: np.ndarray) -> list[str]:
+def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.ndarray) -> list[str]:
     """A sentence where an element cuts the mold deeper than its wall is thick.
 
     Args:
@@ -227,13 +235,13 @@ def _cut_edge(beyond: Penetration, corners: np.ndarray, walls: np.ndarray) -> li
     if not beyond.elements > walls[nearest]:
         return []
     return [
-        f"an element cuts an edge of the mold, {beyond.elements:.3g} m deep at {place(beyond.place)}, deeper than its "
-        f"wall of {walls[nearest]:.3g} m: its nodes lie on both sides of the edge; make parison.element_size smaller, "
-        "or add [refinement]"
+        f"an element cuts an edge of the mold, {beyond.elements:.3g} m deep at {format_place(beyond.place)}, deeper "
+        f"than its wall of {walls[nearest]:.3g} m: its nodes lie on both sides of the edge; make parison.element_size "
+        "smaller, or add [refinement]"
     ]
 
 
-def penetrated(result: Result, scene: Scene) -> Penetration:
+def measure_penetration(result: Result, scene: Scene) -> Penetration:
     """How far the formed part is beyond the mold; nowhere, where there is no mold."""
     positions = np.asarray(result.positions, float)
     if scene.mold is None or not np.isfinite(positions).all():
@@ -248,7 +256,7 @@ def penetrated(result: Result, scene: Scene) -> Penetration:
     return found._replace(place=found.place + offset, ribs=ribs)
 
 
-def with_filling(result: Result, scene: Scene) -> Result:
+def add_filling(result: Result, scene: Scene) -> Result:
     """The result of a run with how far it fills its mold, and `UNFILLED` in its status where it does not; on the host.
 
     One that has it is as it was. The status of a run that stopped says more; of a mold that need not be filled
@@ -256,13 +264,13 @@ def with_filling(result: Result, scene: Scene) -> Result:
     """
     if result.filling is not None:
         return result
-    filling = filling_of(result, scene)
+    filling = measure_filling(result, scene)
     short = scene.fill and filling.unfilled and not int(result.status) & ~Status.UNBALANCED
     status = result.status | Status.UNFILLED if short else result.status
     return dataclasses.replace(result, filling=filling, status=status)
 
 
-def _touching(result: Result) -> np.ndarray:
+def _contact_elements(result: Result) -> np.ndarray:
     """Elements with three stuck nodes (n_element,), at least one of which touches the mold."""
     triangles = np.asarray(result.triangles)
     stuck, touched = np.asarray(result.stuck)[triangles], (np.asarray(result.contact_time) > 0)[triangles]

@@ -13,17 +13,17 @@ from jax.core import Tracer
 from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
+from jaxform.core.promotion import device_context, with_standard_promotion
 from jaxform.core.ranges import as_numbers
-from jaxform.core.rules import by_own_rules, on_device_of
 from jaxform.kernels.blocks import on_cpu
-from jaxform.model.replacing import replace
+from jaxform.model.replacement import replace
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 from jaxform.runs.loop import IN_MEMORY, whole_run
-from jaxform.runs.padding import on_rungs
+from jaxform.runs.padding import pad_to_bucket
 
 
-@by_own_rules
+@with_standard_promotion
 def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: int | None = None) -> Result:
     """Simulates many designs of a scene: the results stacked, a design per row of every array.
 
@@ -41,7 +41,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     rows = _rows(changes)
     if workers is not None and not (isinstance(workers, int) and workers > 0):
         raise InputError("must be a positive whole number", "leave it out for one per core", "workers", workers)
-    with on_device_of(scene.parison.positions) as placed:
+    with device_context(scene.parison.positions) as placed:
         return placed(_results(scene, rows, workers))
 
 
@@ -49,8 +49,8 @@ def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> 
     """Of the designs, stacked."""
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if not on_cpu():
-        return _side_by_side(scene, {path: jnp.asarray(values) for path, values in rows.items()})
-    rooms = [on_rungs(design, recorded=True) for design in designs]
+        return _simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
+    rooms = [pad_to_bucket(design, recorded=True) for design in designs]
     whole = IN_MEMORY.program(whole_run, rooms[0].scene)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         results = list(pool.map(lambda room: room.result(whole(room.scene)), rooms))
@@ -74,6 +74,6 @@ def _row_count(rows: Mapping[str, np.ndarray]) -> int:
 
 
 @jax.jit
-def _side_by_side(scene: Scene, rows: dict[str, jax.Array]) -> Result:
+def _simulate_designs(scene: Scene, rows: dict[str, jax.Array]) -> Result:
     """All designs in one program, which serves every batch of as many designs of such a scene."""
     return jax.vmap(lambda row: whole_run(replace(scene, row)))(rows)

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.errors import InputWarning
-from jaxform.core.rules import by_own_rules, on_device_of
+from jaxform.core.promotion import device_context, with_standard_promotion
 from jaxform.core.store import PACKAGE, Store
-from jaxform.model.replacing import check_numbers, check_scene
+from jaxform.model.replacement import check_numbers, check_scene
 from jaxform.model.scene import Scene
+from jaxform.results.part_warnings import has_burst, warnings_of_part
 from jaxform.results.result import Result, Seconds
-from jaxform.results.review import has_burst, warnings_of_part
-from jaxform.results.summary import warnings_of, with_filling
-from jaxform.runs.loop import IN_MEMORY, programs, roomed
-from jaxform.runs.room import roomier, windows_left
+from jaxform.results.summary import add_filling, warnings_of
+from jaxform.runs.capacity import enlarge_room, remaining_windows
+from jaxform.runs.loop import IN_MEMORY, programs, select_bucket
 from jaxform.sheet.state import State, Status
 
 _GOING, _LAST = np.bool_(False), np.bool_(True)
@@ -42,7 +42,7 @@ class Moment:
     result: Callable[[], Result]
 
 
-@by_own_rules
+@with_standard_promotion
 def run(
     scene: Scene,
     *,
@@ -73,7 +73,7 @@ def run(
     """
     check_scene(scene)
     check_numbers(scene)
-    with on_device_of(scene.parison.positions) as placed:
+    with device_context(scene.parison.positions) as placed:
         return placed(_run(scene, on_window, on_end, store or IN_MEMORY))
 
 
@@ -83,17 +83,17 @@ def _run(
     on_end: Callable[[Result], object] | None,
     store: Store,
 ) -> Result:
-    own, room = scene, roomed(scene, store)
+    own, room = scene, select_bucket(scene, store)
     scene, limit = room.scene, own.solver.max_steps
     began = time.perf_counter()
     begin, advance, result = programs(scene, store)
     state, first, taken = begin(scene)
     ready, telling = time.perf_counter(), 0.0
     compiling = ready - began
-    while left := windows_left(scene, state, limit):
+    while left := remaining_windows(scene, state, limit):
         take = left if on_window is None else 1
         state, taken, done = advance(state, scene, first, taken, np.int32(take))
-        more = roomier(scene, state, taken, bool(done), limit)
+        more = enlarge_room(scene, state, taken, bool(done), limit)
         if more is not None:
             # One program for each size; the run goes on where it was.
             paused = time.perf_counter()
@@ -128,7 +128,7 @@ def _run(
     if has_burst(final, own):
         final = dataclasses.replace(final, status=final.status | Status.BURST)
     if own.fill:
-        final = with_filling(final, own)
+        final = add_filling(final, own)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2, skip_file_prefixes=(str(PACKAGE),))
     return final

@@ -15,33 +15,33 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxform.core.errors import InputError
+from jaxform.core.promotion import device_context, with_standard_promotion
 from jaxform.core.ranges import MOST_STEPS
-from jaxform.core.rules import by_own_rules, on_device_of
-from jaxform.kernels import sizes
-from jaxform.model.replacing import check_scene
+from jaxform.kernels import capacities
+from jaxform.model.replacement import check_scene
 from jaxform.model.scene import Refinement, Scene
-from jaxform.model.tables import Assembly, Counts, Tables
+from jaxform.model.tables import Assembly, Counts, Precomputed
 from jaxform.results.result import NODAL, OF_ELEMENTS, Result
 from jaxform.runs.arrays import (
     Order,
-    assembly_with_room,
-    field_with_room,
     forest_order,
-    forest_with_room,
-    grid_with_room,
-    like_first,
-    lying_with_room,
-    material_with_room,
-    mold_with_room,
-    nodal_with_room,
-    padded_to,
-    parison_with_room,
-    pressure_with_room,
-    rim_with_room,
-    sheet_with_room,
-    spread,
+    pad_assembly,
+    pad_field,
+    pad_forest,
+    pad_grid,
+    pad_initial_contact,
+    pad_material,
+    pad_mold,
+    pad_nodal,
+    pad_parison,
+    pad_pressure,
+    pad_rim,
+    pad_sheet,
+    pad_values,
+    pad_with_first,
+    scatter_values,
 )
-from jaxform.runs.kept import kept
+from jaxform.runs.weak_cache import cache_by_identity
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.state import Schedule
 from jaxform.tools.mold import Mold
@@ -59,16 +59,16 @@ class Padded(NamedTuple):
     """
 
     scene: Scene
-    own: Scene
+    original: Scene
     order: Order | None
 
     def result(self, result: Result) -> Result:
         """A result of the padded scene as one of the scene itself."""
         if self.order is None:
             return result
-        nodes, forest, refinement = self.order.node, self.own.tables.forest, self.own.refinement
+        nodes, forest, refinement = self.order.node, self.original.tables.forest, self.original.refinement
         used = np.asarray(result.used)
-        count = len(self.own.parison.triangles)
+        count = len(self.original.parison.triangles)
         if refinement is not None:
             count = min(max(refinement.elements, int(used.sum())), used.size)
         new = result.of(NODAL, nodes) | result.of(OF_ELEMENTS, slice(count))
@@ -86,7 +86,7 @@ class Padded(NamedTuple):
         """The decisions of the windows that the scene plans for, or that there were."""
         counts = np.asarray(schedule.counts)
         taken = np.flatnonzero(counts)
-        count = max(self.own.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)
+        count = max(self.original.tables.window_count, int(taken[-1]) + 1 if len(taken) else 0)
         split: Any = schedule.split_at
         if split is not None and order.triangle is not None:
             split = np.asarray(split)[order.triangle]
@@ -97,15 +97,15 @@ class Padded(NamedTuple):
         """A schedule of the scene itself as one of the padded scene."""
         if self.order is None:
             return schedule
-        room = sizes.windows(len(schedule.counts))
+        room = capacities.window_capacity(len(schedule.counts))
         split: Any = schedule.split_at
         if split is not None and self.order.triangle is not None:
-            split = spread(split, self.order.triangle, self.order.triangle_room, NEVER)
-        rows = {name: padded_to(getattr(schedule, name), room, 0) for name in _OF_WINDOWS}
+            split = scatter_values(split, self.order.triangle, self.order.triangle_room, NEVER)
+        rows = {name: pad_values(getattr(schedule, name), room, 0) for name in _OF_WINDOWS}
         return jax.device_put(dataclasses.replace(schedule, **rows, split_at=split))
 
 
-@by_own_rules
+@with_standard_promotion
 def padded(scene: Scene) -> Scene:
     """A scene in arrays as long as the rungs of the ladder of sizes, for `jax.jit` of functions of scenes.
 
@@ -122,11 +122,11 @@ def padded(scene: Scene) -> Scene:
         raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
     if scene.tables.counts is not None:
         return scene
-    with on_device_of(scene.parison.positions) as placed:
-        return placed(dataclasses.replace(on_rungs(scene).scene, part=scene.part))
+    with device_context(scene.parison.positions) as placed:
+        return placed(dataclasses.replace(pad_to_bucket(scene).scene, part=scene.part))
 
 
-def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
+def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
     """A scene with room, of which nothing is traced; one that has room already is as it was.
 
     Args:
@@ -136,18 +136,18 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
     """
     if scene.tables.counts is not None:
         return Padded(scene, scene, None)
-    room = kept(_rungs, scene.tables, len(scene.parison.triangles), scene.refinement, least, recorded)
+    room = cache_by_identity(_pad_tables, scene.tables, len(scene.parison.triangles), scene.refinement, least, recorded)
     order, elements = room.order, room.order.elements
     own = {
-        "parison": parison_with_room(scene.parison, elements, order),
-        "material": material_with_room(scene.material, order),
-        "pressure": pressure_with_room(scene.pressure),
+        "parison": pad_parison(scene.parison, elements, order),
+        "material": pad_material(scene.material, order),
+        "pressure": pad_pressure(scene.pressure),
         "solver": dataclasses.replace(scene.solver, quasi_static=False, max_steps=MOST_STEPS),
-        "fields": {name: field_with_room(field, order) for name, field in scene.fields.items()},
+        "fields": {name: pad_field(field, order) for name, field in scene.fields.items()},
         "cooling": scene.cooling,
     }
     whole = Scene(
-        mold=None if scene.mold is None else kept(_mold, scene.mold),
+        mold=None if scene.mold is None else cache_by_identity(_mold, scene.mold),
         refinement=room.refinement,
         tables=room.tables,
         name="",
@@ -157,30 +157,32 @@ def on_rungs(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
 
 
 def _mold(mold: Mold) -> Mold:
-    return jax.device_put(mold_with_room(mold))
+    return jax.device_put(pad_mold(mold))
 
 
-class _Rungs(NamedTuple):
+class _PaddedTables(NamedTuple):
     """Tables with room, limits of refinement that go with it, and where things of a scene are in them."""
 
-    tables: Tables
+    tables: Precomputed
     refinement: Refinement | None
     order: Order
 
 
-def _rungs(tables: Tables, count: int, refinement: Refinement | None, least: int, recorded: bool) -> _Rungs:
-    """Of the tables of a scene of so many elements; the rest as of `on_rungs`."""
+def _pad_tables(
+    tables: Precomputed, count: int, refinement: Refinement | None, least: int, recorded: bool
+) -> _PaddedTables:
+    """Of the tables of a scene of so many elements; the rest as of `pad_to_bucket`."""
     forest, nodes = tables.forest, tables.mobility.shape[1]
     pair_count = None
     if forest is None:
-        elements = sizes.elements(max(count, least))
-        room = sizes.nodes(nodes, elements)
+        elements = capacities.element_capacity(max(count, least))
+        room = capacities.node_capacity(nodes, elements)
         order = Order(np.arange(nodes), None, elements, room, room, 0)
         pairs = tables.assembly.pairs
         pair_count = None if pairs is None else pairs.element.shape[1]
-        assembly = assembly_with_room(tables.assembly, elements, order.node_room)
+        assembly = pad_assembly(tables.assembly, elements, order.node_room)
     else:
-        elements = sizes.roots(max(forest.root_count, least))
+        elements = capacities.root_capacity(max(forest.root_count, least))
         order = forest_order(forest, elements)
         nodes = forest.first_nodes
         none: Any = np.zeros(0, np.int32)
@@ -190,25 +192,25 @@ def _rungs(tables: Tables, count: int, refinement: Refinement | None, least: int
     counts = Counts(numbers[0], numbers[1], None if pair_count is None else numbers[2])
     grown = None
     if forest is not None and refinement is not None:
-        refinement = dataclasses.replace(refinement, elements=sizes.grown(refinement.elements))
-        grown = forest_with_room(forest, refinement, order)
-    made = Tables(
-        sheet=sheet_with_room(tables.sheet, elements, order),
+        refinement = dataclasses.replace(refinement, elements=capacities.refined_capacity(refinement.elements))
+        grown = pad_forest(forest, refinement, order)
+    made = Precomputed(
+        sheet=pad_sheet(tables.sheet, elements, order),
         assembly=assembly,
-        bound=grown.bound if grown is not None else like_first(tables.bound, elements),
-        mobility=nodal_with_room(tables.mobility, order, 0.0),
+        bound=grown.bound if grown is not None else pad_with_first(tables.bound, elements),
+        mobility=pad_nodal(tables.mobility, order, 0.0),
         size=tables.size,
         box=tables.box,
-        grid=None if tables.grid is None else grid_with_room(tables.grid),
+        grid=None if tables.grid is None else pad_grid(tables.grid),
         forest=grown,
-        lying=None if tables.grid is None else lying_with_room(tables.lying, order),
+        initial_contact=None if tables.grid is None else pad_initial_contact(tables.initial_contact, order),
         longest_window=tables.longest_window,
         planned=tables.planned,
-        window_count=sizes.windows(tables.window_count, recorded=recorded),
+        window_count=capacities.window_capacity(tables.window_count, recorded=recorded),
         window_room=tables.window_room,
         pairs_per_node=tables.pairs_per_node,
         counts=counts,
-        rim=None if tables.rim is None else rim_with_room(tables.rim, order),
+        rim=None if tables.rim is None else pad_rim(tables.rim, order),
     )
     made, refinement = jax.device_put((made, refinement))
-    return _Rungs(made, refinement, order)
+    return _PaddedTables(made, refinement, order)

@@ -11,24 +11,24 @@ import jax.numpy as jnp
 from jax.core import ShapedArray, Tracer
 from jax.custom_derivatives import SymbolicZero
 
-from jaxform.adapt.refinement import refined, without_sides
-from jaxform.adjoint.strategies import Adjoint, adjoint_of
+from jaxform.adapt.refinement import drop_sides, refine
+from jaxform.adjoint.strategies import Adjoint, choose_adjoint
 from jaxform.core.errors import InputError
-from jaxform.core.pytree import in_precision
-from jaxform.core.rules import by_own_rules, on_device_of
+from jaxform.core.promotion import device_context, with_standard_promotion
+from jaxform.core.pytree import cast_to_precision
 from jaxform.dynamics.initial import initial_state
-from jaxform.kernels.derivatives import Rule, apart, recomputed
-from jaxform.kernels.sealed import manual_axes
-from jaxform.model.replacing import check_scene, with_stand_ins
+from jaxform.kernels.derivatives import DerivativeRule, as_single_operation, recompute
+from jaxform.kernels.opaque_primitive import manual_axes
+from jaxform.model.replacement import check_scene, sanitize_parameters
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result, make_result
-from jaxform.runs.loop import closed, latest, unless_full
-from jaxform.runs.padding import on_rungs
+from jaxform.runs.loop import finalize_state, latest_decisions, skip_if_full
+from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization
-from jaxform.sheet.state import Schedule, State, Status, Taken, carries, finished
+from jaxform.sheet.state import Schedule, State, Status, Taken, differentiable_leaves, is_finished
 
 
-@by_own_rules
+@with_standard_promotion
 def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint | None = None) -> Result:
     """Simulates a scene; a pure function of its leaves: jit, vmap, jvp and grad apply.
 
@@ -51,25 +51,25 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
     check_scene(scene)
     if schedule is not None and not isinstance(schedule, Schedule):
         raise InputError("is no schedule", "give that of a result: result.schedule", "schedule", schedule)
-    schedule = in_precision(schedule)
+    schedule = cast_to_precision(schedule)
     if isinstance(scene.solver.end_time, Tracer):
-        end_time = _without_derivative(scene.solver.end_time)
+        end_time = _refuse_derivative(scene.solver.end_time)
         scene = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=end_time))
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((scene, schedule))):
-        return _simulate(scene, schedule, adjoint_of(scene, adjoint))
-    with on_device_of(scene.parison.positions) as placed:
-        room = on_rungs(scene)
+        return _simulate(scene, schedule, choose_adjoint(scene, adjoint))
+    with device_context(scene.parison.positions) as placed:
+        room = pad_to_bucket(scene)
         given = None if schedule is None else room.schedule(schedule)
-        return placed(room.result(_simulate(room.scene, given, adjoint_of(scene, adjoint))))
+        return placed(room.result(_simulate(room.scene, given, choose_adjoint(scene, adjoint))))
 
 
 @jax.custom_jvp
-def _without_derivative(end_time: jax.Array) -> jax.Array:
+def _refuse_derivative(end_time: jax.Array) -> jax.Array:
     """The same; how many steps there are depends on it, so no derivative says what a run for longer would give."""
     return end_time
 
 
-@functools.partial(_without_derivative.defjvp, symbolic_zeros=True)
+@functools.partial(_refuse_derivative.defjvp, symbolic_zeros=True)
 def _(primals: tuple[jax.Array], tangents: tuple[Any]) -> tuple[jax.Array, Any]:
     if not isinstance(tangents[0], SymbolicZero):
         remedy = "take differences, or design pressure.time within a fixed end_time"
@@ -79,44 +79,44 @@ def _(primals: tuple[jax.Array], tangents: tuple[Any]) -> tuple[jax.Array, Any]:
 
 @functools.partial(jax.jit, static_argnums=2)
 def _simulate(scene: Scene, schedule: Schedule | None, adjoint: Adjoint) -> Result:
-    whole = functools.partial(_simulated, adjoint)
+    whole = functools.partial(_simulate_checked, adjoint)
     if manual_axes(jax.tree.leaves((scene, schedule))):
-        return apart(whole, scene, schedule)
+        return as_single_operation(whole, scene, schedule)
     return whole(scene, schedule)
 
 
-def _simulated(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
-    scene, out_of_range = with_stand_ins(scene)
-    first, state = discretize(scene), without_sides(initial_state(scene))
+def _simulate_checked(adjoint: Adjoint, scene: Scene, schedule: Schedule | None) -> Result:
+    scene, out_of_range = sanitize_parameters(scene)
+    first, state = discretize(scene), drop_sides(initial_state(scene))
     state = dataclasses.replace(state, status=jnp.where(jnp.all(out_of_range == 0), state.status, Status.INPUT))
     count = scene.tables.window_count
     if adjoint.windows > 1:
-        several = _recomputed_windows(adjoint)
+        several = _checkpointed_windows(adjoint)
         groups = -(-count // adjoint.windows)
         state, taken = jax.lax.scan(lambda state, _: several(state, scene, first, schedule), state, length=groups)
         taken = jax.tree.map(lambda values: values.reshape(-1)[:count], taken)
     else:
         state, taken = _windows(state, scene, first, schedule, count=count, adjoint=adjoint)
-    result = make_result(closed(state, scene, first), scene, first, jax.lax.stop_gradient(taken), True)
-    return _without_wall(dataclasses.replace(result, out_of_range=out_of_range), jnp.any(out_of_range != 0))
+    result = make_result(finalize_state(state, scene, first), scene, first, jax.lax.stop_gradient(taken), True)
+    return _mask_walls(dataclasses.replace(result, out_of_range=out_of_range), jnp.any(out_of_range != 0))
 
 
-def _without_wall(result: Result, unknown: jax.Array) -> Result:
+def _mask_walls(result: Result, unknown: jax.Array) -> Result:
     """The result, with NaN for what the walls are judged by where that is unknown: the sheet at rest is perfectly even.
 
     What does not exist has 0, as ever.
     """
 
-    def known(values: jax.Array, here: jax.Array) -> jax.Array:
+    def mask_unknown(values: jax.Array, here: jax.Array) -> jax.Array:
         return jnp.where(unknown & here, jnp.nan, values)
 
     used = result.used
     return dataclasses.replace(
         result,
-        thickness=known(result.thickness, result.active),
-        element_thickness=known(result.element_thickness, used),
-        element_volume=known(result.element_volume, used),
-        stretches=known(result.stretches, used[:, None]),
+        thickness=mask_unknown(result.thickness, result.active),
+        element_thickness=mask_unknown(result.element_thickness, used),
+        element_volume=mask_unknown(result.element_volume, used),
+        stretches=mask_unknown(result.stretches, used[:, None]),
         mass=jnp.where(unknown, jnp.nan, result.mass),
     )
 
@@ -127,32 +127,32 @@ def _windows(
     """So many windows, as far as there is anything to do."""
 
     def look(state: State) -> tuple[State, Discretization]:
-        return refined(state, scene, present_discretization(scene, state.mesh, first), schedule)
+        return refine(state, scene, present_discretization(scene, state.mesh, first), schedule)
 
     def take(state: State) -> State:
-        state, now = adjoint.border(look)(state)
+        state, now = adjoint.apply_boundary(look)(state)
 
         def whole(state: State) -> State:
             return adjoint.window(state, scene, now, first, schedule)
 
-        return unless_full(state.status, scene, whole, state, adjoint.only_if)
+        return skip_if_full(state.status, scene, whole, state, adjoint.cond_once)
 
-    def unless_finished(state: State, _: None) -> tuple[State, Taken]:
-        done = finished(state, scene) | (state.windows >= scene.tables.window_count)
-        state = adjoint.only_if(~done, take, state)
-        return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), latest(state))
+    def skip_if_finished(state: State, _: None) -> tuple[State, Taken]:
+        done = is_finished(state, scene) | (state.windows >= scene.tables.window_count)
+        state = adjoint.cond_once(~done, take, state)
+        return state, jax.tree.map(lambda value: jnp.where(done, jnp.zeros_like(value), value), latest_decisions(state))
 
-    return jax.lax.scan(unless_finished, state, length=count)
+    return jax.lax.scan(skip_if_finished, state, length=count)
 
 
 @functools.cache
-def _recomputed_windows(adjoint: Adjoint) -> Rule:
+def _checkpointed_windows(adjoint: Adjoint) -> DerivativeRule:
     """So many windows of which the reverse derivative keeps the state before the first."""
 
     def like(state: State, *_: object) -> Any:
-        return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in latest(state))
+        return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in latest_decisions(state))
 
     def smooth(result: tuple[State, Taken]) -> Any:
-        return carries(result[0]), jax.tree.map(lambda _: False, result[1])
+        return differentiable_leaves(result[0]), jax.tree.map(lambda _: False, result[1])
 
-    return recomputed(functools.partial(_windows, count=adjoint.windows, adjoint=adjoint), like, smooth)
+    return recompute(functools.partial(_windows, count=adjoint.windows, adjoint=adjoint), like, smooth)

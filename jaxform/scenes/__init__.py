@@ -78,7 +78,7 @@ def dish(
     _set_fineness(data, elements, element_size)
     if (radius, depth, wall_angle) != (None, None, None):
         data["mold"]["profile"] = _cup(data["mold"]["profile"], radius, depth, wall_angle)
-    return _built("dish", document, data)
+    return _build("dish", document, data)
 
 
 def box_insert(
@@ -135,7 +135,7 @@ def box_insert(
     document = files.read_scene("box-insert")
     data = _table(document, changes, material, pressure, end_time, damping, refinement)
     _set_fineness(data, elements, element_size)
-    return _built("box_insert", document, data)
+    return _build("box_insert", document, data)
 
 
 def soap_bottle(
@@ -191,7 +191,7 @@ def soap_bottle(
     }
     document = files.read_scene("soap-bottle")
     data = _table(document, changes, material, pressure, end_time, damping, refinement)
-    return _built("soap_bottle", document, data)
+    return _build("soap_bottle", document, data)
 
 
 def exact_wall(name: str = "dish") -> dict[str, NDArray[np.float64]]:
@@ -231,16 +231,16 @@ def _table(
     if isinstance(material, Mapping) and "model" in material:
         # Another law has other constants; of the file's only the density means the same.
         data["material"] = {"density": data["material"]["density"]}
-    data["material"] = _merged("material", data["material"], material)
+    data["material"] = _merge("material", data["material"], material)
     data["pressure"] = _pressure(data["pressure"], pressure)
     if refinement is False:
         data.pop("refinement", None)
     elif refinement is not None:
-        data["refinement"] = _merged("refinement", data.get("refinement", {}), refinement)
+        data["refinement"] = _merge("refinement", data.get("refinement", {}), refinement)
     return data
 
 
-def _merged(key: str, table: dict[str, Any], keys: Any) -> dict[str, Any]:
+def _merge(key: str, table: dict[str, Any], keys: Any) -> dict[str, Any]:
     if keys is None:
         return table
     if not isinstance(keys, Mapping):
@@ -250,7 +250,7 @@ def _merged(key: str, table: dict[str, Any], keys: Any) -> dict[str, Any]:
 
 def _pressure(table: dict[str, Any], pressure: Any) -> dict[str, Any]:
     if pressure is None or isinstance(pressure, Mapping):
-        return _merged("pressure", table, pressure)
+        return _merge("pressure", table, pressure)
     last = _plain("pressure", pressure)
     if isinstance(last, bool) or not isinstance(last, int | float) or not math.isfinite(last):
         raise InputError("is neither a pressure nor a table", "give Pa, or keys of [pressure]", "pressure", pressure)
@@ -282,9 +282,9 @@ def _cup(profile: list[list[float]], radius: Any, depth: Any, wall_angle: Any) -
     """The cup's meridian, from the axis outwards, with other dimensions [m, m, degrees]."""
     (_, old_depth), (corner, _), (old_radius, _) = profile
     old_angle = math.degrees(math.atan2(old_depth, old_radius - corner))
-    r = _ranged("radius", radius, old_radius, 0.0, math.inf)
-    z = _ranged("depth", depth, old_depth, 0.0, math.inf)
-    angle = _ranged("wall_angle", wall_angle, old_angle, 0.0, 90.0)
+    r = _check_range("radius", radius, old_radius, 0.0, math.inf)
+    z = _check_range("depth", depth, old_depth, 0.0, math.inf)
+    angle = _check_range("wall_angle", wall_angle, old_angle, 0.0, 90.0)
     # A right angle's tangent is finite in floating point: the wall is set upright.
     bottom = r if angle == 90 else r - z / math.tan(math.radians(angle))
     if bottom <= 0:
@@ -296,7 +296,7 @@ def _cup(profile: list[list[float]], radius: Any, depth: Any, wall_angle: Any) -
     return [[0.0, z], [bottom, z], [r, 0.0]]
 
 
-def _ranged(key: str, value: Any, otherwise: float, least: float, most: float) -> float:
+def _check_range(key: str, value: Any, otherwise: float, least: float, most: float) -> float:
     """The number, if it is above the least and not above the most."""
     number = otherwise if value is None else _plain(key, value)
     good = isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)
@@ -306,6 +306,6 @@ def _ranged(key: str, value: Any, otherwise: float, least: float, most: float) -
     return float(number)
 
 
-def _built(name: str, document: files.SceneDocument, data: dict[str, Any]) -> Scene:
+def _build(name: str, document: files.SceneDocument, data: dict[str, Any]) -> Scene:
     file = f"jaxform.scenes.{name}"
     return files.build(files.SceneDocument(file, document.folder, data, validate(schema.SceneFile, data, file)))

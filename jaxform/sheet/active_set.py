@@ -12,25 +12,25 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact.lists import Lists
+from jaxform.contact.lists import CandidateLists
 from jaxform.core.pytree import pytree
-from jaxform.kernels.blocks import BLOCK, Halves, halves, only_if, over_blocks, total
+from jaxform.kernels.blocks import BLOCK, Halves, lax_cond_once, over_blocks, split_halves, total
 from jaxform.materials import Law, Modes
+from jaxform.mechanics.constitutive import Response, ViscousMemory
 from jaxform.mechanics.elements import Corners
-from jaxform.mechanics.nodes import Rule
-from jaxform.mechanics.response import Memory, Response
+from jaxform.mechanics.nodes import FieldRule
 from jaxform.model.scene import Scene
-from jaxform.model.tables import Counts, Sheet
-from jaxform.sheet.account import Held, account, enclosed_volume
-from jaxform.sheet.discretization import Discretization, Mesh, law_of
-from jaxform.sheet.heat import Heat
-from jaxform.sheet.idle import Idle, left_behind
+from jaxform.model.tables import Counts, ReferenceGeometry
+from jaxform.sheet.discretization import Discretization, RefinedMesh, element_law
+from jaxform.sheet.energy_balance import ElementTotals, element_energy, enclosed_volume
+from jaxform.sheet.heat import ThermalState
+from jaxform.sheet.inactive_relaxation import InactiveElements, inactive_elements
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
 
 
 @pytree
-class Room:
+class Workspace:
     """Arrays that are written before they are read: kept from window to window, they need not be cleared.
 
     Attributes:
@@ -41,10 +41,10 @@ class Room:
 
     corners: Corners
     basis: jax.Array | None
-    lists: Lists | None
+    lists: CandidateLists | None
 
 
-class Begun(NamedTuple):
+class InitialProperties(NamedTuple):
     """What a sheet that cools was like when the run began: temperature (room,) [degC], and zones without a shift."""
 
     temperature: jax.Array
@@ -84,10 +84,10 @@ class ActiveSet:
     idle_volume: jax.Array
     idle_energy: jax.Array
     memory: jax.Array | None = None
-    idle: Idle | None = None
-    room: Room | None = None
-    heat: Heat | None = None
-    begun: Begun | None = None
+    idle: InactiveElements | None = None
+    workspace: Workspace | None = None
+    heat: ThermalState | None = None
+    initial: InitialProperties | None = None
 
     def volume(self, positions: jax.Array) -> jax.Array:
         """Volume [m^3] that the sheet encloses, with what is active at positions (3, place) [m]; differentiable."""
@@ -95,40 +95,48 @@ class ActiveSet:
         counted = 1.0 if elements.orientation is None else elements.orientation
         return enclosed_volume(positions, elements, counted) + self.idle_volume
 
-    def taken(self, state: State) -> PackedState:
+    def pack_state(self, state: State) -> PackedState:
         """A state in packed order; at places beyond the nodes they stick."""
 
-        def taken(values: jax.Array, rule: Rule) -> jax.Array:
-            own = self.packed.taken(values)
+        def pack_values(values: jax.Array, rule: FieldRule) -> jax.Array:
+            own = self.packed.pack(values)
             if rule.beyond is None:
                 return own
             return own | ~self.packed.exists if rule.beyond is True else jnp.where(self.packed.exists, own, rule.beyond)
 
         memory = None if state.memory is None else state.memory[:, self.packed.element]
-        heat = None if state.heat is None else state.heat.taken(self.packed.element)
-        return PackedState(dataclasses.replace(state, nodes=state.nodes.mapped(taken), memory=memory, heat=heat))
+        heat = None if state.heat is None else state.heat.select(self.packed.element)
+        return PackedState(
+            dataclasses.replace(state, nodes=state.nodes.map_fields(pack_values), memory=memory, heat=heat)
+        )
 
-    def put_back(self, state: PackedState) -> State:
+    def unpack_state(self, state: PackedState) -> State:
         """A state in the mesh's order."""
-        nodes = state.nodes.mapped(lambda values, _: self.packed.put_back(values))
-        heat = None if state.heat is None or self.heat is None else jax.tree.map(self._put, self.heat, state.heat)
+        nodes = state.nodes.map_fields(lambda values, _: self.packed.unpack(values))
+        heat = (
+            None
+            if state.heat is None or self.heat is None
+            else jax.tree.map(self._unpack_elements, self.heat, state.heat)
+        )
         state = dataclasses.replace(state, nodes=nodes, heat=heat)
-        return state if state.memory is None or self.memory is None else self._with_memory(state, self.memory)
+        return state if state.memory is None or self.memory is None else self._unpack_memory(state, self.memory)
 
-    def _put(self, values: jax.Array, own: jax.Array) -> jax.Array:
+    def _unpack_elements(self, values: jax.Array, own: jax.Array) -> jax.Array:
         """Values of all elements (..., n_element) with those of its own (..., room)."""
         place = jnp.where(self.packed.elements.area > 0.0, self.packed.element, values.shape[-1])
         return values.at[..., place].set(own, mode="drop")
 
-    def _with_memory(self, state: State, memory: jax.Array) -> State:
+    def _unpack_memory(self, state: State, memory: jax.Array) -> State:
         """With the memory of all elements, from the packed ones' and what all had when they were packed."""
         account, before = state.account, state.account.viscous_loss
         if self.idle is not None and before is not None:
-            memory, lost = self.idle.put(memory, state.time)
+            memory, lost = self.idle.unpack_stress(memory, state.time)
             account = dataclasses.replace(account, viscous_loss=before + lost)
-        return dataclasses.replace(state, memory=self._put(memory, jnp.asarray(state.memory)), account=account)
+        return dataclasses.replace(
+            state, memory=self._unpack_elements(memory, jnp.asarray(state.memory)), account=account
+        )
 
-    def response(self, material: Law, memory: Memory | None = None) -> Response:
+    def response(self, material: Law, memory: ViscousMemory | None = None) -> Response:
         """How its elements answer to strain, of a scene with this law."""
         return Response(material.elastic.with_zones(self.zones), memory)
 
@@ -138,10 +146,10 @@ class ActiveSet:
 
     def law(self, material: Law) -> Law:
         """The law of its elements, of a scene with this one."""
-        return law_of(material, self.zones, self.modes)
+        return element_law(material, self.zones, self.modes)
 
 
-def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: Discretization) -> Packed:
+def pack_moving(stuck: jax.Array, mesh: RefinedMesh | None, scene: Scene, discrete: Discretization) -> Packed:
     """The elements and nodes of a window that begins with such nodes (n_node,) stuck."""
     if not scene.packs_moving:
         return discrete.whole
@@ -152,19 +160,19 @@ def packed_moving(stuck: jax.Array, mesh: Mesh | None, scene: Scene, discrete: D
 
 def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
     """What a window works through that begins with a state in the mesh's order."""
-    packed = packed_moving(state.nodes.stuck, state.mesh, scene, discrete)
-    now = discrete.having(state.heat, scene.material)
-    return _cooling(_working(packed, state, scene, now, differentiable=differentiable), state, discrete)
+    packed = pack_moving(state.nodes.stuck, state.mesh, scene, discrete)
+    now = discrete.with_zones(state.heat, scene.material)
+    return _add_cooling(_make_active_set(packed, state, scene, now, differentiable=differentiable), state, discrete)
 
 
 def whole_set(state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
     """All there is, in the mesh's own order."""
     none, whole = jnp.zeros((), discrete.mass.dtype), discrete.whole
-    now = discrete.having(state.heat, scene.material)
-    return _cooling(_remembering(_with_masses(whole, now, none, none), state, scene, now), state, discrete)
+    now = discrete.with_zones(state.heat, scene.material)
+    return _add_cooling(_add_memory(_add_masses(whole, now, none, none), state, scene, now), state, discrete)
 
 
-def repacked(
+def repack(
     state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet, stale: jax.Array
 ) -> tuple[PackedState, ActiveSet]:
     """The state, and what the next window works through: packed anew only where that is stale, or a block too long."""
@@ -176,92 +184,96 @@ def repacked(
         moving = can_move(state.nodes.stuck, triangles, area)
         if elements.orientation is not None:
             # Both elements of a pair stay where either can move.
-            either = jnp.logical_or(*halves(moving))
-            moving = Halves(either, either).whole()
+            either = jnp.logical_or(*split_halves(moving))
+            moving = Halves(either, either).concatenate()
         return [], [moving.astype(area.dtype)]
 
-    def anew(now: tuple[PackedState, ActiveSet]) -> tuple[PackedState, ActiveSet]:
-        state = now[1].put_back(now[0])
-        new = dataclasses.replace(active_set_of(state, scene, discrete), room=active.room)
-        return new.taken(state), new
+    def pack_anew(now: tuple[PackedState, ActiveSet]) -> tuple[PackedState, ActiveSet]:
+        state = now[1].unpack_state(now[0])
+        new = dataclasses.replace(active_set_of(state, scene, discrete), workspace=active.workspace)
+        return new.pack_state(state), new
 
     if scene.packs_moving:
         _, (moving,) = over_blocks(work, elements.block_count, (elements.triangles, elements.area), [], sums=1)
         stale |= moving.astype(jnp.int32) // BLOCK + 1 < elements.block_count
-    return only_if(stale, anew, (state, active))
+    return lax_cond_once(stale, pack_anew, (state, active))
 
 
-def idle_volume(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> jax.Array:
+def inactive_volume(positions: jax.Array, scene: Scene, discrete: Discretization, packed: Packed) -> jax.Array:
     """Volume [m^3] enclosed by what is not active, of positions (3, n_node) [m]; differentiable."""
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype)
     return enclosed_volume(positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
 
 
-def _idle(state: State, scene: Scene, discrete: Discretization, packed: Packed) -> tuple[jax.Array, jax.Array]:
+def _inactive_totals(
+    state: State, scene: Scene, discrete: Discretization, packed: Packed
+) -> tuple[jax.Array, jax.Array]:
     """Its strain energy [J] and the volume [m^3], not differentiable."""
     positions = state.nodes.positions
     if not scene.packs_moving:
         return jnp.zeros((), positions.dtype), jnp.zeros((), positions.dtype)
-    held = held_by(state, scene, discrete, ~packed.kept[discrete.whole.element])
+    held = totals_of(state, scene, discrete, ~packed.kept[discrete.whole.element])
     return held.energy, held.volume
 
 
-def held_by(state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None) -> Held:
+def totals_of(state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None) -> ElementTotals:
     """What the elements that count (room,) hold, in the order of the whole; not differentiable."""
     whole, memory = discrete.whole, state.memory
-    own = discrete.having(state.heat, scene.material).of_elements(whole.element)
+    own = discrete.with_zones(state.heat, scene.material).of_elements(whole.element)
     rows = None if memory is None else memory[:, whole.element]
     fixed = state.nodes.positions, whole.elements, own.thickness, own.law(scene.material), rows
-    return account(*jax.lax.stop_gradient(fixed), counted)
+    return element_energy(*jax.lax.stop_gradient(fixed), counted)
 
 
 @jax.custom_jvp
-def _with_slope(volume: jax.Array, positions: jax.Array, sheet: Sheet, counted: jax.Array) -> jax.Array:
+def _attach_derivative(
+    volume: jax.Array, positions: jax.Array, sheet: ReferenceGeometry, counted: jax.Array
+) -> jax.Array:
     """A volume [m^3] that is known already, with the forward derivative that it has."""
     return volume
 
 
-@_with_slope.defjvp
+@_attach_derivative.defjvp
 def _(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     volume, positions, sheet, counted = primals
     moved = lambda positions: enclosed_volume(positions, sheet, counted)  # noqa: E731
     return volume, jax.jvp(moved, (positions,), (tangents[1],))[1]
 
 
-def _working(
+def _make_active_set(
     packed: Packed, state: State, scene: Scene, discrete: Discretization, *, differentiable: bool
 ) -> ActiveSet:
     positions = state.nodes.positions
-    energy, volume = _idle(state, scene, discrete, packed)
+    energy, volume = _inactive_totals(state, scene, discrete, packed)
     if differentiable:
-        volume = idle_volume(positions, scene, discrete, packed)
+        volume = inactive_volume(positions, scene, discrete, packed)
     elif scene.packs_moving:
         # Second derivatives take this way as well.
-        volume = _with_slope(volume, positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
-    return _remembering(_with_masses(packed, discrete, volume, energy), state, scene, discrete)
+        volume = _attach_derivative(volume, positions, discrete.sheet, jnp.where(packed.kept, 0.0, 1.0))
+    return _add_memory(_add_masses(packed, discrete, volume, energy), state, scene, discrete)
 
 
-def _remembering(active: ActiveSet, state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
+def _add_memory(active: ActiveSet, state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
     """With what elements remember, and those that are idle by themselves."""
     modes, memory, idle = scene.material.viscous, state.memory, None
     if modes is None or memory is None:
         return active
     if scene.packs_moving:
-        idle = left_behind(state.nodes.positions, memory, state.time, modes, discrete, active.packed)
+        idle = inactive_elements(state.nodes.positions, memory, state.time, modes, discrete, active.packed)
     return dataclasses.replace(active, memory=memory, idle=idle)
 
 
-def _cooling(active: ActiveSet, state: State, discrete: Discretization) -> ActiveSet:
+def _add_cooling(active: ActiveSet, state: State, discrete: Discretization) -> ActiveSet:
     """With what is needed to cool further."""
     if discrete.temperature is None:
         return active
     element = active.packed.element
     zones = {name: own[..., element] for name, own in discrete.zones.items()}
-    return dataclasses.replace(active, heat=state.heat, begun=Begun(discrete.temperature[element], zones))
+    return dataclasses.replace(active, heat=state.heat, initial=InitialProperties(discrete.temperature[element], zones))
 
 
-def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
+def _add_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Array, idle_energy: jax.Array) -> ActiveSet:
     own = discrete.of_elements(packed.element)
     return ActiveSet(
         packed=packed,
@@ -269,8 +281,8 @@ def _with_masses(packed: Packed, discrete: Discretization, idle_volume: jax.Arra
         zones=own.zones,
         modes=own.modes,
         bound=discrete.bound[packed.element],
-        mass=packed.taken(discrete.mass),
-        compliance=packed.taken(discrete.compliance),
+        mass=packed.pack(discrete.mass),
+        compliance=packed.pack(discrete.compliance),
         substance=jax.lax.stop_gradient(total(packed.elements.area * own.thickness)),
         idle_volume=idle_volume,
         idle_energy=idle_energy,

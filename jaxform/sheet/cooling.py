@@ -17,48 +17,48 @@ from jaxform.materials import Law
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import masked_metrics
 from jaxform.model.scene import Scene
-from jaxform.sheet.account import stored
-from jaxform.sheet.active_set import ActiveSet, Begun
-from jaxform.sheet.heat import Heat, Walls, at_temperature, further, touching
+from jaxform.sheet.active_set import ActiveSet, InitialProperties
+from jaxform.sheet.energy_balance import stored_energy
+from jaxform.sheet.heat import ThermalElements, ThermalState, at_temperature, contact_share, temperature_change
 from jaxform.sheet.state import PackedState, can_move
 
 
-def cooled(
+def cool_state(
     state: PackedState, scene: Scene, active: ActiveSet, *, differentiable: bool
 ) -> tuple[PackedState, ActiveSet]:
     """A state at a window's border, and what is active, with the temperatures of now."""
-    cooling, heat, begun, elements = scene.cooling, state.heat, active.begun, active.packed.elements
+    cooling, heat, begun, elements = scene.cooling, state.heat, active.initial, active.packed.elements
     if cooling is None or heat is None or begun is None:
         return state, active
     nodes, time, law = state.nodes, state.time, scene.material
     longest = scene.tables.longest_window * state.control.step_length
     positions, velocities = nodes.positions, nodes.velocities
     if not differentiable:
-        positions, velocities = membrane.rows_of(positions), membrane.rows_of(velocities)
+        positions, velocities = membrane.unstack_rows(positions), membrane.unstack_rows(velocities)
     numbers = (active.zones, active.modes) if law.shift is not None else None
     memory = state.memory if scene.stiffens else None
 
-    def work(own: Any, before: Heat, begun: Begun, numbers: Any, memory: jax.Array | None) -> Any:
+    def work(own: Any, before: ThermalState, begun: InitialProperties, numbers: Any, memory: jax.Array | None) -> Any:
         triangles, inverse, area, thickness = own
         _, *edges = membrane.edges(positions, triangles)
         there = can_move(nodes.stuck, triangles, area)
         determinant = membrane.invariants(*masked_metrics(there, membrane.metric(*edges), inverse)).determinant
-        share, now = touching(nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
+        share, now = contact_share(nodes, triangles, before.time, time), jnp.broadcast_to(time, there.shape)
         density = begun.zones.get("density", law.density)
-        walls = Walls(begun.temperature, thickness / jnp.sqrt(determinant), share, density)
-        change = further(before, cooling, walls, time)
-        walls = walls._replace(share=touching(nodes, triangles, now, time))
+        walls = ThermalElements(begun.temperature, thickness / jnp.sqrt(determinant), share, density)
+        change = temperature_change(before, cooling, walls, time)
+        walls = walls._replace(share=contact_share(nodes, triangles, now, time))
         # As if the window were as long as the last one. One that is retried begins as it did.
         middle = time + 0.5 * jnp.minimum(time - before.time, longest)
-        felt = further(Heat(change, now, change), cooling, walls, middle)
+        felt = temperature_change(ThermalState(change, now, change), cooling, walls, middle)
         due = there & (time > before.time)
-        after = jax.tree.map(lambda new, old: jnp.where(due, new, old), Heat(change, now, felt), before)
+        after = jax.tree.map(lambda new, old: jnp.where(due, new, old), ThermalState(change, now, felt), before)
         rows = [[after.change], [after.time], [after.felt]]
         sums, pace = [], jnp.where(there, jnp.abs(cooling.pace(begun.temperature + change, *walls[1:])), 0.0)
         if numbers is not None:
             rows += _rows(at_temperature(law, begun.zones, begun.temperature + after.felt))
         if numbers is not None and scene.stiffens:
-            ratio = _stiffening(law, begun.temperature, before, after)
+            ratio = _stiffness_factor(law, begun.temperature, before, after)
             # Velocities are half a step behind the positions, and with the next step the new stress acts from there on.
             half = 0.5 * state.control.step_length
             _, *rates = membrane.edges(velocities, triangles)
@@ -67,7 +67,7 @@ def cooled(
                 for pair in zip(edges, rates, strict=True)
             )
             metrics, (zones, modes) = masked_metrics(there, membrane.metric(*behind), inverse), numbers
-            sums = [area * thickness * (1.0 - ratio) * stored(*metrics, law.with_zones(zones), modes, memory)]
+            sums = [area * thickness * (1.0 - ratio) * stored_energy(*metrics, law.with_zones(zones), modes, memory)]
         if memory is not None:
             rows.append([ratio * row for row in memory])
         return rows, [*sums, jax.lax.stop_gradient(pace)]
@@ -100,7 +100,7 @@ def _rows(numbers: Any) -> list[list[jax.Array]]:
     return [list(values.reshape(-1, values.shape[-1])) for values in jax.tree.leaves(numbers)]
 
 
-def _stiffening(law: Law, first: jax.Array, before: Heat, after: Heat) -> jax.Array:
+def _stiffness_factor(law: Law, first: jax.Array, before: ThermalState, after: ThermalState) -> jax.Array:
     """The factor (n,) on all moduli, and so on the stress of viscous modes and on what is stored."""
     assert law.shift is not None
     old, new = (law.shift.factor(first + heat.felt) for heat in (before, after))

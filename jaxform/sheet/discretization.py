@@ -12,15 +12,15 @@ from jaxform.core.pytree import pytree
 from jaxform.materials import Law, Modes
 from jaxform.mechanics import membrane
 from jaxform.model.scene import Adaptivity, Scene
-from jaxform.model.tables import Assembly, Counts, Forest, Sheet
-from jaxform.sheet.heat import Heat, at_temperature
+from jaxform.model.tables import Assembly, BisectionHierarchy, Counts, ReferenceGeometry
+from jaxform.sheet.heat import ThermalState, at_temperature
 from jaxform.sheet.packing import Packed, pack
 
 NEVER = jnp.iinfo(jnp.int32).max
 
 
 @pytree
-class Mesh:
+class RefinedMesh:
     """Which triangles of the forest there are, in lists that grow with each that is bisected.
 
     Attributes:
@@ -55,7 +55,7 @@ class Mesh:
         return self.side
 
 
-class Substance(NamedTuple):
+class ElementProperties(NamedTuple):
     """What elements are made of: initial thickness (n,) [m], numbers of the law that vary (..., n), modes that do."""
 
     thickness: jax.Array
@@ -64,10 +64,10 @@ class Substance(NamedTuple):
 
     def law(self, material: Law) -> Law:
         """Their law, of a scene with this one."""
-        return law_of(material, self.zones, self.modes)
+        return element_law(material, self.zones, self.modes)
 
 
-def law_of(material: Law, zones: dict[str, jax.Array], modes: Modes | None) -> Law:
+def element_law(material: Law, zones: dict[str, jax.Array], modes: Modes | None) -> Law:
     """The law of elements, with numbers that vary and, where they do, viscous modes."""
     made = material.with_zones(zones)
     return made if modes is None else dataclasses.replace(made, viscous=modes)
@@ -96,7 +96,7 @@ class Discretization:
             those at the law's reference. None where it does not.
     """
 
-    sheet: Sheet
+    sheet: ReferenceGeometry
     assembly: Assembly
     bound: jax.Array
     thickness: jax.Array
@@ -110,7 +110,7 @@ class Discretization:
     modes: Modes | None = None
     temperature: jax.Array | None = None
 
-    def having(self, heat: Heat | None, material: Law) -> Discretization:
+    def with_zones(self, heat: ThermalState | None, material: Law) -> Discretization:
         """The same where elements have cooled so far: with the numbers that a law has there."""
         if heat is None or self.temperature is None:
             return self
@@ -118,15 +118,15 @@ class Discretization:
         return dataclasses.replace(self, zones=zones, modes=modes, temperature=None)
 
     @property
-    def wood(self) -> Wood:
+    def forest_properties(self) -> ForestProperties:
         """What the forest's triangles are made of, of a sheet that is refined."""
         assert self.volumes is not None
-        return Wood(self.volumes, self.forest_zones, self.forest_temperature)
+        return ForestProperties(self.volumes, self.forest_zones, self.forest_temperature)
 
-    def of_elements(self, element: jax.Array) -> Substance:
+    def of_elements(self, element: jax.Array) -> ElementProperties:
         """What the elements of these numbers (n,) are made of."""
         zones, modes = jax.tree.map(lambda own: own[..., element], (self.zones, self.modes))
-        return Substance(self.thickness[element], zones, modes)
+        return ElementProperties(self.thickness[element], zones, modes)
 
 
 def discretize(scene: Scene) -> Discretization:
@@ -135,15 +135,15 @@ def discretize(scene: Scene) -> Discretization:
     if scene.adaptivity is not None:
         forest = scene.adaptivity.forest
         volumes, mesh = _volumes(scene, forest), first_mesh(scene, scene.adaptivity)
-        nodal = scene.material.zones, _warmth(scene)
+        nodal = scene.material.zones, _nodal_temperature(scene)
         means = jax.tree.map(lambda own: _forest_mean(own, forest, volumes), nodal)
-        return refined_discretization(scene, forest, mesh, Wood(volumes, *means))
+        return refined_discretization(scene, forest, mesh, ForestProperties(volumes, *means))
     sheet = tables.sheet
     thickness = membrane.element_mean(scene.parison.thickness, sheet.triangles)
     zones = {name: membrane.element_mean(own, sheet.triangles) for name, own in scene.material.zones.items()}
-    warmth = _warmth(scene)
+    warmth = _nodal_temperature(scene)
     warmth = None if warmth is None else membrane.element_mean(warmth, sheet.triangles)
-    zones, modes, warmth = _begun(scene, zones, warmth)
+    zones, modes, warmth = _initial_properties(scene, zones, warmth)
     share = zones.get("density", scene.material.density) * sheet.area * thickness / 3.0
     mass = membrane.sum_to_nodes(share, sheet.triangles, scene.parison.thickness.size)
     if tables.counts is not None:
@@ -155,16 +155,16 @@ def discretize(scene: Scene) -> Discretization:
 
 
 def present_discretization(
-    scene: Scene, mesh: Mesh | None, first: Discretization, *, stepped: bool = False
+    scene: Scene, mesh: RefinedMesh | None, first: Discretization, *, stepped: bool = False
 ) -> Discretization:
     """The sheet as it is with a mesh, from what it was at first; with one, the whole may be stepped as it is."""
     if mesh is None or first.volumes is None or scene.adaptivity is None:
         return first
     forest = scene.adaptivity.forest
-    return refined_discretization(scene, forest, mesh, first.wood, stepped=stepped)
+    return refined_discretization(scene, forest, mesh, first.forest_properties, stepped=stepped)
 
 
-class Wood(NamedTuple):
+class ForestProperties(NamedTuple):
     """What the forest's triangles are made of: volume [m^3], material numbers that vary, temperature; of each."""
 
     volumes: jax.Array
@@ -172,12 +172,12 @@ class Wood(NamedTuple):
     temperature: jax.Array | None
 
 
-def _warmth(scene: Scene) -> jax.Array | None:
+def _nodal_temperature(scene: Scene) -> jax.Array | None:
     """The temperature of the nodes (n_node,) [degC], where it matters."""
     return None if scene.material.shift is None and scene.cooling is None else scene.parison.temperature
 
 
-def _begun(
+def _initial_properties(
     scene: Scene, zones: dict[str, jax.Array], temperature: jax.Array | None
 ) -> tuple[dict[str, jax.Array], Modes | None, jax.Array | None]:
     """Zones, modes and temperature as `Discretization` has them, of elements with these zones and temperatures."""
@@ -186,7 +186,7 @@ def _begun(
     return *at_temperature(scene.material, zones, temperature), None
 
 
-def _volumes(scene: Scene, forest: Forest) -> jax.Array:
+def _volumes(scene: Scene, forest: BisectionHierarchy) -> jax.Array:
     """Volume (n_triangle,) [m^3] of the forest's triangles: at the deepest level from the nodes' thickness.
 
     Above, the sum of the parts: no bisection makes or loses mass, and coarse elements know the whole profile.
@@ -200,7 +200,7 @@ def _volumes(scene: Scene, forest: Forest) -> jax.Array:
     return jnp.concatenate(levels[::-1])
 
 
-def _forest_mean(nodal: jax.Array, forest: Forest, volumes: jax.Array) -> jax.Array:
+def _forest_mean(nodal: jax.Array, forest: BisectionHierarchy, volumes: jax.Array) -> jax.Array:
     """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the mean of nodal values (..., n_node).
 
     At the deepest level from the nodes' values; above, the mean of the parts, weighted by their volume, so that no
@@ -215,7 +215,7 @@ def _forest_mean(nodal: jax.Array, forest: Forest, volumes: jax.Array) -> jax.Ar
     return jnp.where(there, mean, jax.lax.stop_gradient(nodal[..., :1]))
 
 
-def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
+def first_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
     """The mesh before it is refined."""
     forest, room = adaptivity.forest, adaptivity.limits.elements
     roots = jnp.arange(forest.root_count, dtype=jnp.int32)
@@ -227,22 +227,22 @@ def first_mesh(scene: Scene, adaptivity: Adaptivity) -> Mesh:
     there = roots < counts.elements
     at = jnp.where(there, forest.sheet.triangles[:, : forest.root_count], node.size)
     element = jnp.zeros(room, jnp.int32).at[roots].set(jnp.where(there, roots, 0))
-    return Mesh(
+    return RefinedMesh(
         split_at=jnp.full(forest.bound.size, NEVER, jnp.int32),
         element=element,
         element_count=counts.elements,
         node=jnp.where(node < counts.nodes, node, 0),
         place=jnp.where(place < counts.nodes, place, 0),
         node_count=counts.nodes,
-        side=sides_of(element, counts.elements, forest),
+        side=half_edge_elements(element, counts.elements, forest),
         corner=jnp.full((forest.valence, node.size), -1, jnp.int32).at[row, at].set(corner, mode="drop"),
         corner_count=jnp.zeros(node.size, jnp.int32).at[at].add(1, mode="drop"),
         row=jnp.zeros((3, room), jnp.int32).at[:, : roots.size].set(row),
     )
 
 
-def sides_of(element: jax.Array, count: jax.Array, forest: Forest) -> jax.Array:
-    """Which of the elements (room,), of which so many are in use, has each half edge, as `Mesh.side`."""
+def half_edge_elements(element: jax.Array, count: jax.Array, forest: BisectionHierarchy) -> jax.Array:
+    """Which of the elements (room,), of which so many are in use, has each half edge, as `RefinedMesh.side`."""
     number = jnp.arange(element.size, dtype=jnp.int32)
     there = jnp.where(number < count, forest.half_edges[:, element], forest.half_edge_count)
     return jnp.full(forest.half_edge_count, -1, jnp.int32).at[there].set(number, mode="drop")
@@ -253,7 +253,7 @@ def node_room(elements: int, first_nodes: int, most: int) -> int:
     return min(first_nodes + 64 + int(0.6 * elements), most)
 
 
-def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
+def element_levels(triangle: jax.Array, forest: BisectionHierarchy) -> jax.Array:
     """Of triangles (n,) of the forest."""
     begins = [forest.root_count * ((1 << level) - 1) for level in range(1, forest.depth + 1)]
     return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
@@ -261,9 +261,9 @@ def levels(triangle: jax.Array, forest: Forest) -> jax.Array:
 
 def refined_discretization(
     scene: Scene,
-    forest: Forest,
-    mesh: Mesh,
-    wood: Wood,
+    forest: BisectionHierarchy,
+    mesh: RefinedMesh,
+    wood: ForestProperties,
     *,
     stepped: bool = False,
 ) -> Discretization:
@@ -271,7 +271,7 @@ def refined_discretization(
     element = mesh.element
     used = jnp.arange(element.size) < mesh.element_count
     exists = jnp.arange(mesh.node.size) < mesh.node_count
-    sheet = Sheet(
+    sheet = ReferenceGeometry(
         triangles=mesh.place[forest.sheet.triangles[:, element]],
         inverse_metric=forest.sheet.inverse_metric[:, element],
         area=jnp.where(used, forest.sheet.area[element], 0.0),
@@ -280,9 +280,9 @@ def refined_discretization(
     volume = wood.volumes[element]
     zones = {name: own[..., element] for name, own in wood.zones.items()}
     warmth = None if wood.temperature is None else wood.temperature[element]
-    zones, modes, warmth = _begun(scene, zones, warmth)
+    zones, modes, warmth = _initial_properties(scene, zones, warmth)
     density = zones.get("density", scene.material.density)
-    share = jnp.where(used, forest.heavier[element] * density * volume / 3.0, 0.0)
+    share = jnp.where(used, forest.mass_scale[element] * density * volume / 3.0, 0.0)
     mass = membrane.sum_to_nodes(share, sheet.triangles, mesh.node.size)
     heavy = jnp.where(exists, mass, 1.0)
     none = jnp.zeros(0, jnp.int32)

@@ -14,7 +14,7 @@ from jaxform.mechanics.nodes import Nodes
 
 
 @pytree
-class Heat:
+class ThermalState:
     """How far elements (n,) have cooled.
 
     An element whose nodes all stick keeps the law that it had then, since nothing depends on that any more; how far it
@@ -30,14 +30,14 @@ class Heat:
     time: jax.Array
     felt: jax.Array
 
-    def taken(self, element: jax.Array) -> Heat:
+    def select(self, element: jax.Array) -> ThermalState:
         """That of the elements of these numbers."""
-        return Heat(self.change[element], self.time[element], self.felt[element])
+        return ThermalState(self.change[element], self.time[element], self.felt[element])
 
 
-def none_lost(elements: int) -> Heat:
+def initial_heat(elements: int) -> ThermalState:
     """Of so many elements when a run begins."""
-    return Heat(*jnp.zeros((3, elements), as_real(0.0).dtype))
+    return ThermalState(*jnp.zeros((3, elements), as_real(0.0).dtype))
 
 
 def at_temperature(
@@ -53,7 +53,7 @@ def at_temperature(
     return law.zones, law.viscous
 
 
-def touching(nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Array:
+def contact_share(nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Array) -> jax.Array:
     """Share (n,) of elements' area and of the time from `begin` (n,) to `end` [s] that touched the mold.
 
     Where that is no time, what touches it now.
@@ -66,7 +66,7 @@ def touching(nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax.Arra
     return share / 3.0
 
 
-class Walls(NamedTuple):
+class ThermalElements(NamedTuple):
     """What cools, of elements (n,): first temperature [degC], thickness [m], share that touches the mold, density.
 
     The share is of one side, of its area and of the time; the density [kg/m^3] is a number or (n,).
@@ -78,7 +78,7 @@ class Walls(NamedTuple):
     density: jax.Array
 
 
-def further(heat: Heat, cooling: Cooling, walls: Walls, time: jax.Array) -> jax.Array:
+def temperature_change(heat: ThermalState, cooling: Cooling, walls: ThermalElements, time: jax.Array) -> jax.Array:
     """The change of the temperature (n,) [K] since the run began, at a later time [s]."""
     first, wall, share, density = walls
     return cooling.cooled(first + heat.change, wall, share, density, jnp.maximum(time - heat.time, 0.0)) - first

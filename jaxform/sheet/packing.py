@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform.core.pytree import as_index, as_real, pytree
-from jaxform.kernels.blocks import BLOCK, Halves, listed, over_blocks, padded, running_count
-from jaxform.kernels.pairing import paired, turned
-from jaxform.mechanics.elements import Elements, usual_rows
+from jaxform.kernels.blocks import BLOCK, Halves, compact_indices, over_blocks, padded_length, running_count
+from jaxform.kernels.element_pairing import pair_elements, rotate_to_common_edge
+from jaxform.mechanics.elements import Elements, typical_row_count
 from jaxform.mechanics.membrane import gather
 from jaxform.mesh.reference import reference_metric
-from jaxform.mesh.rows import counted_up
-from jaxform.model.tables import Assembly, Counts, Pairs, Sheet
+from jaxform.mesh.rows import positions_in_rows
+from jaxform.model.tables import Assembly, Counts, ElementPairs, ReferenceGeometry
 
 _MOST_ROWS = 16  # of the shares of a node that are looked up row by row: each is compiled by itself
 
@@ -46,11 +46,11 @@ class Packed:
     kept: jax.Array
     elements: Elements
 
-    def taken(self, nodal: jax.Array) -> jax.Array:
+    def pack(self, nodal: jax.Array) -> jax.Array:
         """Values (..., place) of (..., n_node), in packed order."""
         return gather(nodal, self.node)
 
-    def put_back(self, packed: jax.Array) -> jax.Array:
+    def unpack(self, packed: jax.Array) -> jax.Array:
         """Values (..., n_node) of (..., place), in the mesh's order."""
         return gather(packed, self.place)
 
@@ -65,26 +65,26 @@ def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
 
 def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assembly:
     """The same with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
-    pairs = paired(triangles)
-    corners, orientation = turned(triangles, pairs)
+    pairs = pair_elements(triangles)
+    corners, orientation = rotate_to_common_edge(triangles, pairs)
     inverse, _ = reference_metric(positions, corners)
     there = pairs >= 0
     pair = np.zeros(len(triangles), np.int32)
     pair[pairs[there]] = np.nonzero(there)[1]
     beyond = np.where(there[1], corners[pairs[1], 2], -1)
-    kept = Pairs(as_index(pairs), as_index(pair), as_index(corners.T), as_real(inverse), as_real(orientation))
+    kept = ElementPairs(as_index(pairs), as_index(pair), as_index(corners.T), as_real(inverse), as_real(orientation))
     return _assembly(np.column_stack([corners[pairs[0]], beyond]), len(positions), kept)
 
 
-def _assembly(nodes: np.ndarray, node_count: int, pairs: Pairs | None) -> Assembly:
+def _assembly(nodes: np.ndarray, node_count: int, pairs: ElementPairs | None) -> Assembly:
     """Of the corners' nodes (n, 3) of elements, or (n, 4) of pairs; -1 where there is no such corner."""
     corner_node, width = nodes.ravel(), nodes.shape[1]
     order = np.argsort(corner_node, kind="stable")
     order = order[np.count_nonzero(corner_node < 0) :]
     count = np.bincount(corner_node[order], minlength=node_count)
-    rank = counted_up(count)
+    rank = positions_in_rows(count)
     code = 4 * (order // width) + order % width
-    depth = _depth(count, usual_rows(pairs is not None))
+    depth = _depth(count, typical_row_count(pairs is not None))
     table = np.full((depth, node_count), -1, np.int32)
     inside = rank < depth
     table[rank[inside], corner_node[order[inside]]] = code[inside]
@@ -108,7 +108,7 @@ def _depth(count: np.ndarray, usual: int) -> int:
 
 def pack(
     moving: jax.Array | None,
-    sheet: Sheet,
+    sheet: ReferenceGeometry,
     assembly: Assembly,
     counts: Counts | None = None,
     *,
@@ -121,18 +121,18 @@ def pack(
     `counts` says.
     """
     element_count, node_count, pairs = sheet.area.size, assembly.table.shape[1], assembly.pairs
-    places = padded(node_count)
+    places = padded_length(node_count)
     counts = counts or Counts(jnp.int32(element_count), jnp.int32(node_count))
     if pairs is None:
-        listing = _listed(moving, element_count, counts.elements)
+        listing = _list_elements(moving, element_count, counts.elements)
     else:
-        listing = _listed_in_pairs(moving, pairs, counts.pairs)
-    count, kept = listing.count, listing.kept
+        listing = _list_pairs(moving, pairs, counts.pairs)
+    count, kept = listing.count, listing.active
     place, node_total = jnp.arange(node_count, dtype=jnp.int32), counts.nodes
     if moving is not None:
-        place, node_total = _ordered(_touched(kept, assembly, counts.nodes), assembly, counts.nodes)
+        place, node_total = _order_by_valence(_nodes_of_moving(kept, assembly, counts.nodes), assembly, counts.nodes)
     elif stepped and pairs is not None:
-        place, node_total = _ordered(place < counts.nodes, assembly, counts.nodes)
+        place, node_total = _order_by_valence(place < counts.nodes, assembly, counts.nodes)
     node = jnp.zeros(places, jnp.int32).at[place].set(jnp.arange(node_count, dtype=jnp.int32), unique_indices=True)
     exists = jnp.arange(places) < node_count
 
@@ -145,8 +145,8 @@ def pack(
     overflow = overflow_into = assembly.overflow
     table, overflow_count = assembly.table, jnp.int32(0)
     if assembly.overflow.size > 0:
-        home, added, table = _homes(assembly, kept)
-        order, overflow_count = listed(added, overflow.size)
+        home, added, table = _overflow_targets(assembly, kept)
+        order, overflow_count = compact_indices(added, overflow.size)
         overflow, overflow_into = (slots(code[order], jnp.asarray(True)) for code in (overflow, home))
     block_count, node_block_count = count // listing.per_block + 1, -(-node_total // BLOCK)
     triangles, inverse_metric, area, orientation = _columns(sheet, pairs, place, listing, block_count)
@@ -184,7 +184,7 @@ class _Listing(NamedTuple):
 
     element: jax.Array
     there: jax.Array
-    kept: jax.Array
+    active: jax.Array
     rank: jax.Array
     count: jax.Array
     per_block: int
@@ -198,18 +198,18 @@ class _Listing(NamedTuple):
         return (corner >> 1) * room + block * BLOCK + (corner & 1) * self.per_block + place
 
 
-def _listed(moving: jax.Array | None, element_count: int, used: jax.Array) -> _Listing:
-    room = padded(element_count)
+def _list_elements(moving: jax.Array | None, element_count: int, used: jax.Array) -> _Listing:
+    room = padded_length(element_count)
     if moving is None:
         rank, count = jnp.arange(element_count, dtype=jnp.int32), used
         kept, element = rank < count, jnp.minimum(jnp.arange(room, dtype=jnp.int32), element_count - 1)
     else:
-        kept, (element, count) = moving, listed(moving, room, used)
+        kept, (element, count) = moving, compact_indices(moving, room, used)
         rank = running_count(moving, used) - 1
     return _Listing(element, jnp.arange(room) < count, kept, rank, count, BLOCK)
 
 
-def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs, used: jax.Array | None) -> _Listing:
+def _list_pairs(moving: jax.Array | None, pairs: ElementPairs, used: jax.Array | None) -> _Listing:
     """A pair is listed if either element can move: the first in a block's first half, the second in its second."""
     (first, second), half = pairs.element, BLOCK // 2
     room = (first.size // half + 1) * half
@@ -218,14 +218,14 @@ def _listed_in_pairs(moving: jax.Array | None, pairs: Pairs, used: jax.Array | N
         kept, pair = rank < count, jnp.minimum(jnp.arange(room), first.size - 1)
     else:
         kept = moving[first] | (second >= 0) & moving[jnp.maximum(second, 0)]
-        (pair, count), rank = listed(kept, room, used), running_count(kept, used) - 1
+        (pair, count), rank = compact_indices(kept, room, used), running_count(kept, used) - 1
     used, other = jnp.arange(room) < count, second[pair]
-    element = Halves(first[pair], jnp.where(other >= 0, other, first[pair])).whole()
-    return _Listing(element, Halves(used, used & (other >= 0)).whole(), kept, rank, count, half)
+    element = Halves(first[pair], jnp.where(other >= 0, other, first[pair])).concatenate()
+    return _Listing(element, Halves(used, used & (other >= 0)).concatenate(), kept, rank, count, half)
 
 
 def _columns(
-    sheet: Sheet, pairs: Pairs | None, place: jax.Array, listing: _Listing, block_count: jax.Array
+    sheet: ReferenceGeometry, pairs: ElementPairs | None, place: jax.Array, listing: _Listing, block_count: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array | None]:
     """Triangles (3, room) of places, inverse metric, area, and orientation where there are pairs; 0 beyond the list."""
     order = sheet if pairs is None else pairs
@@ -262,7 +262,7 @@ def _shares(
     return found, jnp.max(count.reshape(-1, BLOCK), axis=1)
 
 
-def _homes(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def _overflow_targets(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Where nodes with surplus shares have them added: to the first of their shares that are active.
 
     Returns:
@@ -279,7 +279,7 @@ def _homes(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, j
     return home, own & (home != assembly.overflow), table.at[0, node].set(jnp.where(usual, rows[0], home))
 
 
-def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:
+def _nodes_of_moving(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> jax.Array:
     """Nodes (n_node,) of elements that can move."""
     table = assembly.table
 
@@ -287,7 +287,7 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
         codes = gather(table, jnp.minimum(node, table.shape[1] - 1))
         return [[jnp.any((codes >= 0) & gather(moving, jnp.maximum(codes, 0) >> 2), axis=0)]], []
 
-    places = padded(table.shape[1])
+    places = padded_length(table.shape[1])
     into = [jnp.zeros((1, places), bool)]
     (found,), _ = over_blocks(work, -(-node_count // BLOCK), (jnp.arange(places, dtype=jnp.int32),), into)
     touched = found[0, : table.shape[1]]
@@ -297,20 +297,20 @@ def _touched(moving: jax.Array, assembly: Assembly, node_count: jax.Array) -> ja
     return touched.at[assembly.overflow_node].max(spilt)
 
 
-def _ordered(touched: jax.Array, assembly: Assembly, node_count: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _order_by_valence(touched: jax.Array, assembly: Assembly, node_count: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Places (n,) that put the marked nodes first, before all those with many elements; and how many are marked.
 
     So nearly all blocks of nodes look up the usual number of shares, and no more.
     """
-    usual = usual_rows(assembly.pairs is not None)
+    usual = typical_row_count(assembly.pairs is not None)
     if len(assembly.table) <= usual:
-        return _first(touched, node_count)
-    many, _ = _first(assembly.table[usual] >= 0, node_count)
-    place, count = _first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True), node_count)
+        return _order_marked_first(touched, node_count)
+    many, _ = _order_marked_first(assembly.table[usual] >= 0, node_count)
+    place, count = _order_marked_first(jnp.zeros_like(touched).at[many].set(touched, unique_indices=True), node_count)
     return place[many], count
 
 
-def _first(marked: jax.Array, size: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _order_marked_first(marked: jax.Array, size: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Places (n,) that put the marked ones first and keep the order otherwise; and how many are marked.
 
     Of the first `size` entries; the others keep their places.

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 
 from jaxform.mechanics import membrane
 from jaxform.model.scene import Scene
-from jaxform.sheet.discretization import NEVER, Mesh
+from jaxform.sheet.discretization import NEVER, RefinedMesh
 from jaxform.sheet.packing import Packed
 
 
-def rim_places(scene: Scene, mesh: Mesh | None, packed: Packed) -> jax.Array | None:
+def rim_places(scene: Scene, mesh: RefinedMesh | None, packed: Packed) -> jax.Array | None:
     """Places of the ends of the rim's edges (2, n_edge), of one node where there is no such edge now; None without."""
     rim = scene.tables.rim
     if rim is None:
@@ -36,13 +36,14 @@ def rim_ends(positions: Any, places: jax.Array) -> jax.Array:
     return jnp.stack([membrane.gather(row, places) for row in positions])
 
 
-def swept_by_rim(before: jax.Array, after: jax.Array, origin: jax.Array) -> jax.Array:
+def rim_swept_volume(before: jax.Array, after: jax.Array, origin: jax.Array) -> jax.Array:
     """Volume [m^3] that the cones' sides sweep as the rim goes from one place to another (3, 2, n_edge) [m] each.
 
     What the sheet sweeps is the change of the enclosed volume and this.
     """
-    way = membrane.rows_of(jnp.sum(after - before, axis=1))
+    way = membrane.unstack_rows(jnp.sum(after - before, axis=1))
     sides = [
-        membrane.cross(*(membrane.rows_of(ends[:, k] - origin[:, None]) for k in range(2))) for ends in (before, after)
+        membrane.cross(*(membrane.unstack_rows(ends[:, k] - origin[:, None]) for k in range(2)))
+        for ends in (before, after)
     ]
     return jnp.sum(membrane.dot(membrane.plus(*sides), way)) / 12.0

@@ -11,21 +11,21 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import once
+from jaxform.kernels.blocks import materialize
 from jaxform.loads import Loading
 from jaxform.mechanics import membrane
+from jaxform.mechanics.constitutive import present_memory
 from jaxform.mechanics.corners import Load
 from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
-from jaxform.mechanics.response import present
 from jaxform.model.scene import Scene
-from jaxform.sheet.account import enclosed_volume, last_work, present_pressure
 from jaxform.sheet.active_set import ActiveSet, active_set_of
 from jaxform.sheet.discretization import Discretization
+from jaxform.sheet.energy_balance import enclosed_volume, last_work, present_pressure
 from jaxform.sheet.state import State
 
 
-class Timing(NamedTuple):
+class WindowTiming(NamedTuple):
     """A window's begin, the step before it and its own [s]."""
 
     begin: jax.Array
@@ -33,7 +33,7 @@ class Timing(NamedTuple):
     length: jax.Array
 
 
-def pressures(pressure: Loading, timing: Timing, count: int) -> tuple[jax.Array, jax.Array]:
+def pressures(pressure: Loading, timing: WindowTiming, count: int) -> tuple[jax.Array, jax.Array]:
     """At the begin of each of the `count` steps of a window, and averaged since the begin of the step before [Pa].
 
     Zeros where the pressure follows the volume, so that each step has to find it.
@@ -47,13 +47,13 @@ def pressures(pressure: Loading, timing: Timing, count: int) -> tuple[jax.Array,
     return found[1:], 0.5 * (found[:-1] + found[1:])
 
 
-def kicks(timing: Timing, count: int) -> jax.Array:
+def velocity_steps(timing: WindowTiming, count: int) -> jax.Array:
     """The step that the velocity takes in each of the `count` steps of a window [s]."""
     first = 0.5 * (timing.before + timing.length)
     return jnp.where(jnp.arange(count) == 0, first, timing.length)
 
 
-def kicked(
+def update_velocity(
     nodal: Any,
     velocities: Any,
     nodes: tuple[jax.Array, jax.Array, Any],
@@ -64,18 +64,18 @@ def kicked(
     stuck, mass, compliance = nodes
     gains = [kick * jnp.where(stuck, 0.0, f * c) for f, c in zip(nodal, compliance, strict=True)]
     if damping is None:
-        return once(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
+        return materialize(vector(old + gain for old, gain in zip(velocities, gains, strict=True))), None
     half = 0.5 * damping * kick
     rest = 1.0 / (1.0 + half)  # one division, not three at every node
     # Kept, since the positions and the loss would each work them, and the force, out again.
-    gains = once(vector(0.5 * gain for gain in gains))
+    gains = materialize(vector(0.5 * gain for gain in gains))
     # The mean of both velocities, of which the loss is made; the new ones follow from it, without the old.
-    mean = once(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
+    mean = materialize(vector(rest * (old + gain) for old, gain in zip(velocities, gains, strict=True)))
     new = vector((1.0 - half) * middle + gain for middle, gain in zip(mean, gains, strict=True))
     return new, kick * damping * mass * membrane.dot(mean, mean)
 
 
-def carried(
+def apply_tool_velocity(
     nodal: Any,
     velocities: tuple[Any, Any],
     nodes: tuple[jax.Array, jax.Array, Any],
@@ -102,7 +102,9 @@ def carried(
     return vector(new), held, work
 
 
-def caught_up(state: State, scene: Scene, discrete: Discretization, active: ActiveSet | None = None) -> State:
+def synchronize_velocity(
+    state: State, scene: Scene, discrete: Discretization, active: ActiveSet | None = None
+) -> State:
     """The state with velocities at the time of the positions, and its account closed.
 
     Where the forces are about to jump, the next kick must not have the new ones act since half a step ago.
@@ -114,31 +116,33 @@ def caught_up(state: State, scene: Scene, discrete: Discretization, active: Acti
         active: What of it can move, and maybe more; found here by default, differentiably.
     """
     active = active or active_set_of(state, scene, discrete, differentiable=True)
-    packed = active.taken(state)
+    packed = active.pack_state(state)
     volume = enclosed_volume(state.nodes.positions, discrete.sheet)
     modes = scene.material.viscous
-    memory = None if packed.memory is None or modes is None else present(packed.memory, modes)
+    memory = None if packed.memory is None or modes is None else present_memory(packed.memory, modes)
     pressed = present_pressure(state, scene, volume)
     load = Load(packed.nodes.positions, active.thickness, pressed.pressure, *active.response(scene.material, memory))
     nodes, damping = (packed.nodes.stuck, active.mass, active.compliance), scene.solver.damping
     nodal, _ = force(load, active.packed.elements)
-    velocities, losses = kicked(nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping)
+    velocities, losses = update_velocity(
+        nodal, packed.nodes.velocities, nodes, 0.5 * state.control.step_length, damping
+    )
     work = state.account.tool_work
     if work is not None:
         before = packed.nodes.velocities
-        velocities, held, done = carried(
+        velocities, held, done = apply_tool_velocity(
             nodal, (before, velocities), nodes, packed.nodes.wall, 0.5 * state.control.step_length, before
         )
         work, losses = work + jnp.sum(done), None if losses is None else jnp.where(held, 0.0, losses)
     account, lost = state.account, 0.0 if losses is None else jnp.sum(losses)
     return dataclasses.replace(
         state,
-        nodes=dataclasses.replace(state.nodes, velocities=active.packed.put_back(jnp.stack(velocities))),
+        nodes=dataclasses.replace(state.nodes, velocities=active.packed.unpack(jnp.stack(velocities))),
         control=dataclasses.replace(state.control, step_length=jnp.zeros_like(state.control.step_length)),
         account=dataclasses.replace(
             account,
             volume=volume,
-            pressed=None if account.pressed is None else pressed,
+            load_state=None if account.load_state is None else pressed,
             external_work=account.external_work + last_work(state, scene, volume),
             damping_loss=account.damping_loss + lost,
             tool_work=work,

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, NewType, Self
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.pytree import as_real, marked, pytree
-from jaxform.loads import Pressed
+from jaxform.core.pytree import as_real, marked_field_names, pytree
+from jaxform.loads import LoadState
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
-from jaxform.sheet.discretization import Mesh
-from jaxform.sheet.heat import Heat
+from jaxform.sheet.discretization import RefinedMesh
+from jaxform.sheet.heat import ThermalState
 
 
 class Status(enum.IntFlag):
@@ -85,7 +85,7 @@ LOSS = {"loss": True}
 
 
 @pytree
-class Account:
+class EnergyBalance:
     """Energy account of a run so far [J].
 
     Attributes:
@@ -107,7 +107,7 @@ class Account:
     """
 
     volume: jax.Array
-    pressed: Pressed | None
+    load_state: LoadState | None
     external_work: jax.Array
     damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
     contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
@@ -122,20 +122,20 @@ class Account:
     tool_last: jax.Array | None = None
     rim: jax.Array | None = None
 
-    def swept(self, volume: jax.Array) -> jax.Array:
+    def swept_volume(self, volume: jax.Array) -> jax.Array:
         """What the sheet swept since the last step's begin [m^3], with the volume that it encloses now [m^3]."""
         change = volume - self.volume
         return change if self.rim is None else change + self.rim
 
     @property
-    def tool_whole(self) -> jax.Array | None:
+    def total_tool_work(self) -> jax.Array | None:
         """All the work of the tool [J]; None where it rests."""
         return None if self.tool_work is None or self.tool_last is None else self.tool_work + self.tool_last
 
     @property
     def work(self) -> jax.Array:
         """Done on the sheet so far, by pressure and tool [J]."""
-        return self.external_work if self.tool_whole is None else self.external_work + self.tool_whole
+        return self.external_work if self.total_tool_work is None else self.external_work + self.total_tool_work
 
     def losses(self) -> dict[str, jax.Array]:
         """The terms by which energy left, by name."""
@@ -143,7 +143,7 @@ class Account:
         return {name: value for name, value in found.items() if value is not None}
 
 
-LOSSES = marked(Account, LOSS)
+LOSSES = marked_field_names(EnergyBalance, LOSS)
 
 
 @pytree
@@ -195,25 +195,25 @@ class State:
     """
 
     nodes: Nodes
-    account: Account
+    account: EnergyBalance
     control: Control
     replay: Replay
-    mesh: Mesh | None
+    mesh: RefinedMesh | None
     memory: jax.Array | None
     time: jax.Array
     steps: jax.Array
     windows: jax.Array
     shortened: jax.Array
     status: jax.Array
-    heat: Heat | None = None
+    heat: ThermalState | None = None
 
     @property
-    def refined_mesh(self) -> Mesh:
+    def refined_mesh(self) -> RefinedMesh:
         """The mesh of a state of a scene that is refined."""
         assert self.mesh is not None
         return self.mesh
 
-    def with_nodes(self, **fields: Any) -> Self:
+    def replace_nodes(self, **fields: Any) -> Self:
         """The same with other values of some nodal fields."""
         return dataclasses.replace(self, nodes=dataclasses.replace(self.nodes, **fields))
 
@@ -222,7 +222,7 @@ PackedState = NewType("PackedState", State)
 """A state in the packed order of `active_set.ActiveSet`, as windows have it: its nodes, and its memory."""
 
 
-class AtStart(NamedTuple):
+class InitialNodeState(NamedTuple):
     """Of nodes (n,) when a run begins: whether they stick, their contact time [s] and wall, as in `State`."""
 
     stuck: jax.Array
@@ -230,21 +230,21 @@ class AtStart(NamedTuple):
     wall: jax.Array
 
 
-def at_start(scene: Scene, node: jax.Array | None = None) -> AtStart:
+def initial_node_state(scene: Scene, node: jax.Array | None = None) -> InitialNodeState:
     """Of these nodes (n,) of the parison, or of all: those that cannot move stick, and those that lie on the mold."""
-    mobility, lying = scene.tables.mobility, scene.tables.lying
+    mobility, lying = scene.tables.mobility, scene.tables.initial_contact
     if node is not None:
         mobility, lying = mobility[:, node], None if lying is None else lying[node]
     held = jnp.all(mobility == 0.0, axis=0)
     time = jnp.where(held, 0.0, as_real(-1.0))
     if lying is None:
-        return AtStart(held, time, jnp.zeros(held.size, jnp.int32))
+        return InitialNodeState(held, time, jnp.zeros(held.size, jnp.int32))
     lies = ~held & (lying != 0)
     # Sooner than any step, but later than what was clamped beforehand.
-    return AtStart(held | lies, jnp.where(lies, jnp.finfo(time.dtype).tiny, time), jnp.where(lies, lying, 0))
+    return InitialNodeState(held | lies, jnp.where(lies, jnp.finfo(time.dtype).tiny, time), jnp.where(lies, lying, 0))
 
 
-def any_mode(positions: jax.Array) -> jax.Array:
+def noise_vector(positions: jax.Array) -> jax.Array:
     """Directions (3, n_node) without a pattern, the same every time: no mode is missing from them."""
     # The same for a node whatever room there is for others.
     number = jnp.arange(3, dtype=jnp.uint32)[:, None] + 3 * jnp.arange(positions.shape[1], dtype=jnp.uint32)[None]
@@ -253,14 +253,14 @@ def any_mode(positions: jax.Array) -> jax.Array:
     return (mixed >> 8).astype(positions.dtype) / 2**23 - 1.0
 
 
-def finished(state: State, scene: Scene) -> jax.Array:
+def is_finished(state: State, scene: Scene) -> jax.Array:
     """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
     slack = 16 * jnp.finfo(state.time.dtype).eps
     done = (state.time >= scene.solver.end_time * (1.0 - slack)) | (state.status != 0)
-    return done | nothing_moves(state, scene)
+    return done | is_at_rest(state, scene)
 
 
-def nothing_moves(state: State, scene: Scene) -> jax.Array:
+def is_at_rest(state: State, scene: Scene) -> jax.Array:
     """Whether nothing can move any more, so that a run ends before its time."""
     if not (scene.solver.end_early and scene.rests):
         return jnp.asarray(False)
@@ -273,17 +273,17 @@ def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Arr
     return ~(first & second & third) & (area > 0.0)
 
 
-def carries(state: State) -> State:
+def differentiable_leaves(state: State) -> State:
     """Which leaves of a state carry a derivative."""
     none: Any = jax.tree.map(lambda _: False, state)
-    smooth: Any = state.nodes.mapped(lambda _, rule: rule.smooth)
-    pressed: Any = jax.tree.map(lambda x: jnp.issubdtype(x.dtype, jnp.inexact), state.account.pressed)
+    smooth: Any = state.nodes.map_fields(lambda _, rule: rule.smooth)
+    pressed: Any = jax.tree.map(lambda x: jnp.issubdtype(x.dtype, jnp.inexact), state.account.load_state)
     terms = dict.fromkeys(("volume", "external_work", *state.account.losses()), True)
     if state.account.tool_work is not None:
         terms |= {"tool_work": True, "tool_last": True}
     if state.account.rim is not None:
         terms |= {"rim": True}
-    account = dataclasses.replace(none.account, **terms, pressed=pressed)
+    account = dataclasses.replace(none.account, **terms, load_state=pressed)
     memory = None if state.memory is None else True
     heat = None if none.heat is None else dataclasses.replace(none.heat, change=True, felt=True)
     return dataclasses.replace(none, nodes=smooth, account=account, memory=memory, heat=heat)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.crossings import boxes_of, every, laid_out, short_pieces
+from jaxform.tools.crossings import all_columns, bounding_boxes, expand_ranges, short_pieces
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -17,14 +17,14 @@ Integers = NDArray[np.int64]
 _WIDE = 2.0  # cells, in boxes: most triangles then need not be cut
 
 
-class _Cells(NamedTuple):
+class _PieceCells(NamedTuple):
     """The cells of a set's pieces, in the order of the cells: cell and piece of each entry (n_entry,)."""
 
     cell: Integers
     piece: Integers
 
 
-class _Pieces(NamedTuple):
+class _PieceBoxes(NamedTuple):
     """Boxes of pieces of triangles (n, 3), (n, 3) [m], no wider than a cell, and which triangle each is part of."""
 
     low: Array
@@ -32,42 +32,42 @@ class _Pieces(NamedTuple):
     owner: Integers
 
     @classmethod
-    def of(cls, corners: Array, width: float, low: Array, high: Array) -> _Pieces:
+    def of(cls, corners: Array, width: float, low: Array, high: Array) -> _PieceBoxes:
         pieces, owner = short_pieces(corners, width, low, high)
-        return cls(*boxes_of(pieces), owner)
+        return cls(*bounding_boxes(pieces), owner)
 
-    def cells(self, corner: Array, width: float, shape: Integers) -> _Cells:
+    def cells(self, corner: Array, width: float, shape: Integers) -> _PieceCells:
         """Where each is: in at most two cells along each axis."""
         first, last = (np.floor((end - corner) / width).astype(np.int64) for end in (self.low, self.high))
         found = []
         for step in np.ndindex(2, 2, 2):
             index = first + step
-            piece = np.flatnonzero(every(index <= last))
+            piece = np.flatnonzero(all_columns(index <= last))
             found.append((np.ravel_multi_index(tuple(index[piece].T), tuple(shape)), piece))
         cell, piece = (np.concatenate(parts) for parts in zip(*found, strict=True))
         order = np.argsort(cell, kind="stable")
-        return _Cells(cell[order], piece[order])
+        return _PieceCells(cell[order], piece[order])
 
 
-def overlapping(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]:
+def overlapping_pairs(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]:
     """Numbers of triangles (n, 3, 3) [m] and of others (m, 3, 3) that may meet, part by part; the first are not empty.
 
     Large ones are cut into pieces: each pair that has pieces with boxes that overlap comes at least once. The width of
     the cells follows the mean of the logarithms of the first set's boxes: then neither the pieces of the large ones nor
     the small ones in a cell are many.
     """
-    low, high = boxes_of(one)
+    low, high = bounding_boxes(one)
     extent = functools.reduce(np.maximum, (high - low).T)
     width = _WIDE * float(np.exp(np.log(np.maximum(extent, 1e-3 * extent.max())).mean()))
     box = low.min(0), high.max(0)
-    sets = _Pieces.of(one, width, *box), _Pieces.of(other, width, *box)
+    sets = _PieceBoxes.of(one, width, *box), _PieceBoxes.of(other, width, *box)
     if not len(sets[1].owner):
         return
     corner = np.min([pieces.low.min(0) for pieces in sets], axis=0)
     shape = np.max([np.floor((pieces.high - corner) / width).max(0) for pieces in sets], axis=0) + 2
     mine, theirs = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
     begin, end = (np.searchsorted(theirs.cell, mine.cell, side) for side in ("left", "right"))
-    for row, place in laid_out(begin, end):
+    for row, place in expand_ranges(begin, end):
         first, second = mine.piece[row], theirs.piece[place]
         for axis in range(3):
             over = sets[0].low[first, axis] <= sets[1].high[second, axis]

@@ -12,7 +12,7 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import heights, opening, scans
-from jaxform.tools.heights import Heights, Surface
+from jaxform.tools.heights import Heights, ViewedSurface
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -80,7 +80,7 @@ class _Stand(NamedTuple):
         return self.area * self.share**2
 
 
-def parse(text: str) -> Array:
+def parse_direction(text: str) -> Array:
     """The unit vector (3,) that a text names: +x, -x, ..., +z, -z, or three numbers with commas.
 
     Raises:
@@ -102,7 +102,7 @@ def parse(text: str) -> Array:
     return vector / length
 
 
-def named(direction: Array) -> str:
+def direction_name(direction: Array) -> str:
     """A direction (3,) as --direction takes it."""
     axis = int(np.argmax(np.abs(direction)))
     if abs(direction[axis]) > 1 - 1e-6:
@@ -110,7 +110,7 @@ def named(direction: Array) -> str:
     return ",".join(f"{float(x) + 0.0:.3g}" for x in np.round(direction, 3))
 
 
-def find(mold: Mesh, direction: Array | None = None) -> Buck:
+def find_buck(mold: Mesh, direction: Array | None = None) -> Buck:
     """How a male mold stands.
 
     Args:
@@ -120,18 +120,18 @@ def find(mold: Mesh, direction: Array | None = None) -> Buck:
     Raises:
         InputError: Nothing stands above a base.
     """
-    surface, size = heights.surface(mold.positions, mold.triangles), meshes.size(mold.positions)
+    surface, size = heights.make_viewed_surface(mold.positions, mold.triangles), meshes.size(mold.positions)
     stands = [_stand(surface, one, size) for one in ([direction] if direction is not None else directions(mold))]
-    chosen, is_open = _chosen(stands), scans.rims_of(mold)
+    chosen, is_open = _choose_stand(stands), scans.find_rims(mold)
     if direction is None and chosen.share < _STANDS and is_open is not None:
-        chosen = _stand(surface, scans.outward(mold, is_open), size)
-    others = [] if direction is not None else _others(stands, chosen)
-    return _placed(surface, chosen, size, others, is_open is not None)
+        chosen = _stand(surface, scans.outward_direction(mold, is_open), size)
+    others = [] if direction is not None else _other_directions(stands, chosen)
+    return _place_mold(surface, chosen, size, others, is_open is not None)
 
 
 def directions(mold: Mesh) -> list[Array]:
     """The directions (3,) in which a mold may stand: axes, then normals of flat faces and open rims, both ways."""
-    chosen = [parse(name) for name in _DIRECTIONS]
+    chosen = [parse_direction(name) for name in _DIRECTIONS]
     for one in opening.plane_normals(mold.positions, mold.triangles):
         for signed in (one, -one):
             if max(float(signed @ other) for other in chosen) < 1 - 1e-6:
@@ -139,18 +139,18 @@ def directions(mold: Mesh) -> list[Array]:
     return chosen
 
 
-def _stand(surface: Surface, direction: Array, size: float) -> _Stand:
-    below = heights.seen(surface, opening.turned_up(direction), _COARSE)
+def _stand(surface: ViewedSurface, direction: Array, size: float) -> _Stand:
+    below = heights.view_heights(surface, opening.rotation_to_z(direction), _COARSE)
     lowest, seen = float(below.height.min()), float(below.inside.sum())
     foot, rough = (
-        float(masks.filled(below.height <= lowest + tolerance * size).sum()) / seen
+        float(masks.fill_holes(below.height <= lowest + tolerance * size).sum()) / seen
         for tolerance in (opening.FLAT, _ROUGH)
     )
     share = foot if foot >= _STANDS else rough
     return _Stand(direction, share * seen * below.pixel**2, share, foot)
 
 
-def _chosen(stands: list[_Stand]) -> _Stand:
+def _choose_stand(stands: list[_Stand]) -> _Stand:
     """The side with the largest base that hides least; of those alike the first; upright as in the file, if it can."""
     good = [stand for stand in stands if stand.share >= _STANDS] or [stand for stand in stands if stand.foot >= _FOOT]
     if not good:
@@ -164,18 +164,18 @@ def _chosen(stands: list[_Stand]) -> _Stand:
     return next(stand for stand in good if stand.score >= _ALIKE * best)
 
 
-def _others(stands: list[_Stand], chosen: _Stand) -> list[str]:
+def _other_directions(stands: list[_Stand], chosen: _Stand) -> list[str]:
     """Names of other sides that are as good, or better but not upright."""
     if chosen.share < _STANDS:
         return []
     least = _ALIKE * chosen.score
     alike = [stand for stand in stands if stand.score >= least and stand is not chosen]
-    return [named(stand.direction) for stand in alike[:5]]
+    return [direction_name(stand.direction) for stand in alike[:5]]
 
 
-def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_open: bool) -> Buck:
+def _place_mold(surface: ViewedSurface, stand: _Stand, size: float, others: list[str], is_open: bool) -> Buck:
     """The mold in the pose of a stand; an open surface ends above its base, whatever its rim is like."""
-    view = heights.seen(surface, opening.turned_up(-stand.direction), opening.FINE)
+    view = heights.view_heights(surface, opening.rotation_to_z(-stand.direction), opening.FINE)
     tolerance = opening.FLAT * size
     level, share = view.edge_level(tolerance)
     ground = np.abs(view.height - level) <= tolerance
@@ -195,7 +195,7 @@ def _placed(surface: Surface, stand: _Stand, size: float, others: list[str], is_
     elif not flat:
         base = widest
     if base - top <= tolerance:
-        problem = f"nothing stands above a base when the sheet comes from {named(stand.direction)}"
+        problem = f"nothing stands above a base when the sheet comes from {direction_name(stand.direction)}"
         remedy = "give another --direction, or --cavity where the sheet goes into a hollow"
         raise InputError(problem, remedy)
     body = view.inside & (view.height < base - tolerance)

@@ -23,7 +23,7 @@ _AROUND = 2  # cells of air around the mold, and half a cell more, so that no wa
 
 
 @dataclass(frozen=True)
-class Cells:
+class CellGrid:
     """Cubic cells, counted along x, y and z.
 
     Attributes:
@@ -40,27 +40,27 @@ class Cells:
     seen: Mask
     outside: Mask
 
-    def within(self, box: tuple[slice, ...]) -> Cells:
+    def crop(self, box: tuple[slice, ...]) -> CellGrid:
         """The cells in a box."""
         low = self.low + self.width * np.array([side.start for side in box])
-        return Cells(low, self.width, self.wall[box], self.seen[box], self.outside[box])
+        return CellGrid(low, self.width, self.wall[box], self.seen[box], self.outside[box])
 
     @property
     def leaks(self) -> Mask:
         """Cells (nx, ny, nz) that are seen, beside which the outside is."""
-        return self.seen & beside(self.outside)
+        return self.seen & neighbour_cells(self.outside)
 
     @property
     def hidden(self) -> float:
         """Volume of the air behind the sheet that is not seen, over that which is."""
-        part, count = parts(~self.wall & ~self.seen & ~self.outside)
+        part, count = label_cells(~self.wall & ~self.seen & ~self.outside)
         met = np.zeros(count + 1, bool)
-        met[np.unique(part[beside(self.seen)])] = True
+        met[np.unique(part[neighbour_cells(self.seen)])] = True
         met[0] = False
         return float(met[part].sum() / max(int(self.seen.sum()), 1))
 
 
-def cells(corners: Array, polygon: Array, found: Opening) -> Cells:
+def cells(corners: Array, polygon: Array, found: Opening) -> CellGrid:
     """The cells of what is behind a sheet.
 
     Args:
@@ -74,27 +74,27 @@ def cells(corners: Array, polygon: Array, found: Opening) -> Cells:
     width = float(extent.max()) / _COUNT
     low = np.append(used[:, :2].min(0) - (_AROUND + 0.5) * width, level - 0.5 * width)
     shape = np.ceil(extent / width).astype(np.int64) + _AROUND * np.array([2, 2, 1]) + 2
-    wall = walls((corners - low) / width, shape)
+    wall = surface_cells((corners - low) / width, shape)
     columns, rows = (low[k] + width * (np.arange(shape[k]) + 0.5) for k in range(2))
     places = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1)
     # A sheet may reach over the outer edge of a narrow rim, by less than a cell.
-    hollow = found.view.sampled(found.cavity, places.reshape(-1, 2))
+    hollow = found.view.sample(found.cavity, places.reshape(-1, 2))
     sheet = (hollow & planform.inside(places.reshape(-1, 2), [polygon])).reshape(places.shape[:2])
     seen = sheet[..., None] & ~np.logical_or.accumulate(wall, axis=2)
     # A flange may lie anywhere in the first layer: nothing passes between the sheet and it.
     wall[..., 0] |= ~seen[..., 0]
-    return Cells(low, width, wall, seen, _outside(~wall & ~seen))
+    return CellGrid(low, width, wall, seen, _outside(~wall & ~seen))
 
 
-def walls(corners: Array, shape: NDArray[np.integer]) -> Mask:
+def surface_cells(corners: Array, shape: NDArray[np.integer]) -> Mask:
     """The cells (nx, ny, nz) that triangles (n, 3, 3) pass through, in cells, closed to ways through cells' sides."""
     wall = np.zeros(shape, bool)
     for axis in range(3):
         one, other = (k for k in range(3) if k != axis)
         wide, high = int(shape[one]), int(shape[other])
         across = np.moveaxis(wall, (one, other, axis), (0, 1, 2))
-        for found in raster.hits(corners[..., [one, other]], wide, high):
-            depth = np.floor(found.of(corners[..., axis])).astype(int)
+        for found in raster.rasterize(corners[..., [one, other]], wide, high):
+            depth = np.floor(found.interpolate(corners[..., axis])).astype(int)
             within = (depth >= 0) & (depth < shape[axis])
             row, column = np.divmod(found.pixel[within], wide)
             across[column, row, depth[within]] = True
@@ -103,7 +103,7 @@ def walls(corners: Array, shape: NDArray[np.integer]) -> Mask:
 
 def _outside(air: Mask) -> Mask:
     """The cells of air from which a way leads to the grid's sides or bottom."""
-    part, count = parts(air)
+    part, count = label_cells(air)
     out = np.zeros(count + 1, bool)
     for side in (part[0], part[-1], part[:, 0], part[:, -1], part[..., -1]):
         out[np.unique(side)] = True
@@ -111,7 +111,7 @@ def _outside(air: Mask) -> Mask:
     return out[part]
 
 
-def parts(mask: Mask, corners: bool = False) -> tuple[NDArray[np.int64], int]:
+def label_cells(mask: Mask, corners: bool = False) -> tuple[NDArray[np.int64], int]:
     """The number of the connected part that each cell is in, from 1, 0 outside; and how many there are.
 
     Args:
@@ -124,7 +124,7 @@ def parts(mask: Mask, corners: bool = False) -> tuple[NDArray[np.int64], int]:
     return found[0], int(found[1])
 
 
-def beside(mask: Mask) -> Mask:
+def neighbour_cells(mask: Mask) -> Mask:
     """The cells that share a side with one of a mask."""
     near = np.zeros_like(mask)
     for axis in range(3):

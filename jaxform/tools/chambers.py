@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import cells
-from jaxform.tools.cells import Cells
+from jaxform.tools.cells import CellGrid
 from jaxform.tools.patches import close_sides
 
 Array = NDArray[np.float64]
@@ -34,24 +34,24 @@ class Chamber(NamedTuple):
 
     width: float
     neck: float
-    cells: Cells
+    cells: CellGrid
 
 
 def refuse_bottles(mold: Mesh) -> None:
     """Raises an InputError where a mold [m] is a bottle, which is blown from a parison, not formed from a sheet."""
-    found = widest(mold)
+    found = widest_chamber(mold)
     if found is None:
         return
     widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
     problem = f"is a bottle: its hollow is {widths}"
     remedy = (
-        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest(mold)} for a sheet over one "
-        "side of it, or one half of it, cut along its axis, as a cavity"
+        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest_axis(mold)} for a sheet over "
+        "one side of it, or one half of it, cut along its axis, as a cavity"
     )
     raise InputError(problem, remedy)
 
 
-def _flattest(mold: Mesh) -> str:
+def _flattest_axis(mold: Mesh) -> str:
     """The axis along which a mold is shortest: standing on its base, a bottle is too tall to be draped."""
     extent = np.ptp(mold.positions[np.unique(mold.triangles)], axis=0)
     return "xyz"[int(np.argmin(np.round(extent / extent.max(), 2)))]
@@ -59,11 +59,11 @@ def _flattest(mold: Mesh) -> str:
 
 def close_necks(mold: Mesh) -> list[Mesh]:
     """Covers on the ways into the hollow of a bottle, for a sheet that is formed over its outside; none of others."""
-    found = widest(mold)
+    found = widest_chamber(mold)
     return [] if found is None else close_sides(found.cells, mold)
 
 
-def widest(mold: Mesh) -> Chamber | None:
+def widest_chamber(mold: Mesh) -> Chamber | None:
     """The hollow behind a neck of a mold [m], or None where a ball that fits a hollow can be brought into it."""
     from scipy import ndimage
 
@@ -72,28 +72,28 @@ def widest(mold: Mesh) -> Chamber | None:
     width = float(extent.max()) / _COUNT
     low = low - (_AROUND + 0.5) * width
     shape = np.ceil(extent / width).astype(np.int64) + 2 * _AROUND + 1
-    wall = cells.walls((corners - low) / width, shape)
-    air = _reached(~wall)
+    wall = cells.surface_cells((corners - low) / width, shape)
+    air = _border_cells(~wall)
     away: Any = ndimage.distance_transform_edt(~wall)
     for half in np.geomspace(_LEAST, max(float(shape.min()) / 2, 2 * _LEAST), _STEPS):
         wide = air & (away > half)
-        inner = wide & ~_reached(wide)
+        inner = wide & ~_border_cells(wide)
         deepest = float(away[inner].max(initial=0.0))
         if half > _NARROW * deepest:
             continue
         # What a ball of that size, which rolls outside, does not touch; corners outside are no hollow.
         rolled: Any = ndimage.distance_transform_edt(~(wide & ~inner))
-        part, _ = cells.parts(air & (rolled > half))
+        part, _ = cells.label_cells(air & (rolled > half))
         hollow = np.isin(part, np.unique(part[inner])) & (part > 0)
         if hollow.sum() >= _SHARE * np.prod(extent) / width**3:
-            parted = Cells(low, width, wall, air & ~hollow, hollow)
+            parted = CellGrid(low, width, wall, air & ~hollow, hollow)
             return Chamber(2 * deepest * width, 2 * float(half) * width, parted)
     return None
 
 
-def _reached(air: Mask) -> Mask:
+def _border_cells(air: Mask) -> Mask:
     """The cells of air from which a way leads to the grid's border."""
-    part, count = cells.parts(air)
+    part, count = cells.label_cells(air)
     out = np.zeros(count + 1, bool)
     for side in (part[0], part[-1], part[:, 0], part[:, -1], part[..., 0], part[..., -1]):
         out[np.unique(side)] = True

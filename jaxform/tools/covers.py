@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import contours, masks, meshes, topology, volumes
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 from jaxform.tools import cells, heights
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import FINE, FLAT, Opening
@@ -56,15 +56,17 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
     size = meshes.size(mold.positions)
     fans = _fans(turned, mold.triangles, found, size)
     curtain, length = _curtain(found, polygon, size)
-    closed = meshes.merged([Mesh(turned, mold.triangles), *fans, *curtain])
-    patches = _patches(heights.seen(heights.surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon)
-    closed = meshes.merged([closed, *patches])
+    closed = meshes.merge([Mesh(turned, mold.triangles), *fans, *curtain])
+    patches = _patches(
+        heights.view_heights(heights.make_viewed_surface(closed.positions, closed.triangles), np.eye(3), FINE), polygon
+    )
+    closed = meshes.merge([closed, *patches])
     behind = cells.cells(closed.positions[closed.triangles], polygon, found)
     sides = [] if found.male else close_sides(behind, closed)
     parts = [*fans, *curtain, *patches, *sides]
     if not parts:
         return Covers(None, 0, 0.0, 0, behind.hidden)
-    joined = meshes.merged(parts)
+    joined = meshes.merge(parts)
     mesh = Mesh(joined.positions @ found.view.turn, joined.triangles)
     return Covers(mesh, len(fans) + len(patches) + len(sides), length, len(sides), behind.hidden)
 
@@ -75,32 +77,32 @@ def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> li
     if not len(edges):
         return []
     count = np.bincount(part)
-    in_seams = np.bincount(part, at_seams(turned, edges, SEAM * size)) > 0.5 * count
+    in_seams = np.bincount(part, find_seams(turned, edges, SEAM * size)) > 0.5 * count
     nearest = np.full(len(count), np.inf)
     np.minimum.at(nearest, part, turned[edges][..., 2].min(1))
     made = []
     for one in np.flatnonzero(~in_seams & (nearest > found.level + FLAT * size)):
         rim = turned[edges[part == one]]
-        if found.view.sampled(found.view.inside, rim[:, 0, :2]).mean() < 0.5:
+        if found.view.sample(found.view.inside, rim[:, 0, :2]).mean() < 0.5:
             continue
         cap = fan(rim)
-        if _before(found, cap):
+        if _lies_before(found, cap):
             continue
         if volumes.areas(cap.positions, cap.triangles).sum() > _SPECK * size**2:
             made.append(cap)
     return made
 
 
-def _before(found: Opening, cap: Mesh) -> bool:
+def _lies_before(found: Opening, cap: Mesh) -> bool:
     """Whether a cap lies before what is seen: the end of a lip is around a hollow, not around a hole in it."""
     places = cap.positions[cap.triangles].mean(1)
     size = volumes.areas(np.insert(cap.positions[:, :2], 2, 0.0, axis=1), cap.triangles)
-    deep = found.view.sampled(found.view.height, places[:, :2])
+    deep = found.view.sample(found.view.height, places[:, :2])
     before = np.isfinite(deep) & (deep > places[:, 2] + found.view.pixel)
     return bool(size @ before > 0.5 * max(size.sum(), found.view.pixel**2))
 
 
-def at_seams(turned: Array, edges: Integers, near: float) -> Mask:
+def find_seams(turned: Array, edges: Integers, near: float) -> Mask:
     """Along which rim edges (n,) another one runs, beside their middles."""
     from scipy.spatial import KDTree
 
@@ -138,7 +140,7 @@ def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], f
     """Walls down from the sheet's edge where nothing is under it, and how long they are [m]."""
     view = found.view
     along = _edge_points(polygon, _STEP * view.pixel)
-    near, deep = view.sampled(view.around(), along), view.sampled(_deepest(view), along)
+    near, deep = view.sample(view.local_minimum(), along), view.sample(_deepest(view), along)
     open_there = near > found.level + FLAT * size
     # A single place is below the pixels' resolution. A rim is seen from a few pixels away, so that walls reach beyond
     # the gap.
@@ -154,7 +156,7 @@ def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], f
     walls = [[number, following, following + count], [number, following + count, number + count]]
     triangles = np.concatenate([np.stack(wall, axis=1) for wall in walls]).astype(np.int32)
     length = float(np.linalg.norm(along[following] - along[number], axis=1).sum())
-    return [meshes.used(Mesh(points, triangles))], length
+    return [meshes.drop_unused_nodes(Mesh(points, triangles))], length
 
 
 def _edge_points(polygon: Array, step: float) -> Array:
@@ -162,22 +164,22 @@ def _edge_points(polygon: Array, step: float) -> Array:
     ends = np.roll(polygon, -1, axis=0)
     counts = np.maximum(1, np.ceil(np.linalg.norm(ends - polygon, axis=1) / step).astype(int))
     side = np.repeat(np.arange(len(polygon)), counts)
-    share = counted_up(counts) / counts[side]
+    share = positions_in_rows(counts) / counts[side]
     return polygon[side] + share[:, None] * (ends - polygon)[side]
 
 
 def _deepest(view: Heights) -> Array:
-    return -masks.least_around(np.where(np.isfinite(view.height), -view.height, np.inf), 3)
+    return -masks.local_minimum(np.where(np.isfinite(view.height), -view.height, np.inf), 3)
 
 
 def _patches(view: Heights, polygon: Array) -> list[Mesh]:
     """Covers on what one sees through, at the height of what is around it."""
-    through = ~np.isfinite(view.height) & masks.grown(view.within(polygon), -2)
-    part, count = masks.parts(through)
+    through = ~np.isfinite(view.height) & masks.dilate(view.inside_polygon(polygon), -2)
+    part, count = masks.label_parts(through)
     made = []
     for one in range(1, count + 1):
         hole = part == one
-        around = masks.grown(hole, 2) & np.isfinite(view.height)
+        around = masks.dilate(hole, 2) & np.isfinite(view.height)
         if not around.any():
             continue
         rim, rise = view.places(around), view.height[around]

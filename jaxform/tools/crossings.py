@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 from jaxform.tools.mold import Mold
-from jaxform.tools.search import CLASSES, SearchGrid, cut
+from jaxform.tools.search import CLASSES, SearchGrid, split_long_triangles
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -26,14 +26,14 @@ _TOUCH = 1e-9  # of the mold's size, for rounding in heights above planes
 _STEEP = 1e-9  # of the mold's size: a path that changes its height over a triangle by less touches it
 
 
-class Pairs(NamedTuple):
+class PiecePairs(NamedTuple):
     """Which of the given pieces (n,) may meet which triangles of the mold (n,)."""
 
     piece: NDArray[np.int64]
     triangle: Integers
 
 
-class _Cells(NamedTuple):
+class _GridArrays(NamedTuple):
     """A search grid in NumPy's arrays."""
 
     corner: Array
@@ -47,12 +47,12 @@ class _Cells(NamedTuple):
     shape: Integers
 
 
-def _cells(grid: SearchGrid) -> _Cells:
+def _cells(grid: SearchGrid) -> _GridArrays:
     arrays = {name: np.asarray(getattr(grid, name)) for name in ("bound", "start", "ends", "listed", "number", "shape")}
-    return _Cells(np.asarray(grid.corner, float), float(grid.width), float(grid.reach), **arrays)
+    return _GridArrays(np.asarray(grid.corner, float), float(grid.width), float(grid.reach), **arrays)
 
 
-def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: float = 0.0) -> Iterator[Pairs]:
+def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: float = 0.0) -> Iterator[PiecePairs]:
     """Pairs of pieces, with k corners (n, k, 3) [m], and mold triangles whose boxes overlap, part by part.
 
     Args:
@@ -62,10 +62,10 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         margin: What the boxes are widened by [m].
     """
     cells = _cells(grid)
-    mold_low, mold_high = boxes_of(mold_corners)
+    mold_low, mold_high = bounding_boxes(mold_corners)
     box = mold_low.min(0) - margin, mold_high.max(0) + margin
     pieces, owner = short_pieces(corners, cells.reach, *box)
-    low, high = boxes_of(pieces)
+    low, high = bounding_boxes(pieces)
     low, high = low - margin, high + margin
     middle = pieces.mean(1)
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
@@ -78,7 +78,7 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     cell = cell[near]
     kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
-    for row, place in laid_out(begin, end):
+    for row, place in expand_ranges(begin, end):
         piece, triangle = near[row], cells.number[cells.listed[place]]
         for axis in range(3):
             over = low[piece, axis] <= mold_high[triangle, axis]
@@ -87,7 +87,7 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         # Slivers as long as the mold have large boxes; a piece that its plane does not cut is not near.
         height = np.einsum("ij,ij->i", normal[triangle], middle[piece]) - level[triangle]
         cut = np.abs(height) <= radius[piece] + touch
-        yield Pairs(owner[piece[cut]], triangle[cut])
+        yield PiecePairs(owner[piece[cut]], triangle[cut])
 
 
 def _planes(corners: Array) -> tuple[Array, Array]:
@@ -97,7 +97,7 @@ def _planes(corners: Array) -> tuple[Array, Array]:
     return normal, np.einsum("ij,ij->i", normal, corners[:, 0])
 
 
-def boxes_of(corners: Array) -> tuple[Array, Array]:
+def bounding_boxes(corners: Array) -> tuple[Array, Array]:
     """Lowest and highest coordinates (n, 3), (n, 3) [m] of pieces with k corners (n, k, 3) [m].
 
     Corner by corner: NumPy takes several times as long along an axis of three.
@@ -106,19 +106,19 @@ def boxes_of(corners: Array) -> tuple[Array, Array]:
     return functools.reduce(np.minimum, each), functools.reduce(np.maximum, each)
 
 
-def every(columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def all_columns(columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which rows (n,) are true in each of a few columns (n, k)."""
     return functools.reduce(np.logical_and, columns.T)
 
 
-def laid_out(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def expand_ranges(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """The entries from `begin` to `end` (n,) of each row of a list: their rows and places, part by part."""
     count = (end - begin).astype(np.int64)
     total = np.cumsum(count)
     parts = np.searchsorted(total, np.arange(_CHUNK, total[-1] if len(total) else 0, _CHUNK)) + 1
     for part in np.split(np.arange(len(count)), parts):
         row = np.repeat(part, count[part])
-        yield row, begin[row] + counted_up(count[part])
+        yield row, begin[row] + positions_in_rows(count[part])
 
 
 def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -129,14 +129,14 @@ def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tup
     """
     owner = np.arange(len(corners))
     while True:
-        lowest, highest = boxes_of(corners)
-        inside = every((lowest <= high) & (highest >= low))
+        lowest, highest = bounding_boxes(corners)
+        inside = all_columns((lowest <= high) & (highest >= low))
         if not inside.all():
             corners, owner = corners[inside], owner[inside]
         side = max(_longest(corners[:, k] - corners[:, k - 1]) for k in range(corners.shape[1]))
         if side <= longest:
             return corners, owner
-        halve = cut if corners.shape[1] == 3 else _halved
+        halve = split_long_triangles if corners.shape[1] == 3 else _halve_segments
         corners, part = halve(corners, max(longest, 0.5 * side))
         owner = owner[part]
 
@@ -146,7 +146,7 @@ def _longest(sides: Array) -> float:
     return float(np.sqrt(np.einsum("ij,ij->i", sides, sides).max(initial=0.0)))
 
 
-def _halved(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
+def _halve_segments(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
     """Segments (n, 2, 3) [m] of which those that are longer are halved, and which each is part of."""
     long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > longest
     middle = corners[long].mean(1)
@@ -192,7 +192,7 @@ def _on_one_side(one: Array, other: Array) -> NDArray[np.bool_]:
     """Whether all corners of triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair."""
     normal = np.cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0])
     height = np.einsum("nkj,nj->nk", one - other[:, :1], normal)
-    return every(height > 0) | every(height < 0)
+    return all_columns(height > 0) | all_columns(height < 0)
 
 
 def proper_crossings(
@@ -213,7 +213,7 @@ def proper_crossings(
 
 
 def _crosses_inside(
-    begin: Array, end: Array, mold_corners: Array, pairs: Pairs, margin: float, steep: float
+    begin: Array, end: Array, mold_corners: Array, pairs: PiecePairs, margin: float, steep: float
 ) -> NDArray[np.bool_]:
     """Whether segments cross triangles, pair by pair, inside both by the relative margin and by more than `steep`."""
     corners = mold_corners[pairs.triangle]

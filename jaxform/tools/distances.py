@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
-from jaxform.mesh.rows import ascending
-from jaxform.tools.search import cut
+from jaxform.mesh.rows import unique_ascending
+from jaxform.tools.search import split_long_triangles
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ _POINTS = 4096  # that are looked up together
 _CHUNK = 50_000  # pairs of point and triangle looked at together
 
 
-class Surface(Protocol):
+class TriangleSurface(Protocol):
     """Triangles with an area: `vertices` (n, 3) [m] and `triangles`, their numbers (m, 3), as molds have them."""
 
     @property
@@ -41,7 +41,7 @@ class Triangulation(NamedTuple):
     triangles: NDArray[np.integer]
 
 
-class Nearest(NamedTuple):
+class NearestPlaces(NamedTuple):
     """The places of a surface that are nearest to points.
 
     Attributes:
@@ -57,14 +57,14 @@ class Nearest(NamedTuple):
     at_rim: NDArray[np.bool_]
 
 
-class _Pieces(NamedTuple):
+class _TriangleGroup(NamedTuple):
     """Pieces of triangles that are about as large: their middles, the largest radius [m], the triangles of all."""
 
     tree: Any
     radius: float
     owner: NDArray[np.int64]
 
-    def near(self, points: Array, limit: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def candidate_pairs(self, points: Array, limit: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs of a point (n, 3) and a piece that may be no farther from it than its limit (n,) [m]."""
         reach = (limit + self.radius) * (1 + _TIE)
         asked, wanted, pairs = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), []
@@ -81,7 +81,7 @@ class _Pieces(NamedTuple):
         return np.concatenate(point), np.concatenate(piece)
 
 
-def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_Pieces]:
+def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
     """Pieces (n, 3, 3) [m] of triangles (n,) by their size: of the smaller ones fewer need be looked at."""
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
@@ -89,13 +89,13 @@ def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_Pieces]:
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1)
     kind = np.floor(np.log2(radius.max() / np.maximum(radius, 1e-3 * radius.max())) / 2).astype(int)
     rows = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    return [_Pieces(KDTree(middle[row]), float(radius[row].max()), owner[row]) for row in rows]
+    return [_TriangleGroup(KDTree(middle[row]), float(radius[row].max()), owner[row]) for row in rows]
 
 
 class Distances:
     """Distances from a mold, where they are no more than `farthest` [m]."""
 
-    def __init__(self, mold: Surface, farthest: float) -> None:
+    def __init__(self, mold: TriangleSurface, farthest: float) -> None:
         triangles = np.asarray(mold.triangles)
         self.corners = np.asarray(mold.vertices, float)[triangles]
         self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
@@ -103,13 +103,13 @@ class Distances:
         self.open_side, self.open_corner = _rims(triangles, len(mold.vertices))
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
         shortest = max(min(longest, 0.5 * farthest), self.size / _FINEST)
-        self.groups = _groups(*cut(self.corners, _length(self.corners, shortest)))
+        self.groups = _groups(*split_long_triangles(self.corners, _length(self.corners, shortest)))
 
-    def about(self, points: Array) -> Array:
+    def upper_bounds(self, points: Array) -> Array:
         """Upper bounds (n,) [m] of the distances of points (n, 3): those from triangles with near middles."""
-        return self._about(points)[0]
+        return self._upper_bounds(points)[0]
 
-    def _about(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
+    def _upper_bounds(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
         """Upper bounds (n,) [m] of distances, and the triangles (n,) that are so far away."""
         least, triangle = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
         for group in self.groups:
@@ -129,7 +129,7 @@ class Distances:
         """
         if not len(points):
             return np.zeros(0)
-        point, triangle = self._pairs(points, self.about(points))
+        point, triangle = self._pairs(points, self.upper_bounds(points))
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
         found = [self._examine(points[point[part]], triangle[part]) for part in parts]
         distance, at_rim = (np.concatenate(values) for values in zip(*found, strict=True))
@@ -139,12 +139,12 @@ class Distances:
         rim[point[at_rim & (distance <= nearest[point] + _TIE * self.size)]] = True
         return np.where(rim | (nearest > self.farthest), 0.0, nearest)
 
-    def farthest_of(self, points: Array) -> tuple[float, int]:
+    def largest(self, points: Array) -> tuple[float, int]:
         """The largest of the distances of points (n, 3) [m] that `exact` gives, and which has it; 0 and -1 of none.
 
         Only those are measured that a quick bound does not rule out.
         """
-        bound, best, found = self.about(points), 0.0, -1
+        bound, best, found = self.upper_bounds(points), 0.0, -1
         order, first, count = np.argsort(-bound, kind="stable"), 0, _ASKED
         while first < len(order) and bound[order[first]] > best:
             asked = order[first : first + count]
@@ -154,9 +154,9 @@ class Distances:
             first, count = first + count, _MORE * count
         return best, found
 
-    def nearest(self, points: Array) -> Nearest:
+    def nearest(self, points: Array) -> NearestPlaces:
         """The nearest places to points (n, 3) [m]; in a triangle with a near middle, where it is too far."""
-        bound, triangle = self._about(points)
+        bound, triangle = self._upper_bounds(points)
         point, candidate = self._pairs(points, bound)
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
         found = [point_triangle_distance(points[point[part]], self.corners[candidate[part]]) for part in parts]
@@ -166,7 +166,7 @@ class Distances:
         parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
         seen = [self._examine(points[part], triangle[part]) for part in parts]
         distance, at_rim = (np.concatenate(values) for values in zip(*seen, strict=True))
-        return Nearest(triangle, nearest_places(points, self.corners[triangle]), distance, at_rim)
+        return NearestPlaces(triangle, nearest_places(points, self.corners[triangle]), distance, at_rim)
 
     def _pairs(self, points: Array, bound: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Points and the triangles that may be nearest to them, which are no farther than their bounds (n,) [m]."""
@@ -174,9 +174,9 @@ class Distances:
         limit = np.minimum(bound, self.farthest) + _TIE * self.size
         for group in self.groups:
             for part in np.array_split(np.arange(len(points)), 1 + len(points) // _POINTS):
-                point, piece = group.near(points[part], limit[part])
-                keys.append(ascending(part[point] * count + group.owner[piece]))
-        key = ascending(np.concatenate(keys))
+                point, piece = group.candidate_pairs(points[part], limit[part])
+                keys.append(unique_ascending(part[point] * count + group.owner[piece]))
+        key = unique_ascending(np.concatenate(keys))
         return key // count, key % count
 
     def _examine(self, points: Array, triangle: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
@@ -264,6 +264,6 @@ def weights(places: Array, corners: Array) -> Array:
     return weight / weight.sum(1, keepdims=True)
 
 
-def interpolated(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64], weight: Array) -> Array:
+def interpolate(nodal: Array, triangles: NDArray[np.integer], triangle: NDArray[np.int64], weight: Array) -> Array:
     """Nodal values (n, ...) at places (m, ...), in which triangle each is (m,), with which `weights` (m, 3)."""
     return np.einsum("mk,mk...->m...", weight, nodal[triangles[triangle]])

@@ -48,7 +48,7 @@ class Facing:
 
     def heights(self, places: Array) -> tuple[Array, NDArray[np.bool_]]:
         """How far places (n, 3) [m] are before the sheet (n,) [m], and which are before it at all."""
-        near = self.flat.nearest(_projected(places, self.direction))
+        near = self.flat.nearest(_project(places, self.direction))
         corners = self.positions[self.triangles[near.triangle]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         slope = np.einsum("ij,j->i", normal, self.direction)
@@ -79,7 +79,7 @@ class Facing:
         return 0.0
 
 
-def facing(positions: Array, triangles: Integers, push: float, mold: Mold, grid: SearchGrid) -> Facing | None:
+def find_facing(positions: Array, triangles: Integers, push: float, mold: Mold, grid: SearchGrid) -> Facing | None:
     """What of the mold is before a sheet; None of one that is not nearly flat, or that nothing pushes.
 
     Args:
@@ -96,10 +96,10 @@ def facing(positions: Array, triangles: Integers, push: float, mold: Mold, grid:
     if not size >= _FLAT * area > 0:
         return None
     direction = total / size
-    flat = Distances(Triangulation(_projected(positions, direction), triangles), float(np.ptp(positions, axis=0).max()))
+    flat = Distances(Triangulation(_project(positions, direction), triangles), float(np.ptp(positions, axis=0).max()))
     return Facing(positions, triangles, direction, mold, grid, flat)
 
 
-def _projected(places: Array, direction: Array) -> Array:
+def _project(places: Array, direction: Array) -> Array:
     """Places (n, 3) [m] moved along a unit vector (3,) into the plane through the origin across it."""
     return places - (places @ direction)[:, None] * direction

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.boxes import overlapping
-from jaxform.tools.crossings import every, intersect
+from jaxform.tools.boxes import overlapping_pairs
+from jaxform.tools.crossings import all_columns, intersect
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -15,7 +15,7 @@ _FIRST = 300  # elements that are looked at first
 _MOST_PAIRS = 600_000  # of these and others, from which the rest is not looked at
 
 
-def through_itself(positions: Array, triangles: Integers, asked: Integers) -> NDArray[np.int64]:
+def self_intersecting_elements(positions: Array, triangles: Integers, asked: Integers) -> NDArray[np.int64]:
     """Which of some elements another one cuts that shares no node with them, in order.
 
     Args:
@@ -27,20 +27,22 @@ def through_itself(positions: Array, triangles: Integers, asked: Integers) -> ND
     asked, corners = np.asarray(asked, np.int64), positions[triangles]
     if not len(asked) or _faces_one_way(corners):
         return asked[:0]
-    found, pairs = _cut_by_others(corners, triangles, asked[:_FIRST])
+    found, pairs = _intersected_elements(corners, triangles, asked[:_FIRST])
     # Of a sheet that burst, each element meets a thousand others: then the first ones say enough.
     if len(asked) > _FIRST and pairs <= _MOST_PAIRS:
-        found = np.union1d(found, _cut_by_others(corners, triangles, asked[_FIRST:])[0])
+        found = np.union1d(found, _intersected_elements(corners, triangles, asked[_FIRST:])[0])
     return found
 
 
-def _cut_by_others(corners: Array, triangles: Integers, asked: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
+def _intersected_elements(
+    corners: Array, triangles: Integers, asked: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], int]:
     """Which elements (n,), of all with corners (n_element, 3, 3) [m], others cut, and how many were compared."""
     found, pairs = [], 0
-    for place, other in overlapping(corners[asked], corners):
+    for place, other in overlapping_pairs(corners[asked], corners):
         pairs += len(place)
         one = asked[place]
-        apart = every((triangles[one][:, :, None] != triangles[other][:, None, :]).reshape(-1, 9))
+        apart = all_columns((triangles[one][:, :, None] != triangles[other][:, None, :]).reshape(-1, 9))
         one, other = one[apart], other[apart]
         found.append(one[intersect(corners[one], corners[other])])
     return np.unique(np.concatenate([asked[:0], *found])).astype(np.int64), pairs

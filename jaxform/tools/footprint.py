@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import contours, masks, outlines, topology
-from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import Opening
 
@@ -36,7 +36,7 @@ class Planform(NamedTuple):
         flange: Whether it lies on the mold all round, beyond the opening.
     """
 
-    shape: Circle | Rectangle | Array
+    shape: Circle | OrientedRectangle | Array
     flange: bool
 
     @property
@@ -45,14 +45,14 @@ class Planform(NamedTuple):
         if isinstance(self.shape, Circle):
             angle = 2 * np.pi * np.arange(180) / 180
             return self.shape.center + self.shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        if isinstance(self.shape, Rectangle):
+        if isinstance(self.shape, OrientedRectangle):
             share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
             return self.shape.corner + share * self.shape.sides @ self.shape.axes
         return self.shape
 
 
 @dataclass(frozen=True)
-class _Site:
+class _FitRegion:
     """What the fits look at: the view, what is to be covered, its points (n, 2) [m], and whether a flange is there."""
 
     view: Heights
@@ -61,13 +61,13 @@ class _Site:
     flange: bool
     width: float
 
-    def within(self, polygon: Array) -> bool:
+    def contains(self, polygon: Array) -> bool:
         """Whether a polygon lies on the mold."""
-        wanted = self.view.within(polygon)
+        wanted = self.view.inside_polygon(polygon)
         return bool(wanted.sum() and (wanted & self.view.inside).sum() >= _WITHIN * wanted.sum())
 
 
-def fit(found: Opening, vertices: Array, triangles: Integers) -> Planform:
+def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> Planform:
     """The planform of a sheet that covers an opening: a disc or rectangle where one fits, else an outline.
 
     Args:
@@ -79,7 +79,7 @@ def fit(found: Opening, vertices: Array, triangles: Integers) -> Planform:
         InputError: The opening has no outline that a sheet can have.
     """
     site = _site(found, vertices)
-    full = masks.closed(site.covered, _BRIDGE * site.width / found.view.pixel).sum() * found.view.pixel**2
+    full = masks.close_gaps(site.covered, _BRIDGE * site.width / found.view.pixel).sum() * found.view.pixel**2
     for shape in (_disc(site, full), _rectangle(site, full)):
         if shape is not None:
             return Planform(shape, site.flange)
@@ -100,7 +100,7 @@ def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
     return _outline(_site(found, vertices), found, vertices, triangles)
 
 
-def _site(found: Opening, vertices: Array) -> _Site:
+def _site(found: Opening, vertices: Array) -> _FitRegion:
     view = found.view
     clear = masks.distance(view.inside)[found.cavity].min()
     turned = vertices @ view.turn.T
@@ -112,7 +112,7 @@ def _site(found: Opening, vertices: Array) -> _Site:
     if len(exact) >= 3 and _hull_area(exact) > 0.97 * _hull_area(points):
         points = exact
     low, high = points.min(0), points.max(0)
-    return _Site(view, found.cavity, points, not found.male and bool(clear > _BARE), float((high - low).min()))
+    return _FitRegion(view, found.cavity, points, not found.male and bool(clear > _BARE), float((high - low).min()))
 
 
 def _hull_area(points: Array) -> float:
@@ -120,7 +120,7 @@ def _hull_area(points: Array) -> float:
     return outlines.area(contours.hull(points)) if spread[1] > 1e-9 * spread[0] else 0.0
 
 
-def _disc(site: _Site, full: float) -> Circle | None:
+def _disc(site: _FitRegion, full: float) -> Circle | None:
     corners = contours.hull(site.points)
     around = contours.smallest_circle(corners)
     if not site.flange:
@@ -131,12 +131,12 @@ def _disc(site: _Site, full: float) -> Circle | None:
         )
     for margin in _margins(site):
         disc = Circle(around.center, around.radius + margin)
-        if full >= _FULL * np.pi * around.radius**2 and site.within(Planform(disc, True).polygon):
+        if full >= _FULL * np.pi * around.radius**2 and site.contains(Planform(disc, True).polygon):
             return disc
     return None
 
 
-def _rectangle(site: _Site, full: float) -> Rectangle | None:
+def _rectangle(site: _FitRegion, full: float) -> OrientedRectangle | None:
     corners = contours.hull(site.points)
     around = contours.smallest_rectangle(corners)
     area = float(np.prod(around.sides))
@@ -144,37 +144,37 @@ def _rectangle(site: _Site, full: float) -> Rectangle | None:
         square = outlines.area(corners) >= _SQUARE * area and full >= 0.97 * area
         return around if square else None
     for margin in _margins(site):
-        if full >= _FULL * area and site.within(Planform(around.grown(margin), True).polygon):
-            return around.grown(margin)
+        if full >= _FULL * area and site.contains(Planform(around.enlarge(margin), True).polygon):
+            return around.enlarge(margin)
     return None
 
 
-def _margins(site: _Site) -> list[float]:
+def _margins(site: _FitRegion) -> list[float]:
     most = max(_MARGIN * site.width, 2 * site.view.pixel)
     return [most, 0.5 * most, 0.25 * most]
 
 
-def _outline(site: _Site, found: Opening, vertices: Array, triangles: Integers) -> Array:
+def _outline(site: _FitRegion, found: Opening, vertices: Array, triangles: Integers) -> Array:
     view = site.view
     rim = None if site.flange else _rim(found, vertices, triangles)
     if rim is not None:
         return rim
     margin = max(_MARGIN * site.width / view.pixel, 2.0)
     values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~site.covered))
-    if not _in_one(values > 0):
-        hull = view.within(contours.hull(view.places(site.covered)))
+    if not _is_connected(values > 0):
+        hull = view.inside_polygon(contours.hull(view.places(site.covered)))
         values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
     polygon = contours.contour(values, view.low, view.pixel)
-    return _simpler(polygon, _SIMPLER * view.pixel)
+    return _simplify(polygon, _SIMPLER * view.pixel)
 
 
-def _simpler(polygon: Array, tolerance: float) -> Array:
-    kept = outlines.essential(polygon, np.full(len(polygon), tolerance), np.zeros(len(polygon), bool))
-    return outlines.cleaned(polygon[kept])
+def _simplify(polygon: Array, tolerance: float) -> Array:
+    kept = outlines.essential_corners(polygon, np.full(len(polygon), tolerance), np.zeros(len(polygon), bool))
+    return outlines.clean(polygon[kept])
 
 
-def _in_one(mask: Mask) -> bool:
-    return masks.parts(mask)[1] == 1
+def _is_connected(mask: Mask) -> bool:
+    return masks.label_parts(mask)[1] == 1
 
 
 def _rim(found: Opening, vertices: Array, triangles: Integers) -> Array | None:
@@ -188,7 +188,7 @@ def _rim(found: Opening, vertices: Array, triangles: Integers) -> Array | None:
         if abs(abs(outlines.area(polygon)) - wanted) > _ALIKE * wanted:
             continue
         try:
-            return _simpler(outlines.cleaned(polygon), 0.1 * _SIMPLER * view.pixel)
+            return _simplify(outlines.clean(polygon), 0.1 * _SIMPLER * view.pixel)
         except InputError:
             continue
     return None

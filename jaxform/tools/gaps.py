@@ -13,7 +13,7 @@ from jaxform.tools.crossings import proper_crossings
 from jaxform.tools.distances import Distances, Triangulation
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.sides import normals_of_nodes, off_the_mold
+from jaxform.tools.sides import contact_normals, nodal_normals
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -73,9 +73,9 @@ def widest_gap(
         grid: Its search structure; made here by default.
         held: Elements (n_element,) before which nothing counts; those with a clamped node by default.
         counts: Says which places of the mold (n, 3) [m] count (n,); all by default.
-        places: Of the mold (n, 3) [m] that are looked at; those of `places_of` by default.
+        places: Of the mold (n, 3) [m] that are looked at; those of `mold_points` by default.
     """
-    places = places_of(mold) if places is None else places
+    places = mold_points(mold) if places is None else places
     if not len(triangles) or not len(places):
         return NO_GAP
     held = clamped[triangles].any(1) if held is None else held
@@ -84,9 +84,9 @@ def widest_gap(
     sheet = positions[triangles]
     usual = float(np.linalg.norm(sheet - np.roll(sheet, 1, axis=1), axis=2).mean())
     distances = Distances(Triangulation(positions, triangles), _REACH * usual)
-    back = _back(positions, triangles, wall, push, corners[walls])
-    sight = _Sight(sheet, back[triangles], held, distances, mold, grid, counts)
-    bound = distances.about(places)
+    back = _back_directions(positions, triangles, wall, push, corners[walls])
+    sight = _ViewedSheet(sheet, back[triangles], held, distances, mold, grid, counts)
+    bound = distances.upper_bounds(places)
     order, best = np.argsort(-bound, kind="stable"), NO_GAP
     first, count = 0, _ASKED
     while first < len(order) and bound[order[first]] > best.width:
@@ -95,7 +95,7 @@ def widest_gap(
     return best
 
 
-def places_of(mold: Mold, chosen: NDArray[np.bool_] | None = None) -> Array:
+def mold_points(mold: Mold, chosen: NDArray[np.bool_] | None = None) -> Array:
     """The places (n, 3) [m] of a mold that are looked at: corners and middles of its triangles, or of chosen ones."""
     walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
     walls = walls if chosen is None else walls[chosen]
@@ -103,23 +103,23 @@ def places_of(mold: Mold, chosen: NDArray[np.bool_] | None = None) -> Array:
     return places[:: 1 + len(places) // _MOST]
 
 
-def _back(positions: Array, triangles: Integers, wall: Integers, push: float, mold_corners: Array) -> Array:
+def _back_directions(positions: Array, triangles: Integers, wall: Integers, push: float, mold_corners: Array) -> Array:
     """Unit vectors (n_node, 3) away from where the nodes are pushed: off the mold, of those that touch it."""
-    back = -np.sign(push) * normals_of_nodes(positions, triangles)
+    back = -np.sign(push) * nodal_normals(positions, triangles)
     length = np.linalg.norm(back, axis=1, keepdims=True)
     back /= np.where(length > 0, length, 1.0)
     node = np.flatnonzero(wall)
-    back[node] = off_the_mold(wall[node], mold_corners)
+    back[node] = contact_normals(wall[node], mold_corners)
     return back
 
 
 @dataclass(frozen=True)
-class _Sight:
+class _ViewedSheet:
     """Elements (n_element, 3, 3) [m] that look at the mold, which way is back at their nodes, and which are held."""
 
     sheet: Array
     back: Array
-    held: NDArray[np.bool_]
+    in_contact: NDArray[np.bool_]
     distances: Distances
     mold: Mold
     grid: SearchGrid
@@ -130,7 +130,7 @@ class _Sight:
         near = self.distances.nearest(places)
         way, back = places - near.place, self.back[near.triangle]
         before = np.einsum("nkj,nj->n", back, way) < 0
-        before &= ~near.at_rim & ~self.held[near.triangle] & (near.distance > 0)
+        before &= ~near.at_rim & ~self.in_contact[near.triangle] & (near.distance > 0)
         found = np.flatnonzero(before)
         # A place of an element may be beyond an edge of the mold; its nodes are not.
         lift = _LIFT * near.distance[found, None, None] * back[found]

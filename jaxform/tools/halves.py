@@ -28,12 +28,12 @@ class Plane(NamedTuple):
         return Mesh(positions, mesh.triangles[:, ::-1])
 
 
-def _closes(mold: Mesh) -> bool:
+def _is_closed_by(mold: Mesh) -> bool:
     """Whether what is open of a mold is the rim of its opening: else its cut is taken for one."""
     edges, _ = topology.open_rims(mold.triangles, len(mold.positions))
     if not len(edges):
         return True
-    found, size = opening.find(mold.positions, mold.triangles), meshes.size(mold.positions)
+    found, size = opening.find_opening(mold.positions, mold.triangles), meshes.size(mold.positions)
     ends = mold.positions[edges]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     height = (ends @ found.view.turn[2]).mean(1)
@@ -53,34 +53,34 @@ class _Lines:
         self._sharp = topology.feature_edges(mold.positions, mold.triangles, rims=False)
         self._tolerance = opening.FLAT * meshes.size(mold.positions)
 
-    def show(self, plane: Plane) -> bool:
+    def allow_plane(self, plane: Plane) -> bool:
         """Whether the mold may be cut in a plane: it is open there, or has an edge inside of its outline there.
 
         Few planes show this, and to try one takes a look from all sides at a mold twice as large.
         """
         if len(self._open):
-            return _length(self._in(plane, self._open)) >= _CUT * _length(self._open)
-        edges = self._in(plane, self._sharp)
+            return _length(self._lines_in_plane(plane, self._open)) >= _CUT * _length(self._open)
+        edges = self._lines_in_plane(plane, self._sharp)
         if not len(edges):
             return False
         low, high = edges.min((0, 1)) + self._tolerance, edges.max((0, 1)) - self._tolerance
         middles = edges.mean(1)
         return bool(((middles > low) & (middles < high)).all(1).any())
 
-    def _in(self, plane: Plane, edges: NDArray[np.floating]) -> NDArray[np.floating]:
+    def _lines_in_plane(self, plane: Plane, edges: NDArray[np.floating]) -> NDArray[np.floating]:
         """Of edges (n, 2, 3) [m] those in the plane (k, 2, 2), without the coordinate across it."""
         there = (np.abs(edges[..., plane.axis] - plane.level) <= self._tolerance).all(1)
         return np.delete(edges[there], plane.axis, axis=2)
 
 
-class Rest(NamedTuple):
+class MoldCompletion(NamedTuple):
     """What completes a mold, and the planes in which it is cut."""
 
     mesh: Mesh
     planes: list[Plane]
 
 
-def rest(mold: Mesh) -> Rest | None:
+def find_completion(mold: Mesh) -> MoldCompletion | None:
     """What completes an open mold that has no rim by itself, but one together with its images; None where none does.
 
     A closed solid is whole as it is.
@@ -93,14 +93,14 @@ def rest(mold: Mesh) -> Rest | None:
     used = mold.positions[np.unique(mold.triangles)]
     lines = _Lines(mold)
     sides = [Plane(axis, float(end[axis])) for end in (used.min(0), used.max(0)) for axis in range(3)]
-    sides = [side for side in sides if lines.show(side)]
+    sides = [side for side in sides if lines.allow_plane(side)]
     pairs = [pair for pair in itertools.combinations(sides, 2) if pair[0].axis != pair[1].axis]
     for planes in [*((side,) for side in sides), *pairs]:
         images: list[Mesh] = []
         for plane in planes:
             images += [plane.image(part) for part in [mold, *images]]
-        whole = meshes.merged([mold, *images])
-        whole = rims.welded(whole.positions, whole.triangles)
-        if opening.is_rimmed(whole.positions, whole.triangles) and _closes(whole):
-            return Rest(meshes.merged(images), list(planes))
+        whole = meshes.merge([mold, *images])
+        whole = rims.weld_mold(whole.positions, whole.triangles)
+        if opening.is_rimmed(whole.positions, whole.triangles) and _is_closed_by(whole):
+            return MoldCompletion(meshes.merge(images), list(planes))
     return None

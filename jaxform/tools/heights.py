@@ -38,37 +38,37 @@ class Heights:
     @property
     def edge(self) -> Mask:
         """Pixels of what is inside that are next to the outside."""
-        return self.inside & ~masks.grown(self.inside, -1)
+        return self.inside & ~masks.dilate(self.inside, -1)
 
     def places(self, pixels: Mask) -> Array:
         """Middles (n, 2) [m] of pixels."""
         row, column = np.nonzero(pixels)
         return self.low + self.pixel * (np.stack([column, row], axis=1) + 0.5)
 
-    def sampled(self, values: NDArray[Any], places: Array) -> NDArray[Any]:
+    def sample(self, values: NDArray[Any], places: Array) -> NDArray[Any]:
         """The values (ny, nx) of the pixels that places (n, 2) [m] are in, or are nearest to."""
         column, row = np.floor((places - self.low) / self.pixel).astype(int).T
         return values[np.clip(row, 0, values.shape[0] - 1), np.clip(column, 0, values.shape[1] - 1)]
 
-    def within(self, polygon: Array) -> Mask:
+    def inside_polygon(self, polygon: Array) -> Mask:
         """The pixels (ny, nx) whose middles are in a polygon (k, 2) [m]."""
         places = self.places(np.ones_like(self.inside))
         return planform.inside(places, [polygon]).reshape(self.inside.shape)
 
     def edge_level(self, tolerance: float) -> tuple[float, float]:
         """The height [m] that most of the edge has, within a tolerance [m], and the share of the edge that has it."""
-        at_edge = np.sort(self.around()[self.edge])
+        at_edge = np.sort(self.local_minimum()[self.edge])
         many = np.searchsorted(at_edge, at_edge + 2 * tolerance, side="right") - np.arange(len(at_edge))
         first = int(np.argmax(many))
         return float(np.median(at_edge[first : first + many[first]])), float(many[first] / len(at_edge))
 
-    def around(self) -> Array:
+    def local_minimum(self) -> Array:
         """The smallest height (ny, nx) [m] in a few pixels around each."""
-        return masks.least_around(self.height, _RIM)
+        return masks.local_minimum(self.height, _RIM)
 
 
 @dataclass(frozen=True)
-class Surface:
+class ViewedSurface:
     """A surface to look at.
 
     Attributes:
@@ -82,12 +82,14 @@ class Surface:
     edges: Array
 
 
-def surface(vertices: Array, triangles: NDArray[np.integer]) -> Surface:
+def make_viewed_surface(vertices: Array, triangles: NDArray[np.integer]) -> ViewedSurface:
     """A surface (n, 3) [m], (m, 3), with its edges."""
-    return Surface(vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64))
+    return ViewedSurface(
+        vertices, triangles, np.asarray(topology.feature_edges(vertices, triangles, _ABRUPT), np.float64)
+    )
 
 
-def seen(looked_at: Surface, turn: Array, pixels: int) -> Heights:
+def view_heights(looked_at: ViewedSurface, turn: Array, pixels: int) -> Heights:
     """The heights of a surface that is turned first.
 
     Args:
@@ -102,11 +104,11 @@ def seen(looked_at: Surface, turn: Array, pixels: int) -> Heights:
     width, height = (int(np.ceil(extent / pixel)) + 5 for extent in (high - low)[:2])
     nearest = np.full(width * height, np.inf)
     corners = turned[looked_at.triangles]
-    for found in raster.hits((corners[..., :2] - first) / pixel, width, height):
-        np.minimum.at(nearest, found.pixel, found.of(corners[..., 2]))
+    for found in raster.rasterize((corners[..., :2] - first) / pixel, width, height):
+        np.minimum.at(nearest, found.pixel, found.interpolate(corners[..., 2]))
     # Walls that stand upright, and rims, are in no pixel's middle.
-    points = topology.points_along(looked_at.edges @ turn.T, pixel)
+    points = topology.edge_points(looked_at.edges @ turn.T, pixel)
     column, row = np.floor((points[:, :2] - first) / pixel).astype(int).T
     np.minimum.at(nearest, row * width + column, points[:, 2])
     seen_there = nearest.reshape(height, width)
-    return Heights(turn, first, pixel, seen_there, masks.filled(np.isfinite(seen_there)))
+    return Heights(turn, first, pixel, seen_there, masks.fill_holes(np.isfinite(seen_there)))

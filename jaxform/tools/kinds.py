@@ -11,8 +11,8 @@ from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, halves, heights, opening, scans
 from jaxform.tools.buck import Buck
-from jaxform.tools.halves import Rest
-from jaxform.tools.opening import Sides
+from jaxform.tools.halves import MoldCompletion
+from jaxform.tools.opening import MoldSides
 
 _RECESS, _CAVITY = 0.01, 0.1  # of a solid's volume, that a hollow is at most on a buck, and at least in a cavity
 _PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around is at least, to be a platen
@@ -33,29 +33,29 @@ class Verdict(NamedTuple):
 
     drape: bool
     doubt: str = ""
-    rest: Rest | None = None
+    rest: MoldCompletion | None = None
 
 
-def judge(mold: Mesh) -> Verdict:
+def classify(mold: Mesh) -> Verdict:
     """What a welded mold is."""
     size = meshes.size(mold.positions)
-    sides = opening.sides_of(heights.surface(mold.positions, mold.triangles), size)
-    rims = scans.rims_of(mold)
+    sides = opening.opening_sides(heights.make_viewed_surface(mold.positions, mold.triangles), size)
+    rims = scans.find_rims(mold)
     return _solid(mold, sides, size) if rims is None else _shell(mold, rims, sides, size)
 
 
-def _rimmed(sides: Sides, size: float) -> bool:
+def _has_rim(sides: MoldSides, size: float) -> bool:
     return sides.hollow.share >= opening.RIM and sides.hollow.hollow >= opening.HOLLOW * size**3
 
 
-def _solid(mold: Mesh, sides: Sides, size: float) -> Verdict:
+def _solid(mold: Mesh, sides: MoldSides, size: float) -> Verdict:
     volume = _volume(mold)
-    share = _held(mold) / volume if volume else np.inf
+    share = _held_volume(mold) / volume if volume else np.inf
     if share > _CAVITY:
         return Verdict(False)
     if share < _RECESS or (sides.male and sides.raised.share >= opening.RIM):
         return Verdict(True)
-    if _rimmed(sides, size):
+    if _has_rim(sides, size):
         return Verdict(False, "a solid with a shallow hollow: --drape forms over it")
     return Verdict(True, "a solid with a recess: --cavity forms into that")
 
@@ -63,32 +63,32 @@ def _solid(mold: Mesh, sides: Sides, size: float) -> Verdict:
 def _volume(mold: Mesh) -> float:
     """Of a solid as a buck [m^3]; of its box where it is none."""
     try:
-        return buck.find(mold).volume
+        return buck.find_buck(mold).volume
     except InputError:
         return float(np.prod(np.ptp(mold.positions, axis=0)))
 
 
-def _held(mold: Mesh) -> float:
+def _held_volume(mold: Mesh) -> float:
     """The volume of water [m^3] that a mold holds on the side on which it holds most."""
-    surface = heights.surface(mold.positions, mold.triangles)
-    views = (heights.seen(surface, opening.turned_up(-side), _PIXELS) for side in buck.directions(mold))
-    return max(_held_on(view) for view in views)
+    surface = heights.make_viewed_surface(mold.positions, mold.triangles)
+    views = (heights.view_heights(surface, opening.rotation_to_z(-side), _PIXELS) for side in buck.directions(mold))
+    return max(_held_volume_above(view) for view in views)
 
 
-def _held_on(view: heights.Heights) -> float:
+def _held_volume_above(view: heights.Heights) -> float:
     """The same on the side that is seen: what is surrounded at each height."""
     high, low = float(view.height.min()), float(view.height[np.isfinite(view.height)].max())
     levels = np.linspace(high, low, _LEVELS + 1)[1:]
     above = [view.height <= level for level in levels]
-    pixels = sum(int((masks.filled(mask) & ~mask).sum()) for mask in above)
+    pixels = sum(int((masks.fill_holes(mask) & ~mask).sum()) for mask in above)
     return pixels * view.pixel**2 * (low - high) / _LEVELS
 
 
-def _shell(mold: Mesh, rims: scans.Rims, sides: Sides, size: float) -> Verdict:
-    direction = scans.outward(mold, rims)
+def _shell(mold: Mesh, rims: scans.Rims, sides: MoldSides, size: float) -> Verdict:
+    direction = scans.outward_direction(mold, rims)
     outward = scans.faces_outward(mold, direction)
-    if not _rimmed(sides, size):
-        rest = halves.rest(mold)
+    if not _has_rim(sides, size):
+        rest = halves.find_completion(mold)
         if rest is not None:
             return Verdict(False, rest=rest)
         # Without a rim at one height it is a scan, of the inside only where it faces inwards.
@@ -97,17 +97,17 @@ def _shell(mold: Mesh, rims: scans.Rims, sides: Sides, size: float) -> Verdict:
         return Verdict(not inside, f"an open surface with an uneven rim: {other}")
     if outward is False:
         return Verdict(False)
-    stands = buck.find(mold, direction)
+    stands = buck.find_buck(mold, direction)
     if stands.on_platen:
         drape = bool(outward) and _is_platen(stands)
-        return Verdict(drape, "an open surface with a flange: " + _other(drape))
+        return Verdict(drape, "an open surface with a flange: " + _other_choice(drape))
     # An open bowl stands on its bottom, as a rule, and a buck on its rim; a cup has a flat bottom, a scan has none.
     flat = int((np.abs(stands.view.height - stands.top) <= opening.FLAT * size).sum())
     drape = bool(outward) and float(direction[2]) > _HANGS and flat < _BOTTOM * int(stands.view.inside.sum())
-    return Verdict(drape, "an open surface with an even rim: " + _other(drape))
+    return Verdict(drape, "an open surface with an even rim: " + _other_choice(drape))
 
 
-def _other(drape: bool) -> str:
+def _other_choice(drape: bool) -> str:
     return "--cavity forms into its other side" if drape else "--drape forms over its other side"
 
 
@@ -117,6 +117,6 @@ def _is_platen(stands: Buck) -> bool:
     lower = np.isfinite(view.height) & (view.height > stands.base + 2 * opening.FLAT * stands.height)
     if lower.sum() > _LOWER * view.inside.sum():
         return False
-    ground, body = view.inside & ~stands.body, masks.filled(stands.body)
+    ground, body = view.inside & ~stands.body, masks.fill_holes(stands.body)
     reach = masks.distance(view.inside)[stands.body].min() * view.pixel
     return bool(ground.sum() >= _PLATEN * body.sum() and reach >= _WIDE * stands.height)

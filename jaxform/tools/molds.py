@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.rows import distinct
+from jaxform.mesh.rows import distinct_rows
 
 MOST_TRIANGLES = 2_000_000
 
@@ -142,7 +142,7 @@ def bottle_half(
 
     shape = bottle.Bottle(height, radius, neck_radius, (hole[0], hole[1]))
     try:
-        vertices, triangles = bottle.half(shape, element_size)
+        vertices, triangles = bottle.half_bottle(shape, element_size)
     except InputError as error:
         raise replace(error, key=f"mold.{error.key}") from None
     return MoldShape(vertices, triangles)
@@ -164,7 +164,7 @@ def divided(mold: MoldShape, parts: int) -> MoldShape:
     order = np.argsort(np.where(places, mold.triangles[:, None, None] + 1, 0), axis=-1)
     shares = np.take_along_axis(np.broadcast_to(places, order.shape), order, axis=-1)
     keys = np.concatenate([numbers, shares], axis=-1).reshape(-1, 6)
-    _, first, index, _ = distinct(keys)
+    _, first, index, _ = distinct_rows(keys)
     return MoldShape(corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int32), mold.dropped)
 
 

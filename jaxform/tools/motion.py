@@ -66,15 +66,15 @@ class Motion:
         here = jnp.sum(jnp.where((begins <= now) & (now < ends), bound, 0.0))
         return here, jnp.min(jnp.where((begins > now) & (bound > here), begins, jnp.inf))
 
-    def frame(self, begin: jax.Array, end: jax.Array) -> Frame:
+    def frame(self, begin: jax.Array, end: jax.Array) -> ToolFrame:
         """That of a step from one time to another [s]."""
         before, after = self.offset(begin), self.offset(end)
         length = end - begin
         still = length <= 0.0
-        return Frame(after, jnp.where(still, 0.0, (after - before) / jnp.where(still, 1.0, length)))
+        return ToolFrame(after, jnp.where(still, 0.0, (after - before) / jnp.where(still, 1.0, length)))
 
 
-class Frame(NamedTuple):
+class ToolFrame(NamedTuple):
     """A tool's frame in a step: where it is at the step's end (3,) [m], and its velocity in the step (3,) [m/s]."""
 
     offset: jax.Array

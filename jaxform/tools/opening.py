@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import masks, meshes, topology
-from jaxform.mesh.rows import distinct
+from jaxform.mesh.rows import distinct_rows
 from jaxform.tools import heights
 from jaxform.tools.heights import Heights
 
@@ -43,7 +43,7 @@ _FEW = 6  # directions of flat faces that are tried beside the axes
 _SPECK = 0.005  # of a cavity's area: less is a hole for a bolt
 
 
-class _Look(NamedTuple):
+class _SideView(NamedTuple):
     """A view, the height of its rim [m], and the volumes [m^3] behind the rim and before it."""
 
     view: Heights
@@ -78,7 +78,9 @@ class Opening:
     others: tuple[Array, ...] = ()
 
 
-def find(vertices: Array, triangles: Integers, *, male: bool | None = None, direction: Array | None = None) -> Opening:
+def find_opening(
+    vertices: Array, triangles: Integers, *, male: bool | None = None, direction: Array | None = None
+) -> Opening:
     """The opening of a mold, or what stands out of its base.
 
     Args:
@@ -91,34 +93,34 @@ def find(vertices: Array, triangles: Integers, *, male: bool | None = None, dire
         InputError: The mold is neither hollow from any side nor does anything stand out of it.
     """
     size = meshes.size(vertices)
-    surface = heights.surface(vertices, triangles)
-    sides = sides_of(surface, size, direction)
+    surface = heights.make_viewed_surface(vertices, triangles)
+    sides = opening_sides(surface, size, direction)
     male = sides.male if male is None else male
     best = sides.raised if male else sides.hollow
     if max(best.hollow, best.raised) < HOLLOW * size**3 or best.share < LEAST_RIM:
         problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
         remedy = "give --drape where the sheet is formed over the mold, or --direction for the side it comes from"
         raise InputError(problem, remedy)
-    view = heights.seen(surface, best.view.turn, FINE)
-    look = _look(view, size)
+    view = heights.view_heights(surface, best.view.turn, FINE)
+    look = _view_side(view, size)
     if male:
         return _male(look, size)
-    return replace(_female(_within_rim(look, size), size), others=tuple(sides.others))
+    return replace(_female(_limit_to_rim(look, size), size), others=tuple(sides.others))
 
 
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
     """Whether a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
     size = meshes.size(vertices)
-    sides = sides_of(heights.surface(vertices, triangles), size)
+    sides = opening_sides(heights.make_viewed_surface(vertices, triangles), size)
     best = sides.raised if sides.male else sides.hollow
     return best.share >= RIM and max(best.hollow, best.raised) >= HOLLOW * size**3
 
 
-class Sides(NamedTuple):
+class MoldSides(NamedTuple):
     """The look at the most hollow side, and at the one from which most stands out; directions (3,) to other hollows."""
 
-    hollow: _Look
-    raised: _Look
+    hollow: _SideView
+    raised: _SideView
     others: list[Array]
 
     @property
@@ -127,7 +129,7 @@ class Sides(NamedTuple):
         return self.raised.raised > _FAVOUR * self.hollow.hollow
 
 
-def sides_of(surface: heights.Surface, size: float, direction: Array | None = None) -> Sides:
+def opening_sides(surface: heights.ViewedSurface, size: float, direction: Array | None = None) -> MoldSides:
     """The sides from which a mold may be formed.
 
     Args:
@@ -135,42 +137,44 @@ def sides_of(surface: heights.Surface, size: float, direction: Array | None = No
         size: The mold's [m].
         direction: Unit vector (3,) to the only side that counts; all by default.
     """
-    turns = _turns(surface.vertices, surface.triangles) if direction is None else [turned_up(-direction)]
-    outer = [_look(heights.seen(surface, turn, _COARSE), size) for turn in turns]
-    inner = [_within_rim(look, size) for look in outer]
-    hollow = _first_best(_rimmed(inner), lambda look: look.hollow)
+    turns = (
+        _candidate_rotations(surface.vertices, surface.triangles) if direction is None else [rotation_to_z(-direction)]
+    )
+    outer = [_view_side(heights.view_heights(surface, turn, _COARSE), size) for turn in turns]
+    inner = [_limit_to_rim(look, size) for look in outer]
+    hollow = _first_best(_has_rim(inner), lambda look: look.hollow)
     others = [-look.view.turn[2] for look in inner if look.share >= RIM and look.hollow >= _OTHERS * hollow.hollow]
     others = [side for side in others if side @ hollow.view.turn[2] > -_SAME]
-    return Sides(hollow, _first_best(_rimmed(outer), lambda look: look.raised), others)
+    return MoldSides(hollow, _first_best(_has_rim(outer), lambda look: look.raised), others)
 
 
-def _rimmed(looks: list[_Look]) -> list[_Look]:
+def _has_rim(looks: list[_SideView]) -> list[_SideView]:
     return [look for look in looks if look.share >= RIM] or looks
 
 
-def _first_best(looks: list[_Look], of: Callable[[_Look], float]) -> _Look:
+def _first_best(looks: list[_SideView], of: Callable[[_SideView], float]) -> _SideView:
     """Of nearly the same the first, which is along an axis: a flange that is a little uneven is not tilted."""
     return next(look for look in looks if of(look) >= _NEARLY * max(map(of, looks)))
 
 
-def _female(look: _Look, size: float) -> Opening:
+def _female(look: _SideView, size: float) -> Opening:
     view = look.view
     flange = view.height[np.abs(view.height - look.level) <= FLAT * size]
     deep = view.inside & ~(view.height <= look.level + FLAT * size)
-    cavity = _without_specks(deep, view.height)
+    cavity = _remove_specks(deep, view.height)
     bottom = view.height[cavity & np.isfinite(view.height)]
     depth = float(bottom.max() - look.level) if len(bottom) else 0.0
     # The sheet lies before all of the flange, which may be uneven.
     return Opening(view, float(flange.min()), look.level, cavity, False, look.share, depth)
 
 
-def _male(look: _Look, size: float) -> Opening:
+def _male(look: _SideView, size: float) -> Opening:
     view = look.view
     top = float(view.height.min())
     return Opening(view, top, look.level, view.inside, True, look.share, look.level - top)
 
 
-def _within_rim(look: _Look, size: float) -> _Look:
+def _limit_to_rim(look: _SideView, size: float) -> _SideView:
     """The look within the rim of what holds most, without what is outside of that rim; else the look as it is.
 
     So handles, lips and skirts do not count, and a rim may stand above the flange that surrounds it.
@@ -179,7 +183,7 @@ def _within_rim(look: _Look, size: float) -> _Look:
     level = _brim(view, tolerance)
     if level is None:
         return look
-    own = _look(replace(view, inside=_enclosing(view, level + tolerance, tolerance)), size)
+    own = _view_side(replace(view, inside=_enclosing_rims(view, level + tolerance, tolerance)), size)
     above = own.view.inside & (view.height < own.level - tolerance)
     if own.share < RIM or above.sum() > _ABOVE * own.view.inside.sum():
         return look
@@ -192,47 +196,47 @@ def _brim(view: Heights, tolerance: float) -> float | None:
     """The height [m] up to which water stands in what holds most before it runs over; None where nothing holds any."""
     seen = view.height[np.isfinite(view.height)]
     levels = np.linspace(seen.min(), seen.max(), _LEVELS)
-    held = np.array([_held(view, level) for level in levels])
+    held = np.array([_held_volume(view, level) for level in levels])
     best = int(np.argmax(held))
     if held[best] == 0:
         return None
     high, low = levels[max(best - 1, 0)], levels[best]
     while low - high > 0.5 * tolerance:
         middle = 0.5 * (low + high)
-        high, low = (high, middle) if _held(view, middle) >= held[best] else (middle, low)
+        high, low = (high, middle) if _held_volume(view, middle) >= held[best] else (middle, low)
     return float(low)
 
 
-def _held(view: Heights, level: float) -> float:
+def _held_volume(view: Heights, level: float) -> float:
     """What is held [m pixels] of water that stands at a height [m]."""
     ground = view.height <= level
-    held = masks.filled(ground) & ~ground & np.isfinite(view.height)
+    held = masks.fill_holes(ground) & ~ground & np.isfinite(view.height)
     return float((view.height[held] - level).sum())
 
 
-def _enclosing(view: Heights, level: float, tolerance: float) -> Mask:
+def _enclosing_rims(view: Heights, level: float, tolerance: float) -> Mask:
     """The pixels (ny, nx) of rims that reach to a height [m], with the hollows within, where those are large.
 
     What stands above a rim, beside the hollow, is left out: a handle that is higher.
     """
     ground = view.height <= level
-    hollow = masks.filled(ground) & ~ground
-    whole = masks.filled(hollow | (ground & (view.height >= level - 3 * tolerance)))
-    part, count = masks.parts(whole)
+    hollow = masks.fill_holes(ground) & ~ground
+    whole = masks.fill_holes(hollow | (ground & (view.height >= level - 3 * tolerance)))
+    part, count = masks.label_parts(whole)
     held = hollow & np.isfinite(view.height)
     volume = np.bincount(part[held], view.height[held] - level, count + 1)
     return (volume >= _ALSO * volume.max())[part] & whole
 
 
-def _without_specks(deep: Mask, height: Array) -> Mask:
+def _remove_specks(deep: Mask, height: Array) -> Mask:
     """Without holes through a flange: small ones, and those without a bottom beside hollows with one."""
-    part, count = masks.parts(deep)
+    part, count = masks.label_parts(deep)
     area, bottom = (np.bincount(part[some], minlength=count + 1) for some in (deep, deep & np.isfinite(height)))
     large = area >= _SPECK * area.max()
     return (large & ((2 * bottom >= area) | (area == area.max())))[part] & deep
 
 
-def _look(view: Heights, size: float) -> _Look:
+def _view_side(view: Heights, size: float) -> _SideView:
     """The rim's height is the one that most of the edge has."""
     tolerance = FLAT * size
     level, share = view.edge_level(tolerance)
@@ -242,10 +246,10 @@ def _look(view: Heights, size: float) -> _Look:
     cell = view.pixel**2
     hollow, raised = float(np.minimum(rise, reach)[rise > tolerance].sum()), float(-rise[rise < -tolerance].sum())
     # A rim with a few pins is one, and so is a base in which there are holes.
-    return _Look(view, level, share, max(0.0, hollow - 4 * raised) * cell, raised * cell)
+    return _SideView(view, level, share, max(0.0, hollow - 4 * raised) * cell, raised * cell)
 
 
-def _turns(vertices: Array, triangles: Integers) -> list[Array]:
+def _candidate_rotations(vertices: Array, triangles: Integers) -> list[Array]:
     """Rotations (3, 3) that turn each side from which a mold may be meant to be seen towards -z."""
     axes = np.concatenate([np.eye(3)[::-1], -np.eye(3)[::-1]])
     chosen: list[Array] = list(axes)
@@ -253,7 +257,7 @@ def _turns(vertices: Array, triangles: Integers) -> list[Array]:
         for signed in (direction, -direction):
             if max(float(signed @ other) for other in chosen) < 1 - 1e-6:
                 chosen.append(signed)
-    return [turned_up(direction) for direction in chosen]
+    return [rotation_to_z(direction) for direction in chosen]
 
 
 def plane_normals(vertices: Array, triangles: Integers) -> list[Array]:
@@ -268,7 +272,7 @@ def _flat(vertices: Array, triangles: Integers) -> list[Array]:
     area = np.linalg.norm(normal, axis=1)
     unit = normal / area[:, None]
     unit *= np.where(unit[np.arange(len(unit)), np.argmax(np.abs(unit), axis=1)] < 0, -1.0, 1.0)[:, None]
-    key, _, index, _ = distinct(np.round(unit, 2))
+    key, _, index, _ = distinct_rows(np.round(unit, 2))
     total = np.bincount(index, area, len(key))
     found = []
     for one in np.argsort(-total)[:_FEW]:
@@ -294,7 +298,7 @@ def _loops(vertices: Array, triangles: Integers) -> list[Array]:
     return found
 
 
-def turned_up(direction: Array) -> Array:
+def rotation_to_z(direction: Array) -> Array:
     """The rotation (3, 3) by the smallest angle that turns a unit vector (3,) to +z."""
     x, y, z = (float(component) for component in direction)
     if z < -1 + 1e-12:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import contours
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.rows import distinct
-from jaxform.tools.cells import Cells, parts
+from jaxform.mesh.rows import distinct_rows
+from jaxform.tools.cells import CellGrid, label_cells
 from jaxform.tools.distances import Distances, Triangulation
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ _FLAT = 0.5  # cells, by which a cover may be off a plane to be made flat
 _COARSE = 3  # cells along a triangle of a cover that is curved
 
 
-def close_sides(found: Cells, mold: Mesh) -> list[Mesh]:
+def close_sides(found: CellGrid, mold: Mesh) -> list[Mesh]:
     """A cover for each hole through which the hollow leaks sideways.
 
     A cover is the skin of the cells that are seen, over the hole and a little beyond: its edge is drawn to the wall,
@@ -40,39 +40,39 @@ def close_sides(found: Cells, mold: Mesh) -> list[Mesh]:
     if not leaks.any():
         return []
     walls = Distances(Triangulation(mold.positions, mold.triangles), _REACH * found.width)
-    part, _ = parts(leaks, corners=True)
+    part, _ = label_cells(leaks, corners=True)
     made = []
     for one, box in enumerate(ndimage.find_objects(part), start=1):
         near = tuple(slice(max(0, side.start - _AROUND - 1), side.stop + _AROUND + 1) for side in box)
-        made.append(_patch(found.within(near), part[near] == one, walls))
+        made.append(_patch(found.crop(near), part[near] == one, walls))
     return [patch for patch in made if patch is not None]
 
 
-def _patch(found: Cells, hole: Mask, walls: Distances) -> Mesh | None:
+def _patch(found: CellGrid, hole: Mask, walls: Distances) -> Mesh | None:
     """The cover of one hole, or None where it is too small to be one."""
-    cell = _grown(hole) & found.seen
+    cell = _dilate(hole) & found.seen
     sides = [_sides(found, cell, hole, axis, side) for axis in range(3) for side in (-1, 1)]
     quads, is_open = (np.concatenate(some) for some in zip(*sides, strict=True))
     if is_open.sum() < _LEAST:
         return None
-    number, _, index, _ = distinct(quads.reshape(-1, 3))
+    number, _, index, _ = distinct_rows(quads.reshape(-1, 3))
     quads = index.reshape(-1, 4)
     free = np.ones(len(number), bool)
     free[quads[~is_open]] = False
     points = found.low + found.width * number
     points[~free] = walls.nearest(points[~free]).place
-    points = _spanned(points, quads, free)
-    return _flattened(points, found.width) or _coarsened(points, quads, _COARSE * found.width)
+    points = _relax_points(points, quads, free)
+    return _planar_hull(points, found.width) or _merge_points(points, quads, _COARSE * found.width)
 
 
-def _grown(mask: Mask) -> Mask:
+def _dilate(mask: Mask) -> Mask:
     """A mask with the cells around it, corners included."""
     from scipy import ndimage
 
     return np.asarray(ndimage.binary_dilation(mask, np.ones((3, 3, 3)), iterations=_AROUND), bool)
 
 
-def _sides(found: Cells, cell: Mask, hole: Mask, axis: int, side: int) -> tuple[Integers, Mask]:
+def _sides(found: CellGrid, cell: Mask, hole: Mask, axis: int, side: int) -> tuple[Integers, Mask]:
     """Corners (n, 4, 3), in cells, of those sides of cells beyond which nothing is seen; whether the outside is."""
     place = np.argwhere(cell)
     beyond = place + side * np.eye(3, dtype=int)[axis]
@@ -87,7 +87,7 @@ def _sides(found: Cells, cell: Mask, hole: Mask, axis: int, side: int) -> tuple[
     return place[:, None] + steps, found.outside[tuple(beyond.T)] & hole[tuple(place.T)]
 
 
-def _spanned(points: Array, quads: Integers, free: Mask) -> Array:
+def _relax_points(points: Array, quads: Integers, free: Mask) -> Array:
     """Points (n, 3) of which the free ones lie in the middle of their neighbours."""
     from scipy.sparse import coo_array, csgraph
     from scipy.sparse.linalg import splu
@@ -109,7 +109,7 @@ def _spanned(points: Array, quads: Integers, free: Mask) -> Array:
     return result
 
 
-def _flattened(points: Array, width: float) -> Mesh | None:
+def _planar_hull(points: Array, width: float) -> Mesh | None:
     """The hull of points (n, 3) [m] in their plane, where they lie in one."""
     middle = points.mean(0)
     axes = np.linalg.svd(points - middle, full_matrices=False)[2]
@@ -120,11 +120,11 @@ def _flattened(points: Array, width: float) -> Mesh | None:
     return Mesh(middle + hull @ axes[:2], np.stack([0 * number, number, number + 1], axis=1).astype(np.int32))
 
 
-def _coarsened(points: Array, quads: Integers, size: float) -> Mesh:
+def _merge_points(points: Array, quads: Integers, size: float) -> Mesh:
     """Points (n, 3) [m] that are near each other made one, and the triangles between them."""
-    _, _, group, count = distinct(np.floor((points - points.min(0)) / size))
+    _, _, group, count = distinct_rows(np.floor((points - points.min(0)) / size))
     middle = np.stack([np.bincount(group, along) for along in points.T], axis=1) / count[:, None]
     triangles = group[np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])]
     apart = (triangles != np.roll(triangles, 1, axis=1)).all(1)
-    kept = distinct(np.sort(triangles[apart], axis=1)).rows
+    kept = distinct_rows(np.sort(triangles[apart], axis=1)).rows
     return Mesh(middle, kept.astype(np.int32))

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.crossings import boxes_of
+from jaxform.tools.crossings import bounding_boxes
 from jaxform.tools.distances import Distances, point_triangle_distance
 from jaxform.tools.mold import Mold
-from jaxform.tools.ribs import NO_RIBS, Ribs, ribs_in
+from jaxform.tools.ribs import NO_RIBS, Ribs, find_ribs
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.sides import Ways, beyond_mold, normals_of_nodes, off_the_mold
+from jaxform.tools.sides import Ways, contact_normals, nodal_normals, penetrating_nodes
 
 __all__ = ["Penetration", "penetration", "point_triangle_distance"]
 
@@ -91,29 +91,29 @@ def penetration(
     landed = (wall != 0) & ~rests
     lift, below = _lift(positions, wall, landed, mold_corners, size)
     lifted = positions + lift + _RESTING_LIFT * size * resting
-    measured = _affordable(lifted[triangles], mold_corners, float(grid.reach))
+    measured = _limit_elements(lifted[triangles], mold_corners, float(grid.reach))
     ways = Ways(triangles[measured], lifted[triangles[measured]], mold_corners, grid)
     unmeasured = len(triangles) - len(measured)
     if not len(ways.element):
         return Penetration(below, 0.0, np.zeros(3), unmeasured)
     trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
-    beyond = beyond_mold(triangles, ways, landed, trust)
+    beyond = penetrating_nodes(triangles, ways, landed, trust)
     corners = positions[triangles]
     distances = Distances(mold, float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max()))
-    deepest, _ = distances.farthest_of(positions[beyond & ~rests])
+    deepest, _ = distances.largest(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
     away = resting + lift / (_LIFT * size)
-    ribs = ribs_in(lifted, away, landed | rests, ways, mold_corners, grid)
+    ribs = find_ribs(lifted, away, landed | rests, ways, mold_corners, grid)
     return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
 
 
-def _affordable(corners: Array, mold_corners: Array, reach: float) -> NDArray[np.int64]:
+def _limit_elements(corners: Array, mold_corners: Array, reach: float) -> NDArray[np.int64]:
     """The elements, with corners (n, 3, 3) [m], that are compared with the mold, in order: the smallest of a sheet.
 
     All, but of a sheet that burst: its elements are as large as the mold, and each cuts thousands of triangles.
     """
-    low, high = boxes_of(mold_corners)
-    lowest, highest = boxes_of(corners)
+    low, high = bounding_boxes(mold_corners)
+    lowest, highest = bounding_boxes(corners)
     extent = np.clip(highest, low.min(0), high.max(0)) - np.clip(lowest, low.min(0), high.max(0))
     longest, middle, _ = np.sort(extent, axis=1)[:, ::-1].T
     pieces = (1 + 2 * longest / reach) * (1 + 2 * middle / reach)
@@ -132,7 +132,7 @@ def resting_directions(start: Array, end: Array, triangles: Integers, pressure: 
         pressure: The pressure [Pa]; its sign alone counts.
     """
     rests = np.linalg.norm(end - start, axis=1) <= _RESTING * np.ptp(start, axis=0).max()
-    total = normals_of_nodes(start, triangles)
+    total = nodal_normals(start, triangles)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     away = -np.sign(pressure) * total / np.where(length > 0, length, 1.0)
     return np.where(rests[:, None], away, 0.0)
@@ -143,7 +143,7 @@ def _lift(
 ) -> tuple[Array, float]:
     """What lifts the nodes that landed off the mold (n_node, 3) [m], and how far they are below its planes [m]."""
     node = np.flatnonzero(landed)
-    normal = off_the_mold(wall[node], mold_corners)
+    normal = contact_normals(wall[node], mold_corners)
     height = np.einsum("ij,ij->i", positions[node] - mold_corners[np.abs(wall[node]) - 1, 0], normal)
     lift = np.zeros_like(positions)
     lift[node] = _LIFT * size * normal
@@ -155,7 +155,7 @@ def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> t
 
     The side of the nodes (n_node,) is negative beyond the mold, and the larger the surer it is.
     """
-    row, about = np.arange(len(corners)), distances.about(corners.mean(1))
+    row, about = np.arange(len(corners)), distances.upper_bounds(corners.mean(1))
     if len(row) > _MOST_DIVIDED:
         row = np.argsort(-about, kind="stable")[:_MOST_DIVIDED]
     shares = _lattice(_DIVISIONS)
@@ -166,18 +166,18 @@ def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> t
     first, count = 0, _DIVIDED
     while first < len(row) and bound[first] > best:
         part = row[first : first + count]
-        element, point = np.nonzero(_hidden(ways, part, shares, side))
+        element, point = np.nonzero(_points_beyond_mold(ways, part, shares, side))
         points = np.einsum("pc,pck->pk", shares[point], corners[part[element]])
-        depth, deepest = distances.farthest_of(points)
+        depth, deepest = distances.largest(points)
         if depth > best:
             best, where = depth, points[deepest]
         first, count = first + count, 2 * count
     return best, where
 
 
-def _hidden(ways: Ways, row: Integers, shares: Array, side: Array) -> NDArray[np.bool_]:
+def _points_beyond_mold(ways: Ways, row: Integers, shares: Array, side: Array) -> NDArray[np.bool_]:
     """Which points (n, p), at shares (p, 3) of the corners of cut elements (n,), are beyond the mold."""
-    here = np.where(ways.odd(row, shares), -1.0, 1.0)
+    here = np.where(ways.cross_oddly(row, shares), -1.0, 1.0)
     return np.einsum("ncp,nc->np", here, side[ways.triangles[row]]) < 0
 
 

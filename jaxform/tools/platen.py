@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import contours, masks, meshes, outlines
-from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import molds
 from jaxform.tools.buck import Buck
@@ -40,7 +40,7 @@ class Site(NamedTuple):
     platen: Mesh | None
 
 
-def fit(buck: Buck) -> Site:
+def fit_site(buck: Buck) -> Site:
     """The sheet for a male mold, a disc or a rectangle with a margin of about the body's height, and the platen."""
     body = _around(buck)
     wide = 2 * body.radius if isinstance(body, Circle) else float(body.sides.min())
@@ -48,51 +48,51 @@ def fit(buck: Buck) -> Site:
     margin = max(min(height, wide + _STEEP * max(height - wide, 0.0)), _LEAST * wide)
     if buck.on_platen:
         for share in _NARROWER:
-            planform = Planform(_grown(body, share * margin), True)
-            if _lies(planform, buck):
-                return Site(_whole(planform, share, buck), share * margin, None)
-    planform = Planform(_grown(body, margin), True)
+            planform = Planform(_enlarge(body, share * margin), True)
+            if _lies_before(planform, buck):
+                return Site(_platen_site(planform, share, buck), share * margin, None)
+    planform = Planform(_enlarge(body, margin), True)
     mesh = _mesh(planform.shape)
     turned = np.column_stack([mesh.positions[:, :2], np.full(len(mesh.positions), buck.base)])
     return Site(planform, margin, Mesh(turned @ buck.view.turn, mesh.triangles))
 
 
-def _lies(planform: Planform, buck: Buck) -> bool:
+def _lies_before(planform: Planform, buck: Buck) -> bool:
     """Whether a sheet lies before the mold."""
     # Pixels outside of the view count too.
     wanted = abs(outlines.area(planform.polygon)) / buck.view.pixel**2
-    return bool((buck.view.within(planform.polygon) & buck.view.inside).sum() >= _WITHIN * wanted)
+    return bool((buck.view.inside_polygon(planform.polygon) & buck.view.inside).sum() >= _WITHIN * wanted)
 
 
-def _whole(planform: Planform, share: float, buck: Buck) -> Planform:
+def _platen_site(planform: Planform, share: float, buck: Buck) -> Planform:
     """The sheet over all of a platen that is narrow beside the body; else the one that there is."""
     corners = contours.hull(buck.view.places(buck.view.inside))
     around = contours.smallest_rectangle(corners)
-    whole = Planform(around.grown(-_INSET * float(around.sides.min())), True)
-    return whole if share < _NARROW and _lies(whole, buck) else planform
+    whole = Planform(around.enlarge(-_INSET * float(around.sides.min())), True)
+    return whole if share < _NARROW and _lies_before(whole, buck) else planform
 
 
-def _around(buck: Buck) -> Circle | Rectangle:
-    corners = contours.hull(buck.view.places(masks.filled(buck.body)))
+def _around(buck: Buck) -> Circle | OrientedRectangle:
+    corners = contours.hull(buck.view.places(masks.fill_holes(buck.body)))
     circle = contours.smallest_circle(corners)
     if abs(outlines.area(corners)) >= _ROUND * np.pi * circle.radius**2:
         return circle
     return contours.smallest_rectangle(corners)
 
 
-def _grown(shape: Circle | Rectangle, margin: float) -> Circle | Rectangle:
-    return Circle(shape.center, shape.radius + margin) if isinstance(shape, Circle) else shape.grown(margin)
+def _enlarge(shape: Circle | OrientedRectangle, margin: float) -> Circle | OrientedRectangle:
+    return Circle(shape.center, shape.radius + margin) if isinstance(shape, Circle) else shape.enlarge(margin)
 
 
-def _mesh(shape: Circle | Rectangle | Array) -> Mesh:
+def _mesh(shape: Circle | OrientedRectangle | Array) -> Mesh:
     """A flat mesh in z = 0 that reaches beyond a disc or rectangle."""
     if isinstance(shape, Circle):
         radius = np.linspace(0.0, (1 + 2 * _BEYOND) * shape.radius, _RINGS + 1)
         disc = molds.revolved(profile=np.column_stack([radius, np.zeros(len(radius))]), segments=_SECTORS)
         return Mesh(disc.vertices + np.append(shape.center, 0.0), disc.triangles)
-    assert isinstance(shape, Rectangle)
-    around = shape.grown(_BEYOND * float(shape.sides.min()))
+    assert isinstance(shape, OrientedRectangle)
+    around = shape.enlarge(_BEYOND * float(shape.sides.min()))
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * around.sides @ around.axes + around.corner
     flat = molds.MoldShape(np.insert(corners, 2, 0.0, axis=1), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     fine = molds.divided(flat, _CELLS)
-    return meshes.used(Mesh(fine.vertices, fine.triangles))
+    return meshes.drop_unused_nodes(Mesh(fine.vertices, fine.triangles))

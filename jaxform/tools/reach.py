@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh.rows import counted_up
+from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,7 +26,7 @@ _LINES = 100_000  # lines of cells laid out together
 _ROUNDING = 1e-5  # of a cell, by which a triangle counts as nearer than it is
 
 
-class Frame(NamedTuple):
+class CellFrame(NamedTuple):
     """The cells: lowest corner (3,) [m], width [m], reach [m], number along x, y, z (3,)."""
 
     corner: Array
@@ -35,7 +35,7 @@ class Frame(NamedTuple):
     shape: Integers
 
 
-class InReach(NamedTuple):
+class CellTrianglePairs(NamedTuple):
     """Pairs of a cell and a triangle that is in its reach.
 
     Attributes:
@@ -67,25 +67,25 @@ class _Local(NamedTuple):
     strides: list[Integers]
 
 
-def pairs_in_reach(corners: Array, frame: Frame) -> InReach:
+def pairs_in_reach(corners: Array, frame: CellFrame) -> CellTrianglePairs:
     """All pairs of a cell and a triangle (n, 3, 3) [m] that is no farther from any place in the cell than the reach."""
     far = (frame.reach / frame.width) + HALF_DIAGONAL + _ROUNDING
     parts = np.array_split(np.arange(len(corners)), 1 + len(corners) // 20_000 + (os.cpu_count() or 1))
 
-    def pairs(part: Integers) -> InReach:
+    def pairs(part: Integers) -> CellTrianglePairs:
         local = _local(corners[part], frame)
         found = [_pairs_of(local, *lines, far) for lines in _lines(local, far)]
-        found = found or [InReach(part[:0], part[:0], np.zeros(0))]
+        found = found or [CellTrianglePairs(part[:0], part[:0], np.zeros(0))]
         cell, triangle, distance = (np.concatenate(values) for values in zip(*found, strict=True))
-        return InReach(cell, part[triangle], distance * frame.width)
+        return CellTrianglePairs(cell, part[triangle], distance * frame.width)
 
     # NumPy lets go of the interpreter's lock in long operations.
     with ThreadPoolExecutor(os.cpu_count()) as workers:
         found = list(workers.map(pairs, [part for part in parts if len(part)]))
-    return InReach(*(np.concatenate(values) for values in zip(*found, strict=True)))
+    return CellTrianglePairs(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
-def _local(corners: Array, frame: Frame) -> _Local:
+def _local(corners: Array, frame: CellFrame) -> _Local:
     places = (corners - frame.corner) / frame.width - 0.5
     steepest = np.argmax(np.abs(np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])), axis=1)
     extent = np.ptp(places, axis=1)
@@ -114,10 +114,10 @@ def _lines(local: _Local, far: float) -> Iterator[tuple[Integers, Integers, Inte
     first, count = _cells_between(along.min(0), along.max(0), far, local.shape[0])
     for part in _parts(count, _LINES):
         triangle = np.repeat(part, count[part])
-        layer = first[triangle] + counted_up(count[part])
+        layer = first[triangle] + positions_in_rows(count[part])
         low, high = _within_layer(local, triangle, layer, far)
         begin, lines = _cells_between(low, high, far, local.shape[1][triangle])
-        yield np.repeat(triangle, lines), np.repeat(layer, lines), np.repeat(begin, lines) + counted_up(lines)
+        yield np.repeat(triangle, lines), np.repeat(layer, lines), np.repeat(begin, lines) + positions_in_rows(lines)
 
 
 def _within_layer(local: _Local, triangle: Integers, layer: Integers, far: float) -> tuple[Array, Array]:
@@ -147,7 +147,7 @@ def _cells_between(low: Array, high: Array, far: float, shape: Integers) -> tupl
     return first, np.where(some, np.maximum(last - first + 1, 0), 0)
 
 
-def _pairs_of(local: _Local, triangle: Integers, layer: Integers, line: Integers, far: float) -> InReach:
+def _pairs_of(local: _Local, triangle: Integers, layer: Integers, line: Integers, far: float) -> CellTrianglePairs:
     """The cells of lines (n,) that are in reach; distances are in cells."""
     one, two, three, level = (values[triangle] for values in local.plane)
     middle, wide = (level - one * layer - two * line) / three, far / np.abs(three)
@@ -158,15 +158,19 @@ def _pairs_of(local: _Local, triangle: Integers, layer: Integers, line: Integers
     found = []
     for part in _parts(count, _CHUNK):
         row = np.repeat(part, count[part])
-        owner, cell = triangle[row], first[row] + counted_up(count[part])
+        owner, cell = triangle[row], first[row] + positions_in_rows(count[part])
         distance = _distances(local, owner, layer[row], line[row], cell)
         near = np.flatnonzero(distance <= far)
         owner, row = owner[near], row[near]
         strides = [stride[owner] for stride in local.strides]
         number = layer[row] * strides[0] + line[row] * strides[1] + cell[near] * strides[2]
-        found.append(InReach(number, owner, distance[near]))
+        found.append(CellTrianglePairs(number, owner, distance[near]))
     none = np.zeros(0, np.int64)
-    return InReach(*map(np.concatenate, zip(*found, strict=True))) if found else InReach(none, none, np.zeros(0))
+    return (
+        CellTrianglePairs(*map(np.concatenate, zip(*found, strict=True)))
+        if found
+        else CellTrianglePairs(none, none, np.zeros(0))
+    )
 
 
 def _parts(count: Integers, most: int) -> list[Integers]:

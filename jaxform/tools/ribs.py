@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh.rows import distinct
+from jaxform.mesh.rows import distinct_rows
 from jaxform.tools.crossings import crosses, near_pairs
 from jaxform.tools.search import SearchGrid
 from jaxform.tools.sides import Ways
@@ -55,7 +55,7 @@ class _Spots(NamedTuple):
     way: Array
 
 
-def ribs_in(
+def find_ribs(
     positions: Array, away: Array, sticking: NDArray[np.bool_], ways: Ways, mold_corners: Array, grid: SearchGrid
 ) -> Ribs:
     """The ribs and pins that a sheet passed through.
@@ -96,7 +96,7 @@ def _between_crossings(
     pair = np.tile(np.arange(len(nodes)), 3)
     met = crosses(positions[ends[:, 0]], positions[ends[:, 1]], mold_corners[triangle[pair]])
     crossed = np.unique(pair[met])
-    rows = distinct(np.column_stack([ends[met], triangle[pair[met]]])).rows
+    rows = distinct_rows(np.column_stack([ends[met], triangle[pair[met]]])).rows
     begin, end, normal = positions[rows[:, 0]], positions[rows[:, 1]], _normals(mold_corners[rows[:, 2]])
     slope = np.einsum("ij,ij->i", end - begin, normal)
     share = np.einsum("ij,ij->i", mold_corners[rows[:, 2], 0] - begin, normal) / np.where(slope == 0, 1.0, slope)
@@ -105,7 +105,7 @@ def _between_crossings(
     same = np.zeros(len(rows), bool)
     same[1:] = (rows[1:, :2] == rows[:-1, :2]).all(1) & (np.diff(share) <= _SAME)
     rows, share, normal = rows[~same], share[~same], normal[~same]
-    found = distinct(rows[:, :2])
+    found = distinct_rows(rows[:, :2])
     even = found.count % 2 == 0
     # In order along each side: it is in the mold between the first and the second, the third and the fourth.
     number = np.arange(len(rows)) - np.repeat(np.cumsum(found.count) - found.count, found.count)
@@ -115,8 +115,8 @@ def _between_crossings(
     middle = 0.5 * (share[enter] + share[enter + 1])
     width = (share[enter + 1] - share[enter]) * np.linalg.norm(end - begin, axis=1)
     off = away[rows[enter, 0]] + away[rows[enter, 1]]
-    way = _along(off, normal[enter]) + _along(off, normal[enter + 1])
-    return _upwards(begin + middle[:, None] * (end - begin), width, way, off), crossed
+    way = _directions_along(off, normal[enter]) + _directions_along(off, normal[enter + 1])
+    return _escaping_spots(begin + middle[:, None] * (end - begin), width, way, off), crossed
 
 
 def _faces_opposite(positions: Array, rows: Integers, normal: Array, enter: Integers) -> NDArray[np.bool_]:
@@ -158,10 +158,10 @@ def _through_faces(
     # Each edge comes with both of its triangles; three of them are around a pin.
     kept = np.flatnonzero(count[:, 0] >= 6)
     middle = (np.add.reduceat(place, first) / count)[kept]
-    return _upwards(middle, np.linalg.norm(high - low, axis=1)[kept], way[kept], up[pair[first]][kept])
+    return _escaping_spots(middle, np.linalg.norm(high - low, axis=1)[kept], way[kept], up[pair[first]][kept])
 
 
-def _upwards(place: Array, width: Array, way: Array, off: Array) -> _Spots:
+def _escaping_spots(place: Array, width: Array, way: Array, off: Array) -> _Spots:
     """The places from which a way leads off the mold."""
     length, clear = np.linalg.norm(way, axis=1), np.linalg.norm(off, axis=1)
     kept = np.einsum("ij,ij->i", way, off) > _UPWARDS * length * clear
@@ -183,7 +183,7 @@ def _heights(spots: _Spots, mold_corners: Array, grid: SearchGrid) -> Array:
     return np.where(np.isfinite(share), 2 * size * share, 0.0)
 
 
-def _along(vectors: Array, normal: Array) -> Array:
+def _directions_along(vectors: Array, normal: Array) -> Array:
     """Unit vectors (n, 3) along planes with unit normals (n, 3), as near to vectors (n, 3) as they can be."""
     flat = vectors - np.einsum("ij,ij->i", vectors, normal)[:, None] * normal
     return flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)

@@ -19,13 +19,13 @@ WELD = 1e-5
 """Of a mold's size: corners as near as that are one, where openings are looked for."""
 
 
-def welded(vertices: Array, triangles: NDArray[np.integer]) -> Mesh:
+def weld_mold(vertices: Array, triangles: NDArray[np.integer]) -> Mesh:
     """A mold as openings are looked for in it: pieces that meet are joined."""
     mold = Mesh(vertices, triangles.astype(np.int32))
     return meshes.drop_degenerate(meshes.weld(mold, WELD * meshes.size(vertices)))[0]
 
 
-def over_opening(
+def sheet_over_opening(
     vertices: Array,
     triangles: NDArray[np.integer],
     *,
@@ -45,8 +45,8 @@ def over_opening(
     Raises:
         InputError: The mold has no opening, or a number is out of range.
     """
-    mold = welded(vertices, triangles)
-    found = opening.find(mold.positions, mold.triangles)
+    mold = weld_mold(vertices, triangles)
+    found = opening.find_opening(mold.positions, mold.triangles)
     if found.male:
         raise InputError("the mold has no opening: a plug stands out of it", "give polygon", "parison.mold_rim")
     polygon = footprint.outline(found, mold.positions, mold.triangles)

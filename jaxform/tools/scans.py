@@ -47,23 +47,23 @@ class Closing(NamedTuple):
     fans: list[Mesh]
 
 
-def rims_of(mold: Mesh) -> Rims | None:
+def find_rims(mold: Mesh) -> Rims | None:
     """The open rims of a mold, seams left out; None where it is closed, but for cracks."""
-    edges, rim = topology.open_rims(_bulging(mold), len(mold.positions))
+    edges, rim = topology.open_rims(_curved_triangles(mold), len(mold.positions))
     if not len(edges):
         return None
-    seams = covers.at_seams(mold.positions, edges, covers.SEAM * meshes.size(mold.positions))
+    seams = covers.find_seams(mold.positions, edges, covers.SEAM * meshes.size(mold.positions))
     in_seam = np.bincount(rim, seams) > 0.5 * np.bincount(rim)
     edges, rim = edges[~in_seam[rim]], rim[~in_seam[rim]]
     if not len(edges):
         return None
     rim = np.unique(rim, return_inverse=True)[1]
-    spanned = np.array([_spanned(mold.positions, edges[rim == one]) for one in range(rim.max() + 1)])
+    spanned = np.array([_vector_area(mold.positions, edges[rim == one]) for one in range(rim.max() + 1)])
     total = volumes.areas(mold.positions, mold.triangles).sum()
     return Rims(edges, rim, spanned) if np.linalg.norm(spanned, axis=1).max() > _OPEN * total else None
 
 
-def _bulging(mold: Mesh) -> Integers:
+def _curved_triangles(mold: Mesh) -> Integers:
     """The triangles (k, 3) of the pieces of a mold that are not flat, as a platen is."""
     piece = topology.components(mold.triangles, len(mold.positions))[mold.triangles[:, 0]]
     corners = mold.positions[mold.triangles]
@@ -76,7 +76,7 @@ def _bulging(mold: Mesh) -> Integers:
     return mold.triangles[(values[:, 1] > _FLAT * values[:, 2])[piece]]
 
 
-def _spanned(positions: Array, edges: Integers) -> Array:
+def _vector_area(positions: Array, edges: Integers) -> Array:
     """The vector area (3,) [m^2] of a fan over a closed line of edges (k, 2), which run either way."""
     ends = positions[edges] - positions[edges].mean((0, 1))
     ends = ends[np.linalg.norm(np.cross(ends[:, 0], ends[:, 1]), axis=1) > _SHORT * np.ptp(ends) ** 2]
@@ -103,7 +103,7 @@ def facing(mold: Mesh, direction: Array) -> float:
     return float(along.sum() / max(np.abs(along).sum(), _SHORT * area.sum()))
 
 
-def outward(mold: Mesh, rims: Rims) -> Array:
+def outward_direction(mold: Mesh, rims: Rims) -> Array:
     """The unit vector (3,) across the largest rim to the side on which the surface bulges; an axis where it is near."""
     normal = rims.spanned[rims.largest] / np.linalg.norm(rims.spanned[rims.largest])
     area = volumes.areas(mold.positions, mold.triangles)
@@ -122,7 +122,7 @@ def faces_outward(mold: Mesh, direction: Array) -> bool | None:
     return None if abs(share) < _FACES else share > 0
 
 
-def closing(mold: Mesh, rims: Rims, turn: Array, base: float) -> Closing:
+def close_rims(mold: Mesh, rims: Rims, turn: Array, base: float) -> Closing:
     """Walls from the outer rims of a mold down to a base, and covers on its holes, after turning.
 
     Args:

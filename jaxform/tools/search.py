@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from jaxform.core.pytree import as_index, as_real, pytree
 from jaxform.core.store import Store
-from jaxform.tools.reach import HALF_DIAGONAL, Frame, pairs_in_reach
+from jaxform.tools.reach import HALF_DIAGONAL, CellFrame, pairs_in_reach
 
 Array = NDArray[np.float64]
 
@@ -103,13 +103,13 @@ def build_grid(
     """
     corners = np.asarray(vertices, float)[np.asarray(triangles)]
     frame = _frame(corners, travel)
-    number = _along_a_curve(corners.mean(1), frame)
+    number = _space_filling_order(corners.mean(1), frame)
     corners = corners[number]
-    lists = _kept_lists(corners, frame, store)
+    lists = _stored_lists(corners, frame, store)
     listed, far = as_index(lists["listed"]), None
     if _moves_far(frame, travel):
-        wider = _framed(corners.min((0, 1)), corners.max((0, 1)), _FAR * frame.width, _FAR * frame.reach)
-        more = _kept_lists(corners, wider, store)
+        wider = _frame_box(corners.min((0, 1)), corners.max((0, 1)), _FAR * frame.width, _FAR * frame.reach)
+        more = _stored_lists(corners, wider, store)
         far = FarCells(
             corner=as_real(wider.corner),
             width=as_real(wider.width),
@@ -136,14 +136,14 @@ def build_grid(
     )
 
 
-def _kept_lists(corners: Array, frame: Frame, store: Store | None) -> Mapping[str, NDArray[Any]]:
+def _stored_lists(corners: Array, frame: CellFrame, store: Store | None) -> Mapping[str, NDArray[Any]]:
     place = np.array([*frame.corner, frame.width, frame.reach])
     return (store or Store()).arrays(
         "grid in exact classes", (corners, place, frame.shape), lambda: _lists(corners, frame)
     )
 
 
-def _lists(corners: Array, frame: Frame) -> dict[str, NDArray[Any]]:
+def _lists(corners: Array, frame: CellFrame) -> dict[str, NDArray[Any]]:
     """What a grid's cells hold: `bound`, `start`, `ends` and `listed`."""
     from scipy import sparse  # not needed where the lists are kept
 
@@ -162,23 +162,23 @@ def _lists(corners: Array, frame: Frame) -> dict[str, NDArray[Any]]:
     }
 
 
-def _frame(corners: Array, travel: float) -> Frame:
+def _frame(corners: Array, travel: float) -> CellFrame:
     """Cells about twice as wide as a typical triangle, within what memory and the mold's own size allow."""
     low, high = corners.min((0, 1)), corners.max((0, 1))
     size = float((high - low).max())
     edge = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     width = min(max(1.2 * edge, size / _FINEST), size / _COARSEST)
     long, most = edge > width, _most_listed(len(corners))
-    coarse = long and _listed_about(corners, width, _REACH["coarse"]) <= most
+    coarse = long and _estimate_listed(corners, width, _REACH["coarse"]) <= most
     if coarse:
         width = min(max(width, travel / _REACH["coarse"]), size / _FEWEST)
     while np.prod(_cell_counts(low, high, width)) > _MOST_CELLS:
         width *= 1.1
     widest = size / (_FEWEST if long else _COARSEST)
-    while not coarse and width < widest and _listed_about(corners, width, _REACH["fine"][0]) > most:
+    while not coarse and width < widest and _estimate_listed(corners, width, _REACH["fine"][0]) > most:
         width = min(1.1 * width, widest)
     reach = _REACH["coarse"] * width if coarse else np.clip(1.5 * travel, *(cells * width for cells in _REACH["fine"]))
-    return _framed(low, high, width, float(reach))
+    return _frame_box(low, high, width, float(reach))
 
 
 def _most_listed(triangle_count: int) -> int:
@@ -187,7 +187,7 @@ def _most_listed(triangle_count: int) -> int:
     return max(in_all, each * triangle_count)
 
 
-def _listed_about(corners: Array, width: float, reach: float) -> float:
+def _estimate_listed(corners: Array, width: float, reach: float) -> float:
     """About how many entries cells of a width [m] list; the reach is in cells.
 
     Slivers as long as a mold are in reach of very many.
@@ -198,15 +198,15 @@ def _listed_about(corners: Array, width: float, reach: float) -> float:
     return float(2 * ((long / width + beside) * (area / long / width + beside)).sum())
 
 
-def _moves_far(frame: Frame, travel: float) -> bool:
+def _moves_far(frame: CellFrame, travel: float) -> bool:
     """Whether a sheet moves beyond the reach of cells that a fine mold made small."""
     return frame.reach < _REACH["coarse"] * frame.width and 1.5 * travel > frame.reach * (1 + _SLACK)
 
 
-def _framed(low: Array, high: Array, width: float, reach: float) -> Frame:
+def _frame_box(low: Array, high: Array, width: float, reach: float) -> CellFrame:
     """Cells of a width [m] about the box (3,), (3,) [m]."""
     shape = _cell_counts(low, high, width)
-    return Frame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
+    return CellFrame(0.5 * (low + high) - 0.5 * width * shape, width, reach, shape)
 
 
 def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:
@@ -214,7 +214,7 @@ def _cell_counts(low: Array, high: Array, width: float) -> NDArray[np.int64]:
     return np.ceil((high - low) / width - 1e-3).astype(int) + 2
 
 
-def _along_a_curve(places: Array, frame: Frame) -> NDArray[np.int64]:
+def _space_filling_order(places: Array, frame: CellFrame) -> NDArray[np.int64]:
     """An order of places (n, 3) in which neighbours are close: that of the bits of their cells, interleaved."""
     index = np.clip((places - frame.corner) / frame.width, 0, frame.shape - 1).astype(np.int64)
     code = np.zeros(len(places), np.int64)
@@ -244,7 +244,7 @@ def _planes(corners: Array) -> Array:
     return np.column_stack([normal, np.einsum("ij,ij->i", normal, corners[:, 0])])
 
 
-def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
+def split_long_triangles(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
     """Triangles (n, 3, 3) [m] halved at their longest sides until none is longer, and the triangle each is part of."""
     owner = np.arange(len(corners))
     done, owners = [], []
@@ -262,7 +262,7 @@ def cut(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
     return np.concatenate(done), np.concatenate(owners)
 
 
-def _distance_bound(cell: NDArray[np.integer], distance: Array, frame: Frame) -> Array:
+def _distance_bound(cell: NDArray[np.integer], distance: Array, frame: CellFrame) -> Array:
     """Near the mold from the listed triangles, elsewhere from the distance between cells."""
     from scipy import ndimage  # not needed where the lists are kept
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.mesh import topology
-from jaxform.mesh.rows import ascending
+from jaxform.mesh.rows import unique_ascending
 from jaxform.tools.crossings import crosses, intersect, near_pairs
 from jaxform.tools.search import SearchGrid
 
@@ -21,14 +21,14 @@ _APART = 1e-7  # of an element, how far inside it a way begins: it may end at an
 _CHUNK = 300_000  # ways and triangles looked at together
 
 
-def normals_of_nodes(positions: Array, triangles: Integers) -> Array:
+def nodal_normals(positions: Array, triangles: Integers) -> Array:
     """Sums (n_node, 3) [m^2] of the normals of the elements round each node, each twice as long as its area."""
     corners = positions[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.stack([np.bincount(triangles.ravel(), np.repeat(part, 3), len(positions)) for part in normal.T], axis=1)
 
 
-def off_the_mold(wall: Integers, mold_corners: Array) -> Array:
+def contact_normals(wall: Integers, mold_corners: Array) -> Array:
     """Unit normals (n, 3) of the mold, on the side from which nodes came that stick to `wall` (n,), nowhere 0."""
     corners = mold_corners[np.abs(wall) - 1]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -49,7 +49,7 @@ class Ways:
         for element, triangle in near_pairs(corners, mold_corners, grid):
             cut = intersect(corners[element], mold_corners[triangle])
             keys.append(element[cut] * len(mold_corners) + triangle[cut])
-        element, self._triangle = np.divmod(ascending(np.concatenate(keys)), len(mold_corners))
+        element, self._triangle = np.divmod(unique_ascending(np.concatenate(keys)), len(mold_corners))
         self.element, self._first, self._count = np.unique(element, return_index=True, return_counts=True)
         self.triangles, self._mold_corners = triangles[self.element], mold_corners
         self._corners = corners[self.element]
@@ -61,7 +61,7 @@ class Ways:
         """All pairs of a cut element, as in `element`, and a triangle of the mold that cuts it, element by element."""
         return np.repeat(np.arange(len(self.element)), self._count), self._triangle
 
-    def odd(self, row: Integers, shares: Array) -> NDArray[np.bool_]:
+    def cross_oddly(self, row: Integers, shares: Array) -> NDArray[np.bool_]:
         """Whether ways cross the mold an odd number of times.
 
         Args:
@@ -87,7 +87,7 @@ class Ways:
         return result % 2 == 1
 
 
-def beyond_mold(
+def penetrating_nodes(
     triangles: Integers, ways: Ways, landed: NDArray[np.bool_], trust: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
     """Which nodes (n_node,) are beyond the mold.
@@ -107,7 +107,7 @@ def beyond_mold(
     count = len(landed)
     rows, columns = np.concatenate([edge[:, 0], edge[:, 1]]), np.concatenate([edge[:, 1], edge[:, 0]])
     graph = coo_array((np.concatenate([weight, weight]), (rows, columns)), shape=(count, count)).tocsr()
-    side = np.where(landed | _mostly(edge, weight, landed), trust, 0.0)
+    side = np.where(landed | _majority_side(edge, weight, landed), trust, 0.0)
     unknown = np.flatnonzero(side == 0)
     while len(unknown):
         # A node is on the side that most of its neighbours that are known say.
@@ -125,7 +125,7 @@ def _sides_of_edges(triangles: Integers, ways: Ways, landed: NDArray[np.bool_]) 
     total, asked = np.zeros(len(edge)), np.zeros(len(edge), bool)
     # What lies between nodes that landed tells nothing new.
     row = np.flatnonzero(~landed[ways.triangles].all(1))
-    odd = ways.odd(row, np.eye(3))
+    odd = ways.cross_oddly(row, np.eye(3))
     name = np.array([len(landed), 1], np.int64)
     known = edge @ name
     for k in range(3):
@@ -137,12 +137,12 @@ def _sides_of_edges(triangles: Integers, ways: Ways, landed: NDArray[np.bool_]) 
     return edge, np.where(asked, np.sign(total), 1.0)
 
 
-def _mostly(edge: NDArray[np.int64], weight: Array, landed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _majority_side(edge: NDArray[np.int64], weight: Array, landed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Of each part of the sheet that has not landed anywhere, the most nodes (n_node,) on one side of the mold."""
     count = len(landed)
-    part = topology.connected(edge[:, 0], edge[:, 1], count)
+    part = topology.connected_parts(edge[:, 0], edge[:, 1], count)
     one, other = edge[weight > 0].T
-    together = topology.connected(one, other, count)
+    together = topology.connected_parts(one, other, count)
     rank = np.bincount(together, minlength=count)[together] * count - together  # of two as large, one
     most = np.zeros(count, np.int64)
     np.maximum.at(most, part, rank)

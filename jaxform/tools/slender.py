@@ -58,8 +58,8 @@ def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: A
         return None
     way = np.where(met, way, way[met].max())
     radius = side / (2 * pixel)
-    filled = masks.narrow_minima_filled(way, radius)
-    near_rim = _near((held @ across.T - low) / pixel, inside, 3 * radius)
+    filled = masks.fill_narrow_minima(way, radius)
+    near_rim = _is_near((held @ across.T - low) / pixel, inside, 3 * radius)
     above = np.where(inside & met & ~near_rim & (way > level), filled - way, 0.0)
     found = _highest(above, way, filled, radius, _TALL * side)
     if found is None:
@@ -85,7 +85,7 @@ def _highest(
         radius: Of an element [pixels].
         least: Height [m].
     """
-    part, count = masks.parts(above > least)
+    part, count = masks.label_parts(above > least)
     for number in sorted(range(1, count + 1), key=lambda k: -above[part == k].max())[:_PARTS]:
         own = part == number
         row, column = np.unravel_index(int(np.argmax(np.where(own, above, 0.0))), above.shape)
@@ -107,17 +107,17 @@ def _nearest(corners: Array, along: Array, shape: tuple[int, ...], *, edges: boo
     """
     width, height = shape
     found = np.full(width * height, np.inf)
-    for hit in raster.hits(corners, width, height):
-        np.minimum.at(found, hit.pixel, hit.of(along))
+    for hit in raster.rasterize(corners, width, height):
+        np.minimum.at(found, hit.pixel, hit.interpolate(along))
     if edges:
-        places, depth = _on_edges(corners, along)
+        places, depth = _edge_points(corners, along)
         cell = np.floor(places).astype(np.int64)
         good = ((cell >= 0) & (cell < [width, height])).all(1)
         np.minimum.at(found, cell[good, 0] + width * cell[good, 1], depth[good])
     return found.reshape(height, width)
 
 
-def _on_edges(corners: Array, along: Array) -> tuple[Array, Array]:
+def _edge_points(corners: Array, along: Array) -> tuple[Array, Array]:
     """Points on the edges of triangles, about a pixel apart (n, 2), and their distance along the push (n,) [m]."""
     begin, end = corners.reshape(-1, 2), np.roll(corners, -1, axis=1).reshape(-1, 2)
     first, last = along.ravel(), np.roll(along, -1, axis=1).ravel()
@@ -128,7 +128,7 @@ def _on_edges(corners: Array, along: Array) -> tuple[Array, Array]:
     return begin[edge] + share[:, None] * (end - begin)[edge], first[edge] + share * (last - first)[edge]
 
 
-def _near(points: Array, inside: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
+def _is_near(points: Array, inside: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
     """Which pixels of a map are within so many pixels of points (n, 2)."""
     marked = np.zeros_like(inside)
     if not len(points):

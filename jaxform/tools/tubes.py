@@ -36,11 +36,11 @@ class Tube(NamedTuple):
 
 def widest_tube(mold: Mesh) -> Tube | None:
     """The widest way through a mold [m] that is longer than it is wide; None where there is none."""
-    surface = heights.surface(mold.positions, mold.triangles)
+    surface = heights.make_viewed_surface(mold.positions, mold.triangles)
     used = mold.positions[np.unique(mold.triangles)]
     found = []
     for direction in _directions(mold):
-        view = heights.seen(surface, opening.turned_up(direction), _PIXELS)
+        view = heights.view_heights(surface, opening.rotation_to_z(direction), _PIXELS)
         through = view.inside & ~np.isfinite(view.height)
         width, length = 2 * view.pixel * float(masks.distance(through).max()), float(np.ptp(used @ direction))
         if through.sum() >= _SHARE * view.inside.sum() and length >= _DEEP * width:

@@ -32,7 +32,7 @@ class Undercut(NamedTuple):
     place: Array
 
 
-def deepest(buck: Buck, mold: Mesh) -> Undercut | None:
+def deepest_undercut(buck: Buck, mold: Mesh) -> Undercut | None:
     """The deepest undercut above the platen; None where there is none.
 
     Args:
@@ -41,18 +41,18 @@ def deepest(buck: Buck, mold: Mesh) -> Undercut | None:
     """
     turn = buck.view.turn
     corners = (mold.positions @ turn.T)[mold.triangles]
-    view = heights.seen(heights.surface(mold.positions, mold.triangles), turn, _PIXELS)
-    found = [_at(level, corners, view) for level in np.linspace(buck.top, buck.base, _LEVELS + 2)[1:-1]]
+    view = heights.view_heights(heights.make_viewed_surface(mold.positions, mold.triangles), turn, _PIXELS)
+    found = [_undercut_at(level, corners, view) for level in np.linspace(buck.top, buck.base, _LEVELS + 2)[1:-1]]
     worst = max(found, key=lambda one: one.depth)
     if worst.depth < _SEEN * view.pixel:
         return None
     return Undercut(worst.depth, worst.place @ turn)
 
 
-def _at(level: float, corners: Array, view: heights.Heights) -> Undercut:
+def _undercut_at(level: float, corners: Array, view: heights.Heights) -> Undercut:
     """The deepest undercut at a height [m], its place after turning."""
     wall = _section(level, corners, view)
-    part, _ = masks.parts(~wall)
+    part, _ = masks.label_parts(~wall)
     shadow = view.height < level - 0.5 * view.pixel
     depth = np.where((part == part[0, 0]) & ~wall, masks.distance(shadow), 0.0)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
@@ -73,7 +73,7 @@ def _section(level: float, corners: Array, view: heights.Heights) -> Mask:
     points = cut + share * (np.roll(cut, -1, axis=1) - cut)
     # Two of the three sides of each are crossed.
     ends = points[crossed].reshape(-1, 2, 3)
-    along = topology.points_along(ends, view.pixel)
+    along = topology.edge_points(ends, view.pixel)
     wall = np.zeros(view.inside.shape, bool)
     column, row = np.floor((along[:, :2] - view.low) / view.pixel).astype(int).T
     wall[row, column] = True

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Law
-from jaxform.mechanics.response import Memory, Overstress
+from jaxform.mechanics.constitutive import Overstress, ViscousMemory
 from optimize.fitting import states
 
 _TERMS, _POINTS = 10, 30  # of each polynomial; of Gauss along the radius
@@ -31,7 +31,7 @@ def plan(height: np.ndarray, time: np.ndarray | None) -> states.Path:
     return states.cut(height, times, 0.0, _LONGEST)
 
 
-def inflated(law: Law, plan: states.Path, scale: float, viscous: bool) -> tuple[jax.Array, jax.Array]:
+def inflate_bubble(law: Law, plan: states.Path, scale: float, viscous: bool) -> tuple[jax.Array, jax.Array]:
     """Pressure times radius over the sheet's thickness (n,) [Pa], and the pole's wall over the sheet's (n,).
 
     Args:
@@ -62,10 +62,12 @@ def inflated(law: Law, plan: states.Path, scale: float, viscous: bool) -> tuple[
     return pressure[plan.row], wall[plan.row]
 
 
-def _equilibrium(law: Law, memory: Memory | None, begin: jax.Array, height: jax.Array, scale: float) -> jax.Array:
+def _equilibrium(
+    law: Law, memory: ViscousMemory | None, begin: jax.Array, height: jax.Array, scale: float
+) -> jax.Array:
     """Coefficients and scaled pressure (2 n_term + 1,) at a height."""
 
-    def forces(found: jax.Array, law: Law, memory: Memory | None) -> jax.Array:
+    def forces(found: jax.Array, law: Law, memory: ViscousMemory | None) -> jax.Array:
         return _forces(found, law, memory, height, scale)
 
     fixed = jax.lax.stop_gradient((law, memory))
@@ -90,7 +92,7 @@ def _equilibrium(law: Law, memory: Memory | None, begin: jax.Array, height: jax.
     return found - jnp.linalg.solve(matrix, forces(found, law, memory))
 
 
-def _forces(found: jax.Array, law: Law, memory: Memory | None, height: jax.Array, scale: float) -> jax.Array:
+def _forces(found: jax.Array, law: Law, memory: ViscousMemory | None, height: jax.Array, scale: float) -> jax.Array:
     """The forces that are out of balance (2 n_term + 1,), in units of the scale; the last one is the height's."""
     coefficients = found[:-1]
     (one, two), back = jax.vjp(_stretches, coefficients)

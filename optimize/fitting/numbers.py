@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Law
-from jaxform.core.parameters import listed_numbers, ranges_of
+from jaxform.core.parameters import list_parameter_names, parameter_ranges
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import LEAST, MOST, Range
 from jaxform.materials import LAWS, MODES, Modes
@@ -164,14 +164,14 @@ def make_numbers(
         stress: The largest stress of the data [Pa].
         times: The shortest and the longest time of the data [s]; None where there are no modes.
     """
-    law, listed = LAWS[model], listed_numbers(LAWS[model])
+    law, listed = LAWS[model], list_parameter_names(LAWS[model])
     found = []
-    for name, allowed in ranges_of(law).items():
+    for name, allowed in parameter_ranges(law).items():
         if name != "density":
             places = range(terms) if name in listed else (None,)
             found += [_number(name, place, allowed, stress) for place in places]
     if modes and times is not None:
-        for name, allowed in ranges_of(MODES[kind]).items():
+        for name, allowed in parameter_ranges(MODES[kind]).items():
             found += [_of_mode(name, place, modes, allowed, stress, times) for place in range(modes)]
     return Numbers(law, MODES[kind] if modes else None, tuple(found))
 

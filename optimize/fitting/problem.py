@@ -92,7 +92,7 @@ def _data(table: Table) -> tuple[Any, ...]:
     return (bubble.plan(table.height / table.radius, table.time),)
 
 
-class _Inflated(NamedTuple):
+class _BubbleKind(NamedTuple):
     """What of a bubble a program is compiled for: lengths [m], largest pressure [Pa], whether walls were measured."""
 
     sheet: float
@@ -101,36 +101,36 @@ class _Inflated(NamedTuple):
     walled: bool
 
 
-def _kind(table: Table) -> str | _Inflated:
+def _kind(table: Table) -> str | _BubbleKind:
     """The state of a pull, or what there is of a bubble: with its data all that the law's values depend on."""
     if isinstance(table, Pull):
         return table.state
-    return _Inflated(table.sheet, table.radius, float(table.pressure.max()), table.thickness is not None)
+    return _BubbleKind(table.sheet, table.radius, float(table.pressure.max()), table.thickness is not None)
 
 
-def _modelled(law: Law, kind: str | _Inflated, data: tuple[Any, ...]) -> jax.Array:
+def _model_values(law: Law, kind: str | _BubbleKind, data: tuple[Any, ...]) -> jax.Array:
     """The law's values for the measured columns of a table, one after the other."""
     if isinstance(kind, str):
         stretch, pulled = data
         return states.along(law, kind, jnp.asarray(stretch), pulled)
     over = kind.sheet / kind.radius
     (plan,) = data
-    pressure, wall = bubble.inflated(law, plan, kind.pressure / over, law.viscous is not None)
+    pressure, wall = bubble.inflate_bubble(law, plan, kind.pressure / over, law.viscous is not None)
     return jnp.concatenate([over * pressure, kind.sheet * wall] if kind.walled else [over * pressure])
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _slopes_and_values(
-    numbers: Numbers, kinds: tuple[str | _Inflated, ...], free: jax.Array, data: list[tuple[Any, ...]]
+    numbers: Numbers, kinds: tuple[str | _BubbleKind, ...], free: jax.Array, data: list[tuple[Any, ...]]
 ) -> tuple[jax.Array, jax.Array]:
     """Both in one: to compile another program takes longer than all its calls. The same tests compile nothing again."""
 
-    def modelled(free: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def model_values(free: jax.Array) -> tuple[jax.Array, jax.Array]:
         law = numbers.make(free)
-        found = jnp.concatenate([_modelled(law, kind, own) for kind, own in zip(kinds, data, strict=True)])
+        found = jnp.concatenate([_model_values(law, kind, own) for kind, own in zip(kinds, data, strict=True)])
         return found, found
 
-    return jax.jacfwd(modelled, has_aux=True)(free)
+    return jax.jacfwd(model_values, has_aux=True)(free)
 
 
 def without_bubbles(tables: Sequence[Table]) -> list[Table]:
@@ -139,10 +139,10 @@ def without_bubbles(tables: Sequence[Table]) -> list[Table]:
     The wall there is taken to be that of Hill's solution for metal where it was not measured (R. Hill, Phil. Mag. 41,
     1950); it is within some per cent of the right one up to a height of a radius.
     """
-    return [_as_pull(table) if isinstance(table, Bubble) else table for table in tables]
+    return [_convert_to_pull(table) if isinstance(table, Bubble) else table for table in tables]
 
 
-def _as_pull(table: Bubble) -> Pull:
+def _convert_to_pull(table: Bubble) -> Pull:
     curvature_radius = (table.radius**2 + table.height**2) / (2.0 * table.height)
     wall = table.thickness
     if wall is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxform import InputError
 from jaxform.core.errors import warn_of
-from jaxform.core.parameters import listed_numbers
+from jaxform.core.parameters import list_parameter_names
 from jaxform.materials import LAWS, MODES
 from optimize.fitting import solving
 from optimize.fitting.numbers import make_numbers
@@ -62,15 +62,17 @@ def fit(
     _check_modes(tables, modes, times)
     stress = max(_largest_stress(table) for table in tables)
 
-    def solved(terms: int, modes: int) -> Solution:
+    def solve_for(terms: int, modes: int) -> Solution:
         numbers = make_numbers(model, terms, viscous, modes, stress, times)
         return solving.solve(list(tables if modes else only_slow(tables)), numbers, weights, stress)
 
     mode_counts = range(1, _MOST_TRIED_MODES + 1) if modes is None and _relaxing(tables) else (modes or 0,)
-    term_counts = range(1, _MOST_TRIED_TERMS + 1) if terms is None and listed_numbers(LAWS[model]) else (terms or 1,)
-    solution, terms = _most_telling(term_counts, lambda count: solved(count, mode_counts[0]))
+    term_counts = (
+        range(1, _MOST_TRIED_TERMS + 1) if terms is None and list_parameter_names(LAWS[model]) else (terms or 1,)
+    )
+    solution, terms = _most_telling(term_counts, lambda count: solve_for(count, mode_counts[0]))
     if len(mode_counts) > 1:
-        solution, modes = _most_telling(mode_counts, lambda count: solved(terms, count))
+        solution, modes = _most_telling(mode_counts, lambda count: solve_for(terms, count))
     matches = tuple(_matches(solution))
     confidence = solving.confidence_of(solution.problem, solution.free)
     found = Fit(model, viscous if modes else "", solution, confidence, weights, matches)
@@ -103,7 +105,7 @@ def _check(tables: Sequence[Table], model: str, terms: int | None, viscous: str 
         raise InputError("no test is given", "give one table at least", "tables")
     if model not in LAWS:
         raise InputError("is unknown", f"use {', '.join(LAWS)}", "--model", model)
-    if terms is not None and not listed_numbers(LAWS[model]):
+    if terms is not None and not list_parameter_names(LAWS[model]):
         raise InputError(f"means nothing to {model}", "leave it out: its numbers are no lists", "--terms", terms)
     if terms is not None and not 1 <= terms <= MOST_TERMS:
         raise InputError("is out of range", f"give 1 to {MOST_TERMS}", "--terms", terms)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from jaxform import Law
 from jaxform.materials import Modes
-from jaxform.mechanics import response
-from jaxform.mechanics.response import Memory, Overstress, Response
+from jaxform.mechanics import constitutive
+from jaxform.mechanics.constitutive import Overstress, Response, ViscousMemory
 
 STATES = ("uniaxial", "equibiaxial", "pure-shear")
 """How a sheet is pulled; across the pull it is free, pulled as much, or held."""
@@ -28,7 +28,9 @@ def crosswise(state: str, stretch: jax.Array) -> jax.Array:
     return jnp.ones_like(stretch) if state == "pure-shear" else 1.0 / jnp.sqrt(stretch)
 
 
-def nominal(law: Law, one: jax.Array, two: jax.Array, memory: Memory | None = None) -> tuple[jax.Array, jax.Array]:
+def nominal(
+    law: Law, one: jax.Array, two: jax.Array, memory: ViscousMemory | None = None
+) -> tuple[jax.Array, jax.Array]:
     """Nominal stresses [Pa] along two principal stretches (n,) in the plane, free across it.
 
     Args:
@@ -40,7 +42,7 @@ def nominal(law: Law, one: jax.Array, two: jax.Array, memory: Memory | None = No
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
     metric = one * one, none, two * two
     inverse = jnp.stack([unit, none, unit])
-    stress = response.stress_of(metric, inverse, unit, Response(law.elastic, memory))
+    stress = constitutive.weighted_stress(metric, inverse, unit, Response(law.elastic, memory))
     return one * stress[0], two * stress[2]
 
 
@@ -49,19 +51,21 @@ def at_first(modes: Modes, count: int) -> Overstress:
     unit = jnp.ones((count,), modes.time.dtype)
     none = jnp.zeros_like(unit)
     inverse = jnp.stack([unit, none, unit])
-    return response.overstress((unit, none, unit), inverse, response.present(modes.at_first(inverse), modes))
+    return constitutive.overstress(
+        (unit, none, unit), inverse, constitutive.present_memory(modes.initial_stress(inverse), modes)
+    )
 
 
-def memory_after(modes: Modes, past: Overstress, step: jax.Array) -> Memory:
+def memory_after(modes: Modes, past: Overstress, step: jax.Array) -> ViscousMemory:
     """The memory of modes after a step [s] over which the strain is linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
-    return Memory(jnp.stack(past.kept(recursion)), recursion.gain, modes.kind)
+    return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion.gain, modes.kind)
 
 
-def overstress(memory: Memory, one: jax.Array, two: jax.Array) -> Overstress:
+def overstress(memory: ViscousMemory, one: jax.Array, two: jax.Array) -> Overstress:
     """The overstress of modes with such a memory at places that now have these stretches (n,)."""
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
-    return response.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
+    return constitutive.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
 
 
 class Path(NamedTuple):

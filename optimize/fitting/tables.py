@@ -124,8 +124,8 @@ def _split(source: str) -> tuple[str, Path]:
     """The kind that is written before a path, and the path."""
     before, _, after = source.partition("=")
     if after and known(before):
-        return known(before), disk.located(after)
-    return "", disk.located(source)
+        return known(before), disk.expand_path(after)
+    return "", disk.expand_path(source)
 
 
 def known(word: str) -> str:

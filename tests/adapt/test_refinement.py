@@ -18,7 +18,7 @@ from jaxform.core.errors import InputError
 from jaxform.io import output
 from jaxform.mesh import meshes, topology
 from jaxform.model.scene import Scene
-from jaxform.model.tables import Forest
+from jaxform.model.tables import BisectionHierarchy
 from jaxform.results import result, summary
 from jaxform.results.result import Result
 from jaxform.sheet import discretization
@@ -58,11 +58,11 @@ def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Discret
     random = np.random.default_rng(seed)
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.5, 1.5, scene.parison.thickness.size)
     scene = jaxform.replace(scene, {"parison.thickness": thickness})
-    state, first = scenes.begun(scene)
+    state, first = scenes.begin_run(scene)
     stuck = state.nodes.stuck
     free = ~stuck & (jnp.arange(stuck.size) < scene.tables.forest.first_nodes)  # pyright: ignore
     shape = state.nodes.positions.shape
-    state = state.with_nodes(
+    state = state.replace_nodes(
         positions=state.nodes.positions + jnp.where(free, jnp.asarray(random.normal(0, 0.01, shape)), 0.0),
         velocities=jnp.where(free, jnp.asarray(random.normal(0, 1, shape)), 0.0) * (first.compliance > 0),
     )
@@ -73,13 +73,13 @@ def grown(scene: Scene, seed: int) -> tuple[State, State, discretization.Discret
         mesh = after.mesh
         assert mesh is not None
         wanted = jnp.asarray(random.uniform(size=mesh.element.size) < 0.2) & (
-            discretization.levels(mesh.element, forest) < 2
+            discretization.element_levels(mesh.element, forest) < 2
         )
-        after, now = scenes.bisected(scene, after, now, wanted)
+        after, now = scenes.bisect_scene(scene, after, now, wanted)
     return state, after, first, now
 
 
-def lists_of(mesh: discretization.Mesh, forest: Forest) -> None:
+def lists_of(mesh: discretization.RefinedMesh, forest: BisectionHierarchy) -> None:
     """Checks the lists of a mesh against what is bisected."""
     split, count = np.asarray(mesh.split_at) != NEVER, int(mesh.element_count)
     element, number = np.asarray(mesh.element)[:count], np.arange(len(split))
@@ -94,7 +94,7 @@ def lists_of(mesh: discretization.Mesh, forest: Forest) -> None:
     side = np.full(forest.half_edge_count, -1)
     side[half] = np.arange(count)
     np.testing.assert_array_equal(mesh.side, side)
-    np.testing.assert_array_equal(remeshing.with_sides(mesh, forest).side, side)
+    np.testing.assert_array_equal(remeshing.add_sides(mesh, forest).side, side)
     corner, room = np.asarray(mesh.corner), mesh.corner_count
     np.testing.assert_array_equal(np.bincount(places[triangles].ravel(), minlength=room.size), room)
     np.testing.assert_array_equal((corner >= 0).sum(0), room)
@@ -149,9 +149,9 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
 
 def looked_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, np.ndarray, np.ndarray]:
     """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
-    state, now = scenes.begun(scene)
+    state, now = scenes.begin_run(scene)
     for _ in range(6):
-        state, now = scenes.looked_at(state, scene, now)
+        state, now = scenes.survey_of(state, scene, now)
     forest, mold, mesh = scene.tables.forest, scene.mold, state.mesh
     assert forest is not None and mold is not None and mesh is not None
     lists_of(mesh, forest)
@@ -164,7 +164,7 @@ def looked_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, 
     away, along = corners.mean(0)[:, None] - begin, end - begin
     share = np.clip((away * along).sum(2) / (along**2).sum(1), 0.0, 1.0)
     distance = np.linalg.norm(away - share[..., None] * along, axis=2).min(1)
-    return now, np.asarray(discretization.levels(mesh.element, forest))[:count], distance, side
+    return now, np.asarray(discretization.element_levels(mesh.element, forest))[:count], distance, side
 
 
 @pytest.mark.parametrize("reach", [1.0, 2.0])
@@ -187,17 +187,19 @@ def flying_at_first(scene: Scene) -> Scene:
     """The scene as if its sheet came from afar: nothing lies on the mold, or is fine at once."""
     forest = scene.tables.forest
     assert forest is not None
-    tables = dataclasses.replace(scene.tables, lying=None, forest=dataclasses.replace(forest, fine_at_once=None))
+    tables = dataclasses.replace(
+        scene.tables, initial_contact=None, forest=dataclasses.replace(forest, fine_at_once=None)
+    )
     return dataclasses.replace(scene, tables=tables)
 
 
 @pytest.mark.parametrize("at_rest", [True, False])
 def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_their_edges_did(at_rest: bool) -> None:
     scene = flying_at_first(over_a_block(2.0, at_rest=at_rest))
-    before, now = scenes.begun(scene)
+    before, now = scenes.begin_run(scene)
     upwards = jnp.where(before.nodes.stuck, 0.0, 1.0) * jnp.array([[0.1], [-0.2], [1.0]])
-    before = before.with_nodes(velocities=upwards)
-    state, _ = scenes.looked_at(before, scene, now)
+    before = before.replace_nodes(velocities=upwards)
+    state, _ = scenes.survey_of(before, scene, now)
     forest, grid, old, mesh = scene.tables.forest, scene.tables.grid, before.mesh, state.mesh
     assert forest is not None and grid is not None and old is not None and mesh is not None
     new = np.arange(int(old.node_count), int(mesh.node_count))
@@ -219,14 +221,14 @@ def test_new_nodes_near_the_mold_begin_at_rest_if_wanted_and_others_move_as_thei
 
 def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> None:
     scene = flying_at_first(over_a_block(2.0, gap=0.0))
-    before, now = scenes.begun(scene)
+    before, now = scenes.begin_run(scene)
 
     @jax.jit
     @jax.value_and_grad
     def swiftness(positions: jax.Array) -> jax.Array:
-        moving = before.with_nodes(positions=positions, velocities=jnp.ones_like(positions))
-        moving = refinement.without_sides(moving)
-        return jnp.sum(jnp.square(refinement.refined(moving, scene, now)[0].nodes.velocities))
+        moving = before.replace_nodes(positions=positions, velocities=jnp.ones_like(positions))
+        moving = refinement.drop_sides(moving)
+        return jnp.sum(jnp.square(refinement.refine(moving, scene, now)[0].nodes.velocities))
 
     value, slope = swiftness(before.nodes.positions)
     assert float(value) > 0.0 and np.all(np.isfinite(slope)) and np.any(np.asarray(slope) != 0.0)
@@ -249,7 +251,7 @@ def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: R
     assert forest is not None
     deepest = np.asarray(forest.sheet.area)[-(forest.root_count << forest.depth) :].sum()
     assert float(live.mass) == pytest.approx(deepest * 0.01, rel=1e-12)  # density 1
-    assert summary.penetrated(live, scene).nodes < 1e-9
+    assert summary.measure_penetration(live, scene).nodes < 1e-9
     active = np.asarray(live.active)
     assert np.isfinite(np.asarray(live.positions)).all() and np.isfinite(np.asarray(live.thickness)).all()
     assert (np.asarray(live.thickness)[active] > 0).all() and not np.asarray(live.thickness)[~active].any()
@@ -286,7 +288,7 @@ def test_a_replay_goes_on_where_its_schedule_does_not_fit(
     assert jaxform.explain(again) == jaxform.explain(own) == "ok"
     assert float(again.time) == pytest.approx(float(own.time), rel=0.1)
     assert float(again.energy.balance_error) < 5e-3
-    assert summary.penetrated(again, changed).nodes < 1e-9
+    assert summary.measure_penetration(again, changed).nodes < 1e-9
     (volume, area), (own_volume, own_area) = _formed(again), _formed(own)
     assert volume == pytest.approx(own_volume, rel=1e-9)
     assert area == pytest.approx(own_area, rel=0.05)
@@ -349,7 +351,7 @@ def test_files_and_pictures_have_the_nodes_that_exist(scene: Scene, live: Result
     output.write_part(scene, live, tmp_path / "final.vtu")
     mesh = meshes.read_mesh(tmp_path / "final.vtu")
     assert len(mesh.triangles) == int(live.used.sum()) and len(mesh.positions) == int(live.active.sum())
-    shown, part = result.only_used(scene, live)
+    shown, part = result.drop_unused(scene, live)
     np.testing.assert_array_equal(mesh.triangles, part.triangles)
     np.testing.assert_allclose(mesh.positions, part.positions)
     facts = jaxform.summarize(live, scene)

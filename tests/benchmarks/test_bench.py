@@ -20,11 +20,11 @@ def test_every_formulation_and_peer_steps_alike() -> None:
         if step is not None:
             np.testing.assert_allclose(step(20), expected, rtol=0, atol=1e-13, err_msg=name)
     ways = {name: formulations.stepper(build(sheet), sheet) for name, build in formulations.LOSERS.items()}
-    ways |= {f"blocks of {block}": formulations.own(sheet, block=block) for block in (64, 128)}
-    ways["one by one"] = formulations.own(sheet, paired=False)
+    ways |= {f"blocks of {block}": formulations.own_formulation(sheet, block=block) for block in (64, 128)}
+    ways["one by one"] = formulations.own_formulation(sheet, paired=False)
     for name, step in ways.items():
         np.testing.assert_allclose(np.asarray(step(20)).T, expected, rtol=0, atol=1e-13, err_msg=name)
-    single = np.asarray(formulations.own(sheet, np.float32)(20)).T
+    single = np.asarray(formulations.own_formulation(sheet, np.float32)(20)).T
     assert single.dtype == np.float32
     np.testing.assert_allclose(single, expected, rtol=0, atol=1e-5)
 

@@ -12,10 +12,10 @@ import pytest
 
 import jaxform
 from benchmarks.stability import figures, page, random_scenes, stress
-from jaxform.dynamics import closing
+from jaxform.dynamics import window_end
 from jaxform.results.summary import summarize
 from jaxform.runs import loop
-from jaxform.runs.padding import on_rungs
+from jaxform.runs.padding import pad_to_bucket
 from jaxform.sheet.state import Status
 from tests import scenes
 
@@ -62,7 +62,7 @@ def test_a_run_in_windows_and_one_in_hundreds_are_the_same() -> None:
     """The stress run's own loop is that of `run`, windows rejected included."""
     drawn = random_scenes.draw(ONCE_BROKEN[0])
     _, ours = stress.run_drawn(drawn)
-    room = on_rungs(drawn.scene, recorded=True)
+    room = pad_to_bucket(drawn.scene, recorded=True)
     state, first, taken = loop.begin(room.scene)
     state, taken, done = loop.advance(state, room.scene, first, taken, jnp.int32(drawn.planned))
     assert bool(done)
@@ -132,7 +132,7 @@ def test_a_sheet_that_runs_away_says_so() -> None:
     result = jaxform.run(sudden)
     assert int(result.status) & (Status.RUNAWAY | Status.NON_FINITE | Status.WINDOWS_EXHAUSTED)
     assert np.all(np.isfinite(np.asarray(result.positions)))
-    assert float(result.energy.balance_error) < closing._ENERGY_TOLERANCE
+    assert float(result.energy.balance_error) < window_end._ENERGY_TOLERANCE
 
 
 def test_the_page_is_drawn_from_what_was_found(tmp_path: Path) -> None:

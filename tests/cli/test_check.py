@@ -110,7 +110,7 @@ def test_what_simulate_warns_of_is_in_its_summary(tmp_path: Path, capfd: pytest.
 def test_the_scene_is_warned_of_before_the_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ended, run, look_over = threading.Event(), host.run, files.look_over
+    ended, run, look_over = threading.Event(), host.run, files.review_scene
 
     def run_and_say(*args: Any, **kwargs: Any) -> jaxform.Result:
         result = run(*args, **kwargs)
@@ -122,7 +122,7 @@ def test_the_scene_is_warned_of_before_the_run(
         look_over(*args)
 
     monkeypatch.setattr(host, "run", run_and_say)
-    monkeypatch.setattr(files, "look_over", look_over_afterwards)
+    monkeypatch.setattr(files, "review_scene", look_over_afterwards)
     (tmp_path / "scene.toml").write_text(WRONG)
     assert command.main(["simulate", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     first, second, third = capfd.readouterr().err.splitlines()

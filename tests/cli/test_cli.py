@@ -175,11 +175,11 @@ def test_what_takes_longer_than_a_moment_is_named(
     begun = threading.Event()
     monkeypatch.setattr(session, "_MOMENT", 0.0)
     monkeypatch.setattr("builtins.print", lambda *words, **_: (sys.stdout.write(str(words[0])), begun.set()))
-    with session.waiting(argparse.Namespace(quiet=False), "measuring the part"):
+    with session.report_waiting(argparse.Namespace(quiet=False), "measuring the part"):
         assert begun.wait(30)
     assert "measuring the part ..." in capfd.readouterr().out
     begun.clear()
-    with session.waiting(argparse.Namespace(quiet=True), "measuring the part"):
+    with session.report_waiting(argparse.Namespace(quiet=True), "measuring the part"):
         pass
     assert not begun.is_set()
 

@@ -12,8 +12,8 @@ import pytest
 
 from jaxform.cli import command, session
 from jaxform.core.errors import InputError
-from jaxform.io import drafting, files, firstscene
-from jaxform.io.survey import survey
+from jaxform.io import files, scene_text, scene_wizard
+from jaxform.io.scene_checks import survey
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import molds
@@ -99,20 +99,20 @@ def _boxes(depths: list[float], widths: list[float] | None = None) -> Mesh:
 @pytest.mark.parametrize("degrees", [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (20.0, 100.0, -40.0)])
 def test_a_pocket_half_as_deep_as_another_is_one_pocket(tmp_path, degrees):
     """Its bottom lies half way down, where pockets are looked for: rounding once made thousands of it."""
-    made = drafting.draft([write(tmp_path / "clam.stl", _boxes([0.06, 0.03]), 0.001, degrees)])
+    made = scene_wizard.draft([write(tmp_path / "clam.stl", _boxes([0.06, 0.03]), 0.001, degrees)])
     assert made.pocket == pytest.approx(0.05, rel=0.03) and made.levels == 0
     assert made.draw == pytest.approx(1 + 0.06 / 0.05 * 2, rel=0.03)
 
 
 def test_small_pockets_count_together(tmp_path):
-    made = drafting.draft([write(tmp_path / "row.stl", _boxes([0.06] * 5), 0.001)])
+    made = scene_wizard.draft([write(tmp_path / "row.stl", _boxes([0.06] * 5), 0.001)])
     assert made.pocket == pytest.approx(0.05, rel=0.03)
 
 
 def test_a_slit_is_left_open(tmp_path, capfd):
     """The sheet would go in at one place first, and meet itself."""
     mold = write(tmp_path / "slit.stl", _boxes([0.04, 0.04], [0.1, 0.006]), 0.001)
-    made, plain = drafting.draft([mold]), drafting.draft([write(tmp_path / "box.stl", _boxes([0.04]), 0.001)])
+    made, plain = scene_wizard.draft([mold]), scene_wizard.draft([write(tmp_path / "box.stl", _boxes([0.04]), 0.001)])
     assert made.slit == pytest.approx(0.003, rel=0.2) and plain.slit is None
     assert made.pocket == pytest.approx(0.05, rel=0.03) and made.pressure < 0.5 * plain.pressure
     assert command.main(["new", str(tmp_path / "scene"), "--mold", str(mold)]) == 0
@@ -176,7 +176,7 @@ def test_names_that_are_no_text_are_written_as_text(tmp_path):
     for path in paths:
         path.parent.mkdir()
         path.touch()
-    assert firstscene._names(tmp_path, paths) == ["a?.stl", "a?-2.stl"]
+    assert scene_text._names(tmp_path, paths) == ["a?.stl", "a?-2.stl"]
 
 
 def test_bad_input_is_told_in_one_line(tmp_path, capfd):

@@ -12,8 +12,8 @@ import trimesh
 
 import jaxform
 from jaxform.cli import command
-from jaxform.io import drafting, files, units
-from jaxform.io.choices import VACUUM, Wishes
+from jaxform.io import files, scene_wizard, units
+from jaxform.io.scene_choices import VACUUM, UserChoices
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.results.summary import summarize
@@ -117,8 +117,11 @@ def test_what_is_asked_for_counts(tmp_path, capfd):
 def test_a_vacuum_has_a_limit_and_says_what_it_fills(tmp_path, capfd):
     """T = 2 c h (1 + alpha stretch^2); corners are filled down to r = 2 T / p."""
     mold = write(tmp_path / "part.stl", BUCKS["cylinder"])
-    thick = Wishes(thickness=0.01)
-    vacuum, air = drafting.draft([mold], thick), drafting.draft([mold], Wishes(thickness=0.01, process="pressure"))
+    thick = UserChoices(thickness=0.01)
+    vacuum, air = (
+        scene_wizard.draft([mold], thick),
+        scene_wizard.draft([mold], UserChoices(thickness=0.01, process="pressure")),
+    )
     assert vacuum.pressure == VACUUM and vacuum.limited
     assert air.pressure > 2 * VACUUM and not air.limited
     np.testing.assert_allclose(air.corner(air.pressure) / vacuum.corner(VACUUM), VACUUM / air.pressure)

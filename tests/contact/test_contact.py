@@ -16,12 +16,12 @@ from jaxform import molds, shapes
 from jaxform.contact import broad_phase, candidates, cells, lists, spheres
 from jaxform.contact.cells import cell_of
 from jaxform.core.store import Store
-from jaxform.dynamics import touching
+from jaxform.dynamics import contact_step
 from jaxform.dynamics import window as windows
 from jaxform.kernels.blocks import BLOCK
 from jaxform.model.scene import Tool
-from jaxform.prepare import building
-from jaxform.results.summary import penetrated
+from jaxform.prepare import scene_builder
+from jaxform.results.summary import measure_penetration
 from jaxform.runs import loop
 from jaxform.sheet.state import State
 from jaxform.tools.mold import Mold
@@ -111,7 +111,7 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    bound = np.asarray(cells.looked_up(jnp.asarray(points.T), grid)[1])
+    bound = np.asarray(cells.cell_bounds(jnp.asarray(points.T), grid)[1])
     for point, least in zip(points, bound, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert least <= distance.min() + 1e-12
@@ -224,7 +224,7 @@ def _with_mold(mold: Mold) -> jaxform.Scene:
     """The cup's sheet before another mold."""
     scene = scenes.cup()
     sheet = np.asarray(scene.parison.positions), np.asarray(scene.parison.triangles)
-    tables = dataclasses.replace(scene.tables, grid=building._search_grid(mold, *sheet))
+    tables = dataclasses.replace(scene.tables, grid=scene_builder._search_grid(mold, *sheet))
     return dataclasses.replace(scene, mold=mold, tables=tables)
 
 
@@ -263,9 +263,13 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
 
     skipping = taken()
     monkeypatch.setattr(
-        touching, "watch", lambda *args: broad_phase.watch(*args)._replace(due=broad_phase.every_block(args[2]))
+        contact_step,
+        "find_active_pairs",
+        lambda *args: broad_phase.find_active_pairs(*args)._replace(due=broad_phase.all_blocks(args[2])),
     )
-    monkeypatch.setattr(touching, "look", lambda *args: broad_phase.look(*args)._replace(close=jnp.asarray(True)))
+    monkeypatch.setattr(
+        contact_step, "check_nodes", lambda *args: broad_phase.check_nodes(*args)._replace(close=jnp.asarray(True))
+    )
     always = taken()
     assert 0 < int((skipping.nodes.wall != 0).sum())
     scenes.assert_same(skipping.nodes.positions, always.nodes.positions)
@@ -282,14 +286,14 @@ def test_what_touches_between_two_looks_unseen_is_retried(monkeypatch: pytest.Mo
     scene = scenes.cup()
     seen = jaxform.run(scene)
     monkeypatch.setattr(broad_phase, "_AHEAD", 0.0)
-    monkeypatch.setattr(touching, "LOOK_EVERY", 16)
+    monkeypatch.setattr(contact_step, "LOOK_EVERY", 16)
     monkeypatch.setattr(spheres, "LOOK_EVERY", 0)
     jax.clear_caches()
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
     jax.clear_caches()
     assert jaxform.explain(blind) == "ok"
     assert _retried(seen) < _retried(blind)
-    assert penetrated(blind, scene).nodes < 1e-12
+    assert measure_penetration(blind, scene).nodes < 1e-12
     np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
 
@@ -317,7 +321,7 @@ def test_where_pairs_find_no_room_lists_are_shorter_and_nothing_is_missed(
     assert int(wide.count) > slim.lists.node.size - lists.TEST_BLOCK and not (wide.overflow or slim.overflow)
     assert np.all(slim.limit_square < wide.limit_square)  # so that nodes leave their spheres sooner
     assert jaxform.explain(tight) == "ok"
-    assert penetrated(tight, scene).nodes < 1e-12
+    assert measure_penetration(tight, scene).nodes < 1e-12
     np.testing.assert_allclose(tight.thickness, roomy.thickness, rtol=1e-9)
 
 
@@ -364,7 +368,7 @@ def test_no_node_passes_the_box_or_the_bottle() -> None:
         assert jaxform.explain(result) == "ok"
         assert (np.asarray(result.wall) != 0).sum() > 10
         assert scene.tables.grid is not None
-        assert penetrated(result, scene).nodes < 1e-12 * float(scene.tables.grid.size)
+        assert measure_penetration(result, scene).nodes < 1e-12 * float(scene.tables.grid.size)
 
 
 def test_the_same_surface_in_more_triangles_makes_the_same_part() -> None:
@@ -421,7 +425,7 @@ def test_a_shot_that_flies_out_of_its_list_is_retried_and_hits() -> None:
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
     assert int(result.shortened) > 0
-    assert penetrated(result, scene).nodes < 1e-12
+    assert measure_penetration(result, scene).nodes < 1e-12
     assert float(np.asarray(result.positions)[:, 2].max()) <= 0.5 + 1e-12
     assert np.asarray(result.stuck).mean() > 0.8
     whole = jaxform.simulate(scene)

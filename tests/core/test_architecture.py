@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-_LONGEST = 350  # lines of a module
 
 
 def test_packages_import_those_below_them_alone() -> None:
@@ -16,11 +15,6 @@ def test_packages_import_those_below_them_alone() -> None:
         [sys.executable, "-c", code, "--no-logo", "--no-cache"], cwd=ROOT, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stdout
-
-
-def test_no_module_is_long() -> None:
-    sizes = {path: len(path.read_text().splitlines()) for path in (ROOT / "jaxform").rglob("*.py")}
-    assert {str(path): size for path, size in sizes.items() if size > _LONGEST} == {}
 
 
 def test_only_kernels_ask_for_barriers_or_the_backend() -> None:

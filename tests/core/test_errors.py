@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 import warnings
 
-from jaxform.core.errors import heard, told_to, warn_of
+from jaxform.core.errors import collect_warnings, redirect_warnings, warn_of
 
 
 def test_a_warning_of_another_thread_is_told_while_this_one_has_warnings_off() -> None:
     told: list[str] = []
 
     def look() -> None:
-        with told_to(told.append):
+        with redirect_warnings(told.append):
             warn_of("is doubtful", "look again", key="mold")
 
     with warnings.catch_warnings():
@@ -26,7 +26,7 @@ def test_a_warning_of_another_thread_is_told_while_this_one_has_warnings_off() -
 
 def test_each_warning_is_told_once() -> None:
     told: list[str] = []
-    with heard(told.append) as texts:
+    with collect_warnings(told.append) as texts:
         for key in ("mold", "mold", "parison"):
             warn_of("is doubtful", key=key)
     assert told == texts == ["mold: is doubtful", "parison: is doubtful"]

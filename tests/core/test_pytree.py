@@ -6,7 +6,7 @@ import weakref
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.pytree import pytree, remembered
+from jaxform.core.pytree import memoize, pytree
 
 
 @pytree
@@ -18,7 +18,7 @@ class _Pair:
 def test_what_is_found_of_a_tree_is_remembered_while_it_lives() -> None:
     looked_at = []
 
-    @remembered
+    @memoize
     def total(pair: _Pair) -> float:
         looked_at.append(id(pair))
         return float(pair.one + pair.other)

@@ -14,7 +14,7 @@ import pytest
 from jax.experimental import serialize_executable
 
 import jaxform
-from jaxform.core import compiling, executables, store
+from jaxform.core import compilation, executables, store
 from jaxform.core.store import Store
 from jaxform.io import files
 from jaxform.runs.host import run
@@ -110,7 +110,7 @@ def test_a_kept_program_is_neither_traced_nor_compiled_again(tmp_path: Path) -> 
         return {"twice": 2 * x}
 
     for _ in range(3):
-        soon = Store(tmp_path).soon(double, x)
+        soon = Store(tmp_path).start_program(double, x)
         assert soon.shapes["twice"].shape == (3,) and soon.shapes["twice"].dtype == x.dtype
         assert soon.ready()(x)["twice"].tolist() == [0.0, 2.0, 4.0]
     assert traced == [(3,)] and len(list(tmp_path.iterdir())) == 1
@@ -127,9 +127,9 @@ def test_a_program_that_this_machine_cannot_load_is_compiled(tmp_path: Path, mon
     assert Store(tmp_path).program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
     known = Store(tmp_path)
     known.program(double, x)
-    known.remember("a scene")
+    known.record_programs("a scene")
     ahead = Store(tmp_path)
-    ahead.foresee("a scene")
+    ahead.preload("a scene")
     assert ahead.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
 
 
@@ -144,11 +144,11 @@ def test_what_a_scene_took_is_loaded_before_it_is_asked_for(
     arguments = jnp.arange(3.0), {"a": jnp.ones(2), "b": jnp.ones(())}
     first = Store(tmp_path)
     expected = first.program(many, *arguments)(*arguments)
-    first.remember("a scene")
+    first.record_programs("a scene")
     ahead = Store(tmp_path)
-    ahead.foresee(subject)
+    ahead.preload(subject)
     assert ahead._ahead is not None and len(ahead._ahead.result()) == 1
-    monkeypatch.setattr(executables, "unpacked", lambda _: pytest.fail("it was loaded already"))
+    monkeypatch.setattr(executables, "deserialize_program", lambda _: pytest.fail("it was loaded already"))
     found = ahead.program(many, *arguments)(*arguments)
     assert jax.tree.structure(found) == jax.tree.structure(expected) and _same(found, expected)
     assert ahead.program(many, *arguments) is ahead.program(many, *arguments)
@@ -160,12 +160,12 @@ def test_of_many_scenes_the_latest_are_remembered(tmp_path: Path, monkeypatch: p
         kept = Store(tmp_path)
         kept.program(jax.jit(lambda x, n=number: x + n), jnp.ones(1))
         kept._taken = {f"program-{number}": None}
-        kept.remember(f"scene {number}")
+        kept.record_programs(f"scene {number}")
     again = Store(tmp_path)
-    assert again._lately() == {f"scene {number}": [f"program-{number}"] for number in (2, 3, 4)}
+    assert again._recent_names() == {f"scene {number}": [f"program-{number}"] for number in (2, 3, 4)}
     again._taken = {"program-2": None}
-    again.remember("scene 2")
-    assert [*again._lately()] == ["scene 3", "scene 4", "scene 2"]
+    again.record_programs("scene 2")
+    assert [*again._recent_names()] == ["scene 3", "scene 4", "scene 2"]
 
 
 def test_what_is_foreseen_wrongly_does_no_harm(tmp_path: Path) -> None:
@@ -177,38 +177,38 @@ def test_what_is_foreseen_wrongly_does_no_harm(tmp_path: Path) -> None:
         kept = Store(tmp_path / "kept")
         kept.program(double, x)
         kept._taken |= dict.fromkeys(names)
-        kept.remember("a scene")
+        kept.record_programs("a scene")
         for file in (tmp_path / "kept").iterdir():
             if not file.name.startswith("lately"):
                 file.write_bytes(b"")
         ahead = Store(tmp_path / "kept")
-        ahead.foresee("a scene")
+        ahead.preload("a scene")
         assert ahead._ahead is not None and ahead._ahead.result() == {}
         assert ahead.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
     for content in (b"no JSON", b"[1, 2]", b'{"a scene": 3}', b'{"a scene": [3]}'):
         other = Store(tmp_path / "kept")
-        other._write(tmp_path / "kept" / store._lately(), content)
-        other.foresee("a scene")
+        other._write(tmp_path / "kept" / store._recent_names_file(), content)
+        other.preload("a scene")
         assert other.program(double, x)(x).tolist() == [0.0, 2.0, 4.0]
-        other.remember("a scene")
+        other.record_programs("a scene")
     nowhere = Store()
-    nowhere.foresee("a scene")
+    nowhere.preload("a scene")
     nowhere.program(double, x)
-    nowhere.remember("a scene")
+    nowhere.record_programs("a scene")
 
 
 def test_what_another_version_wrote_is_not_read() -> None:
-    assert executables.unpacked(b"") is None
-    assert executables.unpacked(zlib.compress(pickle.dumps("a program of tomorrow"))) is None
+    assert executables.deserialize_program(b"") is None
+    assert executables.deserialize_program(zlib.compress(pickle.dumps("a program of tomorrow"))) is None
 
 
 def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     kept, scene = Store(), cup(60, 2.0)
     plain = run(scene, store=kept)
     count = len(kept._programs)
-    assert count > 1 and not compiling.crowded()
-    monkeypatch.setattr(compiling, "_CROWDED", 0.0)
-    if not compiling.crowded():
+    assert count > 1 and not compilation.exceeds_program_limit()
+    monkeypatch.setattr(compilation, "_CROWDED", 0.0)
+    if not compilation.exceeds_program_limit():
         pytest.skip("only Linux tells how many mappings a process has")
     run(free_disc(60, 0.5, mooney(0.1), end_time=2.0), store=kept)
     assert len(kept._programs) == 1  # all but the last one made
@@ -234,11 +234,11 @@ def test_a_changed_byte_anywhere_in_the_package_is_other_source(tmp_path: Path) 
     inside.mkdir(parents=True)
     (tmp_path / "a.py").write_text("x = 1\n")
     (inside / "b.py").write_text("y = 1\n")
-    before = store._sources(tmp_path)
+    before = store._source_digest(tmp_path)
     (inside / "b.py").write_text("y = 2\n")
-    changed = store._sources(tmp_path)
+    changed = store._source_digest(tmp_path)
     (inside / "b.py").rename(tmp_path / "b.py")
-    moved = store._sources(tmp_path)
+    moved = store._source_digest(tmp_path)
     assert (store.PACKAGE / "__init__.pyi").exists() and (store.PACKAGE / "dynamics" / "step.py").exists()
     (tmp_path / "notes.txt").write_text("not source")
-    assert len({before, changed, moved}) == 3 and store._sources(tmp_path) == moved
+    assert len({before, changed, moved}) == 3 and store._source_digest(tmp_path) == moved

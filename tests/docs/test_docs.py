@@ -61,7 +61,7 @@ def test_every_key_of_a_file_is_described_and_nothing_else_is(model: Any) -> Non
     found = reference_pages.tables(model)
     assert len(found) > 10
     for _, table in found:
-        assert list(reference_pages.described(table)) and set(reference_pages.described(table)) == set(
+        assert list(reference_pages.describe(table)) and set(reference_pages.describe(table)) == set(
             table.model_fields
         ), table
 

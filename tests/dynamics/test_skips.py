@@ -18,14 +18,14 @@ from jaxform.dynamics.initial import initial_state
 from jaxform.kernels import blocks
 from jaxform.mechanics import force, membrane
 from jaxform.mechanics.corners import Load
-from jaxform.model.tables import Sheet
-from jaxform.prepare import planning
+from jaxform.model.tables import ReferenceGeometry
+from jaxform.prepare import window_budget
 from jaxform.runs import batch, loop
 from jaxform.sheet import packing
-from jaxform.sheet.account import account
 from jaxform.sheet.active_set import active_set_of
 from jaxform.sheet.discretization import discretize
-from jaxform.sheet.state import any_mode
+from jaxform.sheet.energy_balance import element_energy
+from jaxform.sheet.state import noise_vector
 from tests import scenes
 
 
@@ -62,11 +62,11 @@ def test_what_sticks_is_packed_away() -> None:
     np.testing.assert_array_equal(np.sort(packed.element[elements.area > 0]), np.flatnonzero(moving))
     kept = np.unique(np.asarray(scene.parison.triangles)[moving])
     np.testing.assert_array_equal(np.sort(packed.node[: len(kept)]), kept)
-    np.testing.assert_array_equal(packed.put_back(packed.taken(state.nodes.positions)), state.nodes.positions)
+    np.testing.assert_array_equal(packed.unpack(packed.pack(state.nodes.positions)), state.nodes.positions)
     # The force on the nodes of these elements is that of these elements alone.
     random = np.random.default_rng(0).normal(0, 0.05, state.nodes.positions.shape)
     positions = state.nodes.positions + random
-    load = Load(packed.taken(positions), discrete.thickness[packed.element], scenes.real(0.1), scene.material)
+    load = Load(packed.pack(positions), discrete.thickness[packed.element], scenes.real(0.1), scene.material)
     got, volume = force.force(load, elements)
     whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
     thickness = jnp.where(jnp.asarray(moving), discrete.thickness, 0.0)[whole.element]
@@ -74,9 +74,9 @@ def test_what_sticks_is_packed_away() -> None:
         jnp.where(jnp.asarray(moving)[whole.element], values, 0.0)
         for values in (whole.elements.area, jnp.asarray(whole.elements.orientation))
     )
-    full = Load(whole.taken(positions), thickness, scenes.real(0.1), scene.material)
+    full = Load(whole.pack(positions), thickness, scenes.real(0.1), scene.material)
     expected, all_volume = force.force(full, dataclasses.replace(whole.elements, area=area, orientation=orientation))
-    np.testing.assert_allclose(packed.put_back(got), whole.put_back(expected), atol=1e-15)
+    np.testing.assert_allclose(packed.unpack(got), whole.unpack(expected), atol=1e-15)
     np.testing.assert_allclose(volume, all_volume, rtol=1e-12)
 
 
@@ -112,10 +112,10 @@ def test_a_node_of_many_elements_hands_its_surplus_to_a_list(
     for packed_away in (0, 1, tabled, tabled + 3):
         kept = everything.copy()
         kept[len(sheet.triangles) :][:packed_away] = False
-        mesh = Sheet(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3))
+        mesh = ReferenceGeometry(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3))
         packed = packing.pack(jnp.asarray(kept) if packed_away else None, mesh, assembly)
-        load = Load(packed.taken(moved), jnp.full(packed.element.size, 0.01), scenes.real(0.0), law)
-        got = packed.put_back(force.force(load, packed.elements)[0])
+        load = Load(packed.pack(moved), jnp.full(packed.element.size, 0.01), scenes.real(0.0), law)
+        got = packed.unpack(force.force(load, packed.elements)[0])
         expected = -jax.grad(energy)(moved, np.asarray(packed.kept))
         np.testing.assert_allclose(got, expected, atol=1e-12 * float(jnp.abs(expected).max()))
 
@@ -142,7 +142,7 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
     def limit(positions: jax.Array, pressure: jax.Array) -> jax.Array:
         discrete = discretize(scene)
         whole = packing.pack(None, scene.tables.sheet, scene.tables.assembly)
-        load = Load(whole.taken(positions.T), discrete.thickness[whole.element], pressure, scene.material)
+        load = Load(whole.pack(positions.T), discrete.thickness[whole.element], pressure, scene.material)
         count = positions.shape[0]
         tangent = jax.jacfwd(lambda x: force.force(load._replace(positions=x), whole.elements)[0])(load.positions)
         stiffness = -tangent[:, :count, :, :count].reshape(3 * count, 3 * count)
@@ -169,10 +169,10 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
 
 
 @jax.jit
-def _first_step(scene: jaxform.Scene) -> tuple[jax.Array, timestep.Limit]:
+def _first_step(scene: jaxform.Scene) -> tuple[jax.Array, timestep.StepLimit]:
     state = initial_state(scene)
     active = active_set_of(state, scene, discretize(scene))
-    chosen = timestep.choose_step(active.taken(state), scene, active)
+    chosen = timestep.choose_step(active.pack_state(state), scene, active)
     return chosen.length, chosen.limit
 
 
@@ -185,7 +185,7 @@ def test_the_first_step_is_not_cold() -> None:
     assert plain_found.mode is None
     assert 1.1 < float(sharp / bound) < 2.0
     # What `check` tells is found on the host. On the ladder, and a little less where nothing damps.
-    assert 0.85 < float(bound) / planning.first_step(plain) <= 1.0
+    assert 0.85 < float(bound) / window_budget.first_step(plain) <= 1.0
 
 
 def _weighted(
@@ -196,7 +196,7 @@ def _weighted(
     changed = jaxform.replace(scene, values)
     changed = dataclasses.replace(changed, mold=dataclasses.replace(scene.mold, vertices=vertices))
     result = jaxform.simulate(changed, adjoint=adjoint)
-    ways = any_mode(result.positions.T).T
+    ways = noise_vector(result.positions.T).T
     energies = sum(jax.tree.leaves(result.energy))
     landed = jnp.mean(jnp.where(result.contact_time > 0.0, result.contact_time, 0.0))
     wall = jnp.mean((1.0 + ways[:, 0]) * jnp.square(result.thickness / 0.005))
@@ -270,7 +270,7 @@ def test_a_batch_gives_the_results_of_single_runs() -> None:
     rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
     rows["pressure.value"] = np.stack([np.asarray(scene.pressure.value)] * 3)
     together = jaxform.simulate_batch(scene, rows, workers=2)
-    beside = batch._side_by_side(scene, {path: jnp.asarray(values) for path, values in rows.items()})
+    beside = batch._simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
     for k in range(3):
         alone = jaxform.run(jaxform.replace(scene, {path: values[k] for path, values in rows.items()}))
         scenes.assert_same(together.thickness[k], alone.thickness)
@@ -325,31 +325,33 @@ def test_a_block_gets_its_own_number_and_the_largest_of_all_is_found() -> None:
 def test_values_are_lowered_where_a_new_one_is_lower(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks.jax, "default_backend", lambda: backend)
     values, places = jnp.asarray([4.0, 4.0, 4.0]), jnp.asarray([2, 0, 2, 1])
-    got = blocks.lowered(values, places, jnp.asarray([3.0, 5.0, 1.0, 0.0]), jnp.int32(3))
+    got = blocks.scatter_min(values, places, jnp.asarray([3.0, 5.0, 1.0, 0.0]), jnp.int32(3))
     np.testing.assert_array_equal(got, [4.0, 4.0, 1.0])
 
 
 def test_a_state_comes_back_from_the_packed_order_as_it_was() -> None:
     """Also from that of a sheet of which most sticks, some nodes of which have many elements."""
     scene = scenes.cup()
-    start, discrete = scenes.begun(scene)
+    start, discrete = scenes.begin_run(scene)
     stuck = start.nodes.stuck | (jnp.linalg.norm(start.nodes.positions, axis=0) < 0.6)
     assert 5 < int(jnp.sum(~stuck)) < stuck.size / 2
-    velocities = jnp.where(stuck, 0.0, any_mode(start.nodes.positions))
-    state = start.with_nodes(stuck=stuck, velocities=velocities, mode=any_mode(start.nodes.positions))
+    velocities = jnp.where(stuck, 0.0, noise_vector(start.nodes.positions))
+    state = start.replace_nodes(stuck=stuck, velocities=velocities, mode=noise_vector(start.nodes.positions))
     active = active_set_of(state, scene, discrete)
-    taken = active.taken(state)
+    taken = active.pack_state(state)
     assert not np.array_equal(active.packed.place, np.arange(stuck.size))
-    for got, expected in zip(jax.tree.leaves(active.put_back(taken)), jax.tree.leaves(state), strict=True):
+    for got, expected in zip(jax.tree.leaves(active.unpack_state(taken)), jax.tree.leaves(state), strict=True):
         np.testing.assert_array_equal(got, expected)
     # What is not active makes up for what the account leaves out.
     whole = discrete.whole
     thickness = discrete.thickness[whole.element]
-    energy, volume = account(state.nodes.positions * 1.1, whole.elements, thickness, scene.material, None)
-    moved = state.with_nodes(positions=state.nodes.positions * 1.1)
+    energy, volume = element_energy(state.nodes.positions * 1.1, whole.elements, thickness, scene.material, None)
+    moved = state.replace_nodes(positions=state.nodes.positions * 1.1)
     active = active_set_of(moved, scene, discrete)
     elements = active.packed.elements
-    own, inside = account(active.taken(moved).nodes.positions, elements, active.thickness, scene.material, None)
+    own, inside = element_energy(
+        active.pack_state(moved).nodes.positions, elements, active.thickness, scene.material, None
+    )
     assert 0.0 < float(own) < float(energy)
     np.testing.assert_allclose(own + active.idle_energy, energy, rtol=1e-13)
     np.testing.assert_allclose(inside + active.idle_volume, volume, rtol=1e-13, atol=1e-16)
@@ -362,8 +364,8 @@ def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:
     new, _ = blocks.over_blocks(
         lambda old, part: ([[old[0][0] + part[0]], list(part)], []),
         jnp.int32(2),
-        (blocks.Part(long, jnp.int32(size), size),),
-        [updated, blocks.Part(written, jnp.int32(2 * size), size)],
+        (blocks.ArraySlice(long, jnp.int32(size), size),),
+        [updated, blocks.ArraySlice(written, jnp.int32(2 * size), size)],
         update=1,
     )
     np.testing.assert_array_equal(new[0][0], 1.0 + long[0, size : 2 * size])

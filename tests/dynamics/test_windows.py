@@ -17,8 +17,8 @@ from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows
 from jaxform.dynamics.initial import initial_state
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
-from jaxform.prepare import planning
-from jaxform.sheet.active_set import ActiveSet, Room, active_set_of
+from jaxform.prepare import window_budget
+from jaxform.sheet.active_set import ActiveSet, Workspace, active_set_of
 from jaxform.sheet.discretization import discretize
 from jaxform.sheet.state import State
 from tests import scenes
@@ -72,7 +72,7 @@ def test_after_one_that_was_cut_short_comes_a_short_one() -> None:
 def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform.Scene) -> None:
     def longest(damping: float | None, length: float = 0.05) -> int:
         scene = dataclasses.replace(cup, solver=jaxform.make_solver(end_time=20.0, damping=damping))
-        return int(timestep.most_steps(jnp.asarray(length), scene))
+        return int(timestep.max_step_count(jnp.asarray(length), scene))
 
     assert longest(None) == longest(0.0) == longest(0.1) == LONG_WINDOW
     assert longest(50.0) == longest(1e6) == SHORT_WINDOW
@@ -148,7 +148,7 @@ def test_the_derivatives_of_long_windows_agree(cup: jaxform.Scene) -> None:
 )
 def test_there_are_enough_windows_to_look_at_a_run(short_ones: int, frames: int, longest: int) -> None:
     """A built scene knows how many short windows it may take; a run takes a quarter of them, or more."""
-    assert planning.longest_window(short_ones, frames) == longest
+    assert window_budget.longest_window(short_ones, frames) == longest
 
 
 def test_a_run_that_ends_sooner_has_as_many_windows() -> None:
@@ -170,8 +170,8 @@ def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> Non
     scene = scenes.cup()
 
     def begun(state: State) -> tuple[State, ActiveSet]:
-        active = windows.with_room(active_set_of(state, scene, discretize(scene)), scene)
-        return active.taken(state), active
+        active = windows.allocate_workspace(active_set_of(state, scene, discretize(scene)), scene)
+        return active.pack_state(state), active
 
     @jax.jit
     def several(state: State, active: ActiveSet) -> tuple[State, ActiveSet]:
@@ -183,11 +183,11 @@ def test_what_is_left_in_the_room_of_the_last_window_counts_for_nothing() -> Non
         return jnp.full_like(room, jnp.nan if jnp.issubdtype(room.dtype, jnp.floating) else 1)
 
     state, active = jax.jit(begun)(initial_state(scene))
-    spoiled = dataclasses.replace(active, room=jax.tree.map(full, active.room))
+    spoiled = dataclasses.replace(active, workspace=jax.tree.map(full, active.workspace))
     end, after = several(state, active)
     again, _ = several(state, spoiled)
     assert bool(jnp.any(end.nodes.stuck & ~state.nodes.stuck))
-    assert isinstance(after.room, Room)
-    assert after.room.basis is not None
-    assert bool(jnp.any(after.room.basis))  # it was written in
+    assert isinstance(after.workspace, Workspace)
+    assert after.workspace.basis is not None
+    assert bool(jnp.any(after.workspace.basis))  # it was written in
     jax.tree.map(np.testing.assert_array_equal, again, end)

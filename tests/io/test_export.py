@@ -18,13 +18,13 @@ import pytest
 from numpy.typing import NDArray
 
 from jaxform import shapes
-from jaxform.cli import command, exporting
+from jaxform.cli import command, export_command
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.io import earlier, export
-from jaxform.io.export import Wall, mapping
+from jaxform.io import export, previous_results
+from jaxform.io.export import WallSurface, mapping
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.volumes import areas, conserving, nodal_fields
+from jaxform.mesh.volumes import areas, conserve_volume, nodal_fields
 from jaxform.tools.molds import rotation
 
 Array = NDArray[np.float64]
@@ -52,15 +52,15 @@ def _thickness(positions: Array) -> Array:
     return MIDDLE * (1 - 0.7 * (positions[:, 0] ** 2 + positions[:, 1] ** 2) / RADIUS**2)
 
 
-def _wall(mesh: Mesh, thickness: Array, **options: object) -> Wall:
+def _wall(mesh: Mesh, thickness: Array, **options: object) -> WallSurface:
     positions, triangles = mesh.positions, mesh.triangles
     elements = thickness[triangles].mean(1)
     reference = positions * [1, 1, 0]
     held = np.ones(len(positions), bool)
-    return Wall(positions, triangles, thickness, elements, reference, held, **options)  # pyright: ignore[reportArgumentType]
+    return WallSurface(positions, triangles, thickness, elements, reference, held, **options)  # pyright: ignore[reportArgumentType]
 
 
-def _formed(elements: int, symmetry: shapes.Symmetry = "none") -> Wall:
+def _formed(elements: int, symmetry: shapes.Symmetry = "none") -> WallSurface:
     mesh = _bowl(elements, symmetry=symmetry)
     planes = {0: 0.0, 1: 0.0} if symmetry == "quarter" else {}
     return _wall(mesh, _thickness(mesh.positions), planes=planes)
@@ -78,19 +78,19 @@ def test_nodal_thickness_has_the_volume_of_the_elements() -> None:
     random = np.random.default_rng(0)
     mesh = _bowl(80)
     nodal, elements = _thickness(mesh.positions), random.uniform(1e-4, 1e-3, len(mesh.triangles))
-    found = conserving(mesh.positions, mesh.triangles, nodal, elements)
+    found = conserve_volume(mesh.positions, mesh.triangles, nodal, elements)
     area = areas(mesh.positions, mesh.triangles)
     assert area @ found[mesh.triangles].mean(1) == pytest.approx(area @ elements, rel=1e-12)
     assert found.min() > 0
     # Where both agree nothing changes.
-    same = conserving(mesh.positions, mesh.triangles, nodal, nodal[mesh.triangles].mean(1))
+    same = conserve_volume(mesh.positions, mesh.triangles, nodal, nodal[mesh.triangles].mean(1))
     np.testing.assert_allclose(same, nodal, rtol=1e-12)
 
 
 @pytest.mark.parametrize("elements", [250, 3000])
 def test_a_wall_on_another_mesh_of_its_surface_keeps_volume_and_field(elements: int) -> None:
     wall, mesh = _formed(1000), _bowl(elements)
-    mapped, coverage = mapping.onto(wall, mesh, "mesh")
+    mapped, coverage = mapping.map_wall(wall, mesh, "mesh")
     assert mapped.volume == pytest.approx(wall.volume, rel=1e-3)
     assert areas(mesh.positions, mesh.triangles) @ mapped.element_thickness == pytest.approx(wall.volume, rel=1e-3)
     assert mapped.volume == pytest.approx(_exact(RADIUS)[1], rel=3e-3)  # 1000 flat triangles
@@ -104,7 +104,7 @@ def test_a_wall_on_another_mesh_of_its_surface_keeps_volume_and_field(elements: 
 def test_a_mesh_that_covers_some_of_the_part_gets_that_much_of_its_volume() -> None:
     """Half a strip that is 1 mm thick at one end and 2 mm at the other: 1.25 mm in the mean."""
     half = Mesh(*_grid((7, 3), lambda u, v: [0.05 * u, 0.02 * v, 0 * u]))
-    mapped, coverage = mapping.onto(_strip((20, 8)), half, "mesh")
+    mapped, coverage = mapping.map_wall(_strip((20, 8)), half, "mesh")
     assert mapped.volume == pytest.approx(0.05 * 0.02 * 1.25e-3, rel=1e-3)
     assert coverage.part == pytest.approx(1.25 / 3, rel=1e-3) and coverage.mesh == 1.0
     np.testing.assert_allclose(mapped.thickness, 1e-3 * (1 + half.positions[:, 0] / 0.1), rtol=1e-3)
@@ -113,7 +113,7 @@ def test_a_mesh_that_covers_some_of_the_part_gets_that_much_of_its_volume() -> N
 def test_a_mesh_that_goes_beyond_the_part_is_warned_of_with_its_share_and_distance() -> None:
     wall, mesh = _formed(1000), _bowl(4000, radius=0.12)
     with pytest.warns(InputWarning, match=r"% of the mesh's area does not lie on the formed part") as told:
-        mapped, coverage = mapping.onto(wall, mesh, "mesh")
+        mapped, coverage = mapping.map_wall(wall, mesh, "mesh")
     assert coverage.mesh == pytest.approx(_exact(RADIUS)[0] / _exact(0.12)[0], rel=5e-3)
     low = HEIGHT * (1 - 1.2**2)
     assert coverage.farthest == pytest.approx(np.hypot(0.02, low), rel=0.02)
@@ -125,20 +125,20 @@ def test_a_mesh_that_goes_beyond_the_part_is_warned_of_with_its_share_and_distan
 def test_a_quarter_is_completed_by_its_images() -> None:
     quarter = _formed(60, "quarter")
     assert set(quarter.edge_sets()) == {"RIM", "SYM_X", "SYM_Y"}
-    half = export.mirrored(quarter, 0, 0.0)
+    half = export.mirror(quarter, 0, 0.0)
     assert set(half.edge_sets()) == {"RIM", "SYM_Y"}
-    whole = export.mirrored(half, 1, 0.0)
+    whole = export.mirror(half, 1, 0.0)
     assert whole.volume == pytest.approx(4 * quarter.volume, rel=1e-12)
     assert not len(topology.inconsistent_edges(whole.triangles))
     rim = np.hypot(*whole.positions[whole.edge_sets()["RIM"]][:, :2].T)
     np.testing.assert_allclose(rim, RADIUS, rtol=1e-9)
     assert set(whole.edge_sets()) == {"RIM"}
     with pytest.warns(InputWarning, match=r"--mirror x=0 y=0 makes it whole"):
-        mapping.onto(quarter, _bowl(300), "mesh")
+        mapping.map_wall(quarter, _bowl(300), "mesh")
     with pytest.raises(InputError, match="both sides"):
-        export.mirrored(whole, 0, 0.0)
+        export.mirror(whole, 0, 0.0)
     with pytest.raises(InputError, match="no node of the part lies"):
-        export.mirrored(quarter, 0, -0.01)
+        export.mirror(quarter, 0, -0.01)
 
 
 def _moved(mesh: Mesh, far: float) -> Mesh:
@@ -150,23 +150,23 @@ def _moved(mesh: Mesh, far: float) -> Mesh:
     [
         (lambda mesh: Mesh(1e3 * mesh.positions, mesh.triangles), "--scale"),
         (lambda mesh: _moved(mesh, 0.5), "nearly nothing of the mesh lies within"),
-        (lambda mesh: meshes.merged([mesh, _moved(mesh, 1e-4)]), "give one side of the wall alone"),
+        (lambda mesh: meshes.merge([mesh, _moved(mesh, 1e-4)]), "give one side of the wall alone"),
     ],
 )
 def test_a_mesh_that_is_no_wall_of_this_part_is_refused(change: Callable[[Mesh], Mesh], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        mapping.onto(_formed(200), change(_bowl(200)), "mesh")
+        mapping.map_wall(_formed(200), change(_bowl(200)), "mesh")
 
 
 def test_a_mesh_of_less_surface_than_the_part_has_is_told_so() -> None:
     mesh = _bowl(200)
-    part = meshes.merged([mesh, _moved(mesh, 1e-4), _moved(mesh, 2e-4)])
+    part = meshes.merge([mesh, _moved(mesh, 1e-4), _moved(mesh, 2e-4)])
     with pytest.raises(InputError, match="follows all of the part: this one leaves out") as told:
-        mapping.onto(_wall(part, _thickness(part.positions)), mesh, "mesh")
+        mapping.map_wall(_wall(part, _thickness(part.positions)), mesh, "mesh")
     assert "both" not in str(told.value)
 
 
-def _strip(many: tuple[int, int]) -> Wall:
+def _strip(many: tuple[int, int]) -> WallSurface:
     """100 mm by 20 mm, from 1 to 2 mm thick; clamped at x = 0."""
     mesh = Mesh(*_grid(many, lambda u, v: [0.1 * u, 0.02 * v, 0 * u]))
     return _wall(mesh, 1e-3 * (1 + mesh.positions[:, 0] / 0.1), words=("a strip",))
@@ -261,7 +261,7 @@ U
 """
 
 
-def _calculix(folder: Path, wall: Wall, held: str, load: str) -> tuple[Array, Array]:
+def _calculix(folder: Path, wall: WallSurface, held: str, load: str) -> tuple[Array, Array]:
     """The total force (3,) at the small end and the mean displacement (3,) of the other one, as CalculiX finds them."""
     solver = _solver()
     export.write_wall(wall, folder / "wall.inp", "calculix")
@@ -508,11 +508,11 @@ def test_a_run_that_stopped_is_warned_of(results: Path, capfd: pytest.CaptureFix
 def test_planes_that_are_nowhere_are_none() -> None:
     """JSON may have an integer that is too large for a float, and infinity."""
     planes = {"x": 10**400, "y": np.inf, "z": 0.25, "w": 1.0}
-    assert earlier.symmetry_planes({"symmetry_planes": planes}) == {2: 0.25}
+    assert previous_results.symmetry_planes({"symmetry_planes": planes}) == {2: 0.25}
 
 
 def test_the_command_knows_all_formats() -> None:
-    assert tuple(export.FORMATS) == exporting.FORMATS
+    assert tuple(export.FORMATS) == export_command.FORMATS
 
 
 @pytest.mark.parametrize(("ending", "form"), [(".inp", "abaqus"), (".bdf", "nastran"), (".mesh", "medit")])

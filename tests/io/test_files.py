@@ -12,7 +12,7 @@ import pytest
 import jaxform
 import optimize
 from jaxform import shapes
-from jaxform.io import fields, files, output, rewriting
+from jaxform.io import fields, files, output, scene_rewriting
 from jaxform.mesh import meshes
 from tests import scenes
 
@@ -26,7 +26,7 @@ def test_a_scene_written_with_changes_runs_the_same_from_its_new_folder(tmp_path
     thickness = np.asarray(scene.parison.thickness) * random.uniform(0.8, 1.2, scene.parison.thickness.size)
     pressure = np.array([0.0, 1.5e4])
     changes = {"parison.thickness": thickness, "pressure.value": pressure}
-    path = rewriting.write_scene(document, changes, tmp_path / "")
+    path = scene_rewriting.write_scene(document, changes, tmp_path / "")
     again = jaxform.load(path)
     np.testing.assert_array_equal(again.parison.thickness, thickness)
     changed = jaxform.replace(scene, changes)
@@ -37,7 +37,7 @@ def test_a_scene_written_with_changes_runs_the_same_from_its_new_folder(tmp_path
 
 def test_relative_paths_are_rewritten(tmp_path: Path) -> None:
     document = files.read_scene("dish-coarse")
-    path = rewriting.write_scene(document, {}, tmp_path)
+    path = scene_rewriting.write_scene(document, {}, tmp_path)
     here, there = files.read_reference(document), files.read_reference(files.read_scene(path))
     assert here is not None and there is not None
     np.testing.assert_array_equal(here["arc"], there["arc"])

@@ -56,26 +56,26 @@ def _assert_same(one: Any, other: Any) -> None:
 def test_a_meshed_outline_is_kept(sheet: str, more: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _write_mold(tmp_path, 0.03)
     document, folder = _document(tmp_path, sheet, more), tmp_path / "kept"
-    made = geometry.sheet_of(document)
-    _assert_same(geometry.sheet_of(document, Store(folder)), made)
-    monkeypatch.setattr(geometry, "_made", lambda *_: pytest.fail("it is kept"))
-    _assert_same(geometry.sheet_of(document, Store(folder)), made)
+    made = geometry.build_sheet(document)
+    _assert_same(geometry.build_sheet(document, Store(folder)), made)
+    monkeypatch.setattr(geometry, "_make_shape", lambda *_: pytest.fail("it is kept"))
+    _assert_same(geometry.build_sheet(document, Store(folder)), made)
     monkeypatch.undo()
     # Another number is another sheet; another wall is not.
     smaller = _document(tmp_path, sheet.replace("200", "300").replace("150", "250").replace("0.008", "0.01"), more)
-    assert len(geometry.sheet_of(smaller, Store(folder)).triangles) != len(made.triangles)
-    monkeypatch.setattr(geometry, "_made", lambda *_: pytest.fail("it is kept"))
+    assert len(geometry.build_sheet(smaller, Store(folder)).triangles) != len(made.triangles)
+    monkeypatch.setattr(geometry, "_make_shape", lambda *_: pytest.fail("it is kept"))
     thicker = _document(tmp_path, sheet, more, REST.replace("1.0e-3", "2.0e-3"))
-    _assert_same(geometry.sheet_of(thicker, Store(folder)), made)
+    _assert_same(geometry.build_sheet(thicker, Store(folder)), made)
 
 
 def test_over_another_mold_there_is_another_sheet(tmp_path: Path) -> None:
     kept, document = Store(tmp_path / "kept"), _document(tmp_path, RIM, MOLD)
     _write_mold(tmp_path, 0.03)
-    one = geometry.sheet_of(document, kept)
+    one = geometry.build_sheet(document, kept)
     cup = molds.revolved(profile=[[0.0, -0.03], [0.05, -0.03], [0.06, 0.0]], segments=24)
     meshes.write_stl(tmp_path / "mold.stl", cup.vertices, cup.triangles)
-    other = geometry.sheet_of(document, kept)
+    other = geometry.build_sheet(document, kept)
     assert np.ptp(other.positions[:, 0]) > 1.1 * np.ptp(one.positions[:, 0])
 
 
@@ -83,15 +83,15 @@ def test_what_is_refined_asks_its_outline_where_new_nodes_belong(tmp_path: Path)
     kept = Store(tmp_path / "kept")
     document = _document(tmp_path, POLYGON, "[refinement]\nangle = 10.0\nmax_level = 1\n")
     for _ in range(2):
-        assert geometry.sheet_of(document, kept).snap is not None
+        assert geometry.build_sheet(document, kept).snap is not None
     assert not (tmp_path / "kept").exists()
 
 
 def test_a_bottle_s_mold_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     document, folder = files.read_scene("soap-bottle"), tmp_path / "kept"
-    made = geometry.mold_of(document, Store(folder))
+    made = geometry.build_mold(document, Store(folder))
     monkeypatch.setattr(molds, "bottle_half", lambda **_: pytest.fail("it is kept"))
-    again = geometry.mold_of(document, Store(folder))
+    again = geometry.build_mold(document, Store(folder))
     assert made is not None and again is not None
     np.testing.assert_array_equal(again.vertices, made.vertices)
     np.testing.assert_array_equal(again.triangles, made.triangles)
@@ -101,5 +101,5 @@ def test_a_mold_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     _write_mold(tmp_path, 0.03)
     document, read, reader = _document(tmp_path, RIM, MOLD), [], meshes.read_mesh
     monkeypatch.setattr(meshes, "read_mesh", lambda *path, **scale: read.append(path) or reader(*path, **scale))
-    files.build_unseen(document, Store(tmp_path / "kept"))
+    files.build_unchecked(document, Store(tmp_path / "kept"))
     assert len(read) == 1

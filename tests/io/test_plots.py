@@ -72,7 +72,7 @@ def test_the_sections_of_a_rectangle_have_its_sides_lengths(name: str) -> None:
 def test_images_make_the_part_whole() -> None:
     scene, _ = _at_rest(SHEETS["disc"])
     corners = np.asarray(scene.parison.positions)[np.asarray(scene.parison.triangles)]
-    whole = np.concatenate(surfaces.mirrored(scene, corners))
+    whole = np.concatenate(surfaces.mirror_points(scene, corners))
     edges = np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0])
     area = 0.5 * np.linalg.norm(edges, axis=1).sum()
     assert len(whole) == 4 * len(corners)
@@ -104,7 +104,7 @@ def test_the_image_in_front_of_the_eye_is_left_out() -> None:
     for name, middle in (("disc", [0.0, 0.0]), ("quarter rectangle", [1.0, 0.5])):
         sheet = SHEETS.get(name) or shapes.rectangle(size=(2.0, 1.0), elements=64, symmetry="quarter")
         scene, _ = _at_rest(sheet)
-        images = surfaces.mirrored(scene, np.asarray(scene.parison.positions), open_front=True)
+        images = surfaces.mirror_points(scene, np.asarray(scene.parison.positions), open_front=True)
         centers = np.array([image[:, :2].mean(0) for image in images]) - middle
         assert len(images) == 3 and not np.any((centers[:, 0] > 0) & (centers[:, 1] < 0))
 
@@ -125,7 +125,7 @@ def test_sections_run_through_a_place_and_tell_where_it_is() -> None:
 
 def test_a_plane_cuts_a_closed_surface_along_its_girth() -> None:
     ball = shapes.sphere(radius=1.0, elements=2000)
-    lines = sections.crossed(ball.positions[ball.triangles], 2, 0.6)
+    lines = sections.cut_triangles(ball.positions[ball.triangles], 2, 0.6)
     np.testing.assert_allclose(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).sum(), 2 * np.pi * 0.8, rtol=5e-3)
     np.testing.assert_allclose(lines[..., 2], 0.6)
 
@@ -148,7 +148,7 @@ def test_colours_tell_the_formed_part_apart_not_its_flange() -> None:
 def test_triangles_cover_the_pixels_whose_middles_they_hold() -> None:
     square = np.array([[[2.0, 3.0], [6.0, 3.0], [6.0, 5.0]], [[2.0, 3.0], [6.0, 5.0], [2.0, 5.0]]])
     depth = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
-    seen = raster.nearest(square, depth, 10, 8).reshape(8, 10) >= 0
+    seen = raster.nearest_in_pixels(square, depth, 10, 8).reshape(8, 10) >= 0
     wanted = np.zeros((8, 10), bool)
     wanted[3:5, 2:6] = True
     np.testing.assert_array_equal(seen, wanted)
@@ -157,10 +157,10 @@ def test_triangles_cover_the_pixels_whose_middles_they_hold() -> None:
     broken = np.full((1, 3, 2), np.nan)
     corners = np.concatenate([square, sloping, broken])
     away = np.concatenate([depth, [[-5.5, 6.5, -5.5]], [[0.0, 0.0, 0.0]]])
-    view = raster.nearest(corners, away, 10, 8).reshape(8, 10)
+    view = raster.nearest_in_pixels(corners, away, 10, 8).reshape(8, 10)
     # Along x it comes from -5.5 to 6.5 in 60 pixels, and is at 1 at 12.5: nearer than the square everywhere.
     assert np.all(view == 2)
-    behind = raster.nearest(corners, np.concatenate([depth, [[0.0, 12.0, 0.0]], [[0.0] * 3]]), 10, 8)
+    behind = raster.nearest_in_pixels(corners, np.concatenate([depth, [[0.0, 12.0, 0.0]], [[0.0] * 3]]), 10, 8)
     # From 0 to 12 in 60 pixels: at 1 where x = -15, so the square is in front.
     assert np.all(behind.reshape(8, 10)[wanted] < 2) and np.all(behind.reshape(8, 10)[~wanted] == 2)
 
@@ -203,8 +203,8 @@ def test_pictures_of_a_search(tmp_path: Path) -> None:
 
 def test_a_design_on_a_mesh_that_is_refined_otherwise_is_drawn(tmp_path: Path) -> None:
     scene = scenes.refinable(shapes.disc(radius=1.0, elements=12, symmetry="quarter"), 60)
-    begun, first = scenes.begun(scene)
-    finer = scenes.bisected(scene, begun, first, jnp.arange(60) < 4)[0]
+    begun, first = scenes.begin_run(scene)
+    finer = scenes.bisect_scene(scene, begun, first, jnp.arange(60) < 4)[0]
     before, after = ((scene, loop.result_of(state, scene, first)) for state in (begun, finer))
     assert int(after[1].used.sum()) > int(before[1].used.sum())
     plots.design_picture(tmp_path / "design.png", before, after)

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 import jaxform
 from jaxform.cli import command
 from jaxform.io import output, rendering
-from jaxform.io.report.reading import read_results
+from jaxform.io.report.stored_results import read_results
 from tests import scenes
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from jaxform import molds, shapes
 from jaxform.core.errors import InputError
-from jaxform.io import files, report, rewriting
-from jaxform.io.report import contents, measuring, packing, reading
+from jaxform.io import files, report, scene_rewriting
+from jaxform.io.report import binary_packing, contents, measuring_points, stored_results
 from jaxform.mesh import meshes, raster
 from tests import browser, scenes
 
@@ -161,8 +161,8 @@ def test_what_is_packed_comes_back() -> None:
     random = np.random.default_rng(0)
     places, walls = random.normal(size=(400, 3)) * [1.0, 1e-3, 0.0], np.exp(random.uniform(-9, -4, 300))
     places[7, 1] = np.nan
-    parcel, nodes = packing.Parcel(), random.permutation(400)
-    triangles, used = packing.by_first_use(nodes[random.integers(0, 390, (900, 3))])
+    parcel, nodes = binary_packing.Parcel(), random.permutation(400)
+    triangles, used = binary_packing.by_first_use(nodes[random.integers(0, 390, (900, 3))])
     parcel.add("places", places)
     parcel.add("walls", walls, relative=True)
     parcel.add("coarse", walls, relative=True, coarse=True)
@@ -224,15 +224,15 @@ def test_the_page_says_what_the_summary_says_and_asks_nobody(folder: Path) -> No
 
 def test_places_to_measure(folder: Path) -> None:
     """The wall grows outwards from the middle: thinnest there, thickest at the rim."""
-    results = reading.read_results(folder)
-    thin, thick, other = measuring.measuring_points(results.part, results.summary)
+    results = stored_results.read_results(folder)
+    thin, thick, other = measuring_points.measuring_points(results.part, results.summary)
     radius = [float(np.linalg.norm(point.initial[:2])) for point in (thin, thick, other)]
     walls, mean = results.part.cells["thickness"], results.summary["thickness"]["mean"]
     assert thin.thickness == walls.min() and thick.thickness == walls.max()
     assert radius[0] < 0.02 and radius[1] > 0.08 and radius[0] < radius[2] < radius[1]
     away = np.abs(walls / mean - 1)
     assert abs(other.thickness / mean - 1) <= max(0.02, float(away.min())) + 1e-12
-    assert measuring.is_disc(results.part, {"x": 0.0, "y": 0.0})
+    assert measuring_points.is_disc(results.part, {"x": 0.0, "y": 0.0})
 
 
 def test_a_large_part_takes_little_room() -> None:
@@ -247,19 +247,21 @@ def test_a_large_part_takes_little_room() -> None:
         middle = height[triangles].mean(1) * np.random.default_rng(0).normal(1.0, 0.01, len(triangles))
         cells = {"thickness": 1e-3 * middle, "stretch_1": 2 - middle, "stretch_2": 3 - middle, "level": 0 * middle}
         nodal = {"thickness": height, "initial_thickness": 0 * height, "contact_time": height}
-        part = reading.Part(flat + np.outer(height, [0, 0, 1]), flat, triangles.astype(np.int32), nodal, cells)
+        part = stored_results.StoredPart(
+            flat + np.outer(height, [0, 0, 1]), flat, triangles.astype(np.int32), nodal, cells
+        )
         summary = {"time": 1.0, "symmetry_planes": {}}
-        parcel = packing.Parcel()
-        assert len(parcel.text(contents.pack_parts(reading.Results(summary, part), parcel))) < most
+        parcel = binary_packing.Parcel()
+        assert len(parcel.text(contents.pack_parts(stored_results.Results(summary, part), parcel))) < most
 
 
 def test_frames_share_a_mesh_or_bring_their_own(folder: Path) -> None:
     """Of a refined sheet every frame has a mesh of its own, whose elements are packed in another order."""
-    part, half = reading.read_results(folder).part, reading._part(folder / "frames" / "1.vtu")
+    part, half = stored_results.read_results(folder).part, stored_results._part(folder / "frames" / "1.vtu")
     order = np.random.default_rng(0).permutation(len(part.triangles))
     finer = part._replace(triangles=part.triangles[order], cells={name: x[order] for name, x in part.cells.items()})
-    parcel = packing.Parcel()
-    results = reading.Results({"time": 1.0}, part, frames=[(0.1, half), (0.2, finer), (0.3, finer)])
+    parcel = binary_packing.Parcel()
+    results = stored_results.Results({"time": 1.0}, part, frames=[(0.1, half), (0.2, finer), (0.3, finer)])
     arrays = _unpacked(parcel.text(contents.pack_parts(results, parcel)))[1]
     assert {name for name in arrays if name.startswith("mesh")} == {
         f"mesh{mesh}.{name}" for mesh in (0, 1) for name in ("triangles", "reference", "level")
@@ -283,14 +285,14 @@ def test_a_mold_that_ends_at_the_symmetry_plane_has_images() -> None:
     whole = molds.revolved(profile=[[0.0, 0.06], [0.08, 0.06], [0.11, 0.0]], segments=24)
     half = whole.triangles[(whole.vertices[whole.triangles][..., 0] > -1e-9).all(1)]
     for triangles, mirrored in ((whole.triangles, False), (half, True)):
-        mold = meshes.used(meshes.Mesh(whole.vertices, triangles))
-        told = contents._pack_mold(mold, {"x": 0.0}, packing.Parcel())
+        mold = meshes.drop_unused_nodes(meshes.Mesh(whole.vertices, triangles))
+        told = contents._pack_mold(mold, {"x": 0.0}, binary_packing.Parcel())
         assert told == {"mirrored": mirrored, "rough": False}
 
 
 def test_a_fine_mold_is_drawn_more_roughly() -> None:
     ball = shapes.sphere(radius=1.0, elements=80_000)
-    vertices, triangles = contents._roughened(ball.positions, ball.triangles)
+    vertices, triangles = contents._coarsen(ball.positions, ball.triangles)
     assert len(ball.triangles) > contents._MOST_WALLS >= len(triangles) > 1000
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 1.0)
     corners = vertices[triangles]
@@ -393,29 +395,29 @@ def test_a_scene_is_kept_in_its_own_words_and_runs_from_elsewhere(tmp_path: Path
     )
     text = text.replace('name = "small"\n', "")
     (tmp_path / "small.toml").write_text(text)
-    kept = rewriting.keep_scene(files.read_scene(tmp_path / "small.toml"), tmp_path / "..")
+    kept = scene_rewriting.keep_scene(files.read_scene(tmp_path / "small.toml"), tmp_path / "..")
     try:
         assert kept.read_text() == 'name = "small"\n' + text.replace('"cup.stl"', json.dumps(str(tmp_path / "cup.stl")))
         again = files.read_scene(kept)
         assert again.name == "small" and len(files.build(again).mold.triangles) == len(mold.triangles)  # pyright: ignore
         # Where the words do not hold any more, the tables do.
         (tmp_path / "small.toml").write_text(text.replace('path = "cup.stl"', 'path = """\\\n  cup.stl"""'))
-        rewriting.keep_scene(files.read_scene(tmp_path / "small.toml"), tmp_path / "..")
+        scene_rewriting.keep_scene(files.read_scene(tmp_path / "small.toml"), tmp_path / "..")
         assert files.read_scene(kept).data["mold"]["path"] == str(tmp_path / "cup.stl")
     finally:
         kept.unlink()
 
 
 def test_a_mold_that_moves_is_where_it_was_at_each_frame(folder: Path) -> None:
-    results = reading.read_results(folder)
+    results = stored_results.read_results(folder)
     assert results.motion is None and results.scene is not None
     text = results.scene[1] + "\n[mold.motion]\ndirection = [0, 0, 2]\ntime = [0.0, 1e-3]\ndisplacement = [0.0, 0.05]\n"
-    motion = reading._motion(text)
+    motion = stored_results._motion(text)
     assert motion is not None
     # Of a scene that a user has changed since, nothing is told.
     for other in ("[mold", text.replace("1e-3", '"x"'), text.replace("direction", "way"), text.replace("0.05", "nan")):
-        assert reading._motion(other) is None
-    facts = contents.pack_parts(dataclasses.replace(results, motion=motion), packing.Parcel())
+        assert stored_results._motion(other) is None
+    facts = contents.pack_parts(dataclasses.replace(results, motion=motion), binary_packing.Parcel())
     for part in facts["parts"]:
         rise = [0.05 * s * s * (3 - 2 * s) for s in (min(time / 1e-3, 1.0) for time in (part["time"], facts["end"]))]
         np.testing.assert_allclose(part["mold"], [0.0, 0.0, rise[0] - rise[1]], atol=1e-12)
@@ -478,7 +480,7 @@ def test_a_browser_draws_it_and_a_click_tells_the_wall(page: browser.Browser, fo
 
 def _seen(folder: Path, width: int, height: int) -> NDArray[np.int64]:
     """Which element each pixel (height, width) of the first view shows, -1 none: by a camera and raster of ours."""
-    part = reading.read_results(folder).part
+    part = stored_results.read_results(folder).part
     images = [part.positions * [x, y, 1] for y in (1, -1) for x in (1, -1)]
     faces = np.concatenate([image[part.triangles] for image in images])
     low, high = faces.min((0, 1)), faces.max((0, 1))
@@ -496,7 +498,7 @@ def _seen(folder: Path, width: int, height: int) -> NDArray[np.int64]:
     depth = -offset @ away
     across, up = offset @ right / (depth * half * aspect), offset @ above / (depth * half)
     pixels = np.stack([(1 + across) / 2 * width, (1 - up) / 2 * height], axis=-1)
-    found = raster.nearest(pixels, -1 / depth, width, height).reshape(height, width)
+    found = raster.nearest_in_pixels(pixels, -1 / depth, width, height).reshape(height, width)
     return np.where(found < 0, -1, found % len(part.triangles))
 
 
@@ -532,8 +534,8 @@ def test_the_keyboard_turns_it_and_reads_the_middle(page: browser.Browser, folde
 
 def test_places_of_the_table_and_of_the_diagram_are_shown(page: browser.Browser, folder: Path) -> None:
     _visit(page, folder / "report.html")
-    results = reading.read_results(folder)
-    for number, point in enumerate(measuring.measuring_points(results.part, results.summary)):
+    results = stored_results.read_results(folder)
+    for number, point in enumerate(measuring_points.measuring_points(results.part, results.summary)):
         page.value(f"document.querySelector('[data-point=\"{number}\"]').click()")
         read = page.value("({...document.getElementById('reading').dataset})")
         assert float(read["thickness"]) == pytest.approx(point.thickness, rel=3e-5)
@@ -559,7 +561,7 @@ def test_frames_colours_and_limits(page: browser.Browser, folder: Path) -> None:
     assert float(flat["thickness"]) == pytest.approx(1e-3, rel=1e-4)
     _choose(page, "frame", "2", "input")
     _choose(page, "limit", "0.5", "input")
-    part = reading.read_results(folder).part
+    part = stored_results.read_results(folder).part
     area = _areas(part.positions)
     share = 100 * area[part.cells["thickness"] < 5e-4].sum() / area.sum()
     assert float(page.value("document.getElementById('below').textContent").split()[0]) == pytest.approx(
@@ -584,7 +586,7 @@ def test_frames_colours_and_limits(page: browser.Browser, folder: Path) -> None:
 
 def test_a_design_is_shown_beside_its_start(page: browser.Browser, design: Path) -> None:
     box = _visit(page, design / "report.html")
-    wanted = [reading._part(design / name) for name in ("start.vtu", "final.vtu")]
+    wanted = [stored_results._part(design / name) for name in ("start.vtu", "final.vtu")]
     for across, part, label in ((0.25, wanted[0], "start of the search"), (0.75, wanted[1], "best design")):
         read = _click(page, box, across, 0.5)
         words = page.value("document.getElementById('reading').innerText")

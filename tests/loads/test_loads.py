@@ -16,7 +16,7 @@ from jaxform.core.errors import InputError
 from jaxform.dynamics.timestep import choose_step
 from jaxform.mechanics import membrane
 from jaxform.mesh import reference
-from jaxform.model.replacing import number_at
+from jaxform.model.replacement import number_at
 from jaxform.results.result import Result
 from jaxform.sheet.active_set import active_set_of
 from tests import scenes
@@ -71,7 +71,7 @@ def test_a_sphere_filled_with_gas() -> None:
 def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> None:
     """Against the largest eigenvalue of the exact Hessian, the gas included."""
     scene = sphere(32, outside, stretch=1.1)
-    state, sheet = scenes.begun(scene)
+    state, sheet = scenes.begin_run(scene)
     active = jax.jit(active_set_of)(state, scene, sheet)
     mobile = np.asarray(sheet.compliance > 0).ravel()
 
@@ -82,7 +82,7 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
             return membrane.strain_energy(*geometry, volume, scene.material)
 
         def inside(flat: jax.Array) -> jax.Array:
-            return dataclasses.replace(active, idle_volume=real(0.0)).volume(active.packed.taken(flat.reshape(3, -1)))
+            return dataclasses.replace(active, idle_volume=real(0.0)).volume(active.packed.pack(flat.reshape(3, -1)))
 
         volume, rise = jax.value_and_grad(inside)(flat)
         return scene.pressure.at(state.time, volume) * rise - jax.grad(energy)(flat)
@@ -92,8 +92,8 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
     limit = 2.0 / np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root).max())
     for sharp in (True, False):
         changed = dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, sharp_step=sharp))
-        begin, _ = scenes.begun(changed)
-        chosen = jax.jit(choose_step)(active.taken(begin), changed, active)
+        begin, _ = scenes.begin_run(changed)
+        chosen = jax.jit(choose_step)(active.pack_state(begin), changed, active)
         assert 0.3 * limit < float(chosen.length) < limit
     result = jaxform.run(
         dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=real(2000 * limit)))
@@ -103,7 +103,7 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
 
 @pytest.fixture(scope="module")
 def cup() -> jaxform.Scene:
-    return scenes.loaded(gas(initial=DEAD, content=0.5, inflow_time=16.0))
+    return scenes.loaded_scene(gas(initial=DEAD, content=0.5, inflow_time=16.0))
 
 
 def test_a_gas_forms_a_cup_and_its_work_is_kept_account_of(cup: jaxform.Scene) -> None:
@@ -137,7 +137,7 @@ def test_gradients_by_a_loadings_numbers(cup: jaxform.Scene) -> None:
 def test_a_gas_keeps_account_of_its_temperature_and_has_gradients() -> None:
     """Its internal energy changes by what flows in and by what work it does, outside and on the sheet."""
     gas = WarmGas(*map(real, (DEAD, 1.0, 0.02, 16.0, 1.5, 1.0, 2.5, DEAD, 1.0)))
-    scene = scenes.loaded(gas)
+    scene = scenes.loaded_scene(gas)
     recorded = jaxform.run(scene)
 
     def figure(values: dict[str, jax.Array]) -> tuple[jax.Array, Result]:
@@ -172,13 +172,13 @@ def test_what_is_no_loading_is_refused_in_words() -> None:
     with pytest.raises(InputError, match="give it a pressure"):
         jaxform.loading(type("Empty", (jaxform.Loading,), {}))
     with pytest.raises(InputError, match=r"pressure: is no loading.*decorated with jaxform\.loading"):
-        scenes.loaded(cast("Any", 3.0))
+        scenes.loaded_scene(cast("Any", 3.0))
     with pytest.raises(InputError, match=r"pressure\.content.*must be positive"):
-        scenes.loaded(gas(1.0, -1.0))
+        scenes.loaded_scene(gas(1.0, -1.0))
 
 
 def test_plain_numbers_are_enough_and_a_pressure_is_one_number() -> None:
-    scene = scenes.loaded(cast("Any", SealedGas)(0.1, 0.5, 16.0, DEAD, 1.0))
+    scene = scenes.loaded_scene(cast("Any", SealedGas)(0.1, 0.5, 16.0, DEAD, 1.0))
     assert scene.pressure.content.shape == ()
     jax.grad(lambda c: jaxform.replace(scene, {"pressure.content": c}).pressure.content)(0.5)
 
@@ -193,7 +193,7 @@ def test_plain_numbers_are_enough_and_a_pressure_is_one_number() -> None:
             return real(float(time))
 
     with pytest.raises(InputError, match=r"pressure: gives pressures of shape \(4,\)"):
-        scenes.loaded(Several())
+        scenes.loaded_scene(Several())
 
     class Growing(jaxform.Loading):
         def start(self, volume: jax.Array) -> jax.Array:
@@ -208,10 +208,10 @@ def test_plain_numbers_are_enough_and_a_pressure_is_one_number() -> None:
     with pytest.raises(
         InputError, match=r"another state of its own after a step, float64\[2\], than at first, float64\[1\]"
     ):
-        scenes.loaded(jaxform.loading(Growing)())
+        scenes.loaded_scene(jaxform.loading(Growing)())
     with pytest.raises(InputError, match=r"state of its own.*follows_volume = True"):
         jaxform.loading(type("Timed", (Growing,), {"follows_volume": False}))
     with pytest.raises(InputError, match="pressure: cannot be traced by JAX"):
-        scenes.loaded(Untraced())
+        scenes.loaded_scene(Untraced())
     with pytest.raises(InputError, match=r"pressure\.content.*is a text"):
-        scenes.loaded(cast("Any", SealedGas)(0.1, "much", 16.0, DEAD, 1.0))
+        scenes.loaded_scene(cast("Any", SealedGas)(0.1, "much", 16.0, DEAD, 1.0))

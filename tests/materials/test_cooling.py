@@ -17,9 +17,9 @@ from scipy import optimize as search
 import jaxform
 import optimize
 from jaxform import molds, shapes
-from jaxform.io import files, output, rewriting
+from jaxform.io import files, output, scene_rewriting
 from jaxform.mesh import meshes
-from jaxform.model.replacing import number_at
+from jaxform.model.replacement import number_at
 from tests import scenes
 from tests.scenes import real
 
@@ -282,7 +282,7 @@ def test_cooling_in_a_file_and_in_the_part(tmp_path: Path) -> None:
     np.testing.assert_allclose(written, _warmth(result), rtol=1e-12)
     assert 120.0 < jaxform.summarize(result, scene)["temperature"]["max"] < 139.9
     variable = optimize.Scale(scene, of="cooling.air", bounds=(0.5, 2.0))
-    rewriting.write_scene(document, variable.document(jnp.asarray(variable.start) + 0.5), tmp_path)
+    scene_rewriting.write_scene(document, variable.document(jnp.asarray(variable.start) + 0.5), tmp_path)
     again, expected = files.load(tmp_path / "best.toml"), variable.changes(jnp.asarray(variable.start) + 0.5)
     assert again.cooling is not None
     np.testing.assert_allclose(again.cooling.air, expected["cooling.air"])

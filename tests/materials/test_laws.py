@@ -13,7 +13,7 @@ import pytest
 
 import jaxform
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import ranges_of
+from jaxform.core.parameters import parameter_ranges
 from jaxform.core.store import Store
 from jaxform.materials import Slope
 from jaxform.mechanics import membrane, stiffness
@@ -185,7 +185,7 @@ def _twin(factor: float) -> Any:
     def energy(self: Any, i1: jax.Array, i2: jax.Array) -> jax.Array:
         return factor * self.c * (i1 - 3.0)
 
-    ranges = ranges_of(jaxform.NeoHookean)
+    ranges = parameter_ranges(jaxform.NeoHookean)
     fields = {name: jaxform.parameter(one.unit, above=one.above) for name, one in ranges.items()}
     notes = dict.fromkeys(fields, jax.Array)
     return jaxform.law(type("NeoHookean", (jaxform.Law,), {"energy": energy, "__annotations__": notes, **fields}))

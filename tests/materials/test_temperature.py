@@ -16,7 +16,7 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform.io import files, output, rewriting
+from jaxform.io import files, output, scene_rewriting
 from jaxform.mesh import meshes
 from tests import scenes
 from tests.scenes import real
@@ -128,7 +128,7 @@ def test_temperature_in_a_file_and_in_the_part(tmp_path: Path, refined: bool) ->
     start = np.stack([part.fields[name] for name in meshes.REFERENCE], axis=1)
     np.testing.assert_allclose(part.fields["temperature"], 150.0 - 300.0 * np.hypot(*start[:, :2].T), rtol=1e-6)
     variable = optimize.Scale(scene, of="parison.temperature", bounds=(0.9, 1.1))
-    rewriting.write_scene(document, variable.document(jnp.asarray(variable.start) + 0.5), tmp_path)
+    scene_rewriting.write_scene(document, variable.document(jnp.asarray(variable.start) + 0.5), tmp_path)
     again = files.load(tmp_path / "best.toml")
     expected = variable.changes(jnp.asarray(variable.start) + 0.5)["parison.temperature"]
     assert again.parison.temperature is not None

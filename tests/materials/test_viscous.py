@@ -18,8 +18,8 @@ from benchmarks.accuracy import cases
 from jaxform.adapt import inheritance, remeshing
 from jaxform.io import files
 from jaxform.materials import Modes
-from jaxform.mechanics import corners, membrane, response, stiffness
-from jaxform.mechanics.elements import no_corners
+from jaxform.mechanics import constitutive, corners, membrane, stiffness
+from jaxform.mechanics.elements import allocate_corner_forces
 from jaxform.sheet.discretization import first_mesh
 from tests import scenes
 from tests.scenes import real
@@ -42,22 +42,22 @@ def _cauchy(kind: Any, stretches: Any, times: np.ndarray) -> np.ndarray:
     law = _law(kind)
     modes, found = law.viscous, []
     assert modes is not None
-    stress, measure = modes.at_first(UNIT), [jnp.zeros(1)] * 4
+    stress, measure = modes.initial_stress(UNIT), [jnp.zeros(1)] * 4
     if kind is jaxform.Maxwell:
         measure = [jnp.ones(1), jnp.zeros(1), jnp.ones(1), jnp.ones(1)]
     for k, (one, two) in enumerate(stretches):
         g = _metric(one**2, 0.0, two**2)
-        now = response.strained(g, UNIT)
+        now = constitutive.strain_state(g, UNIT)
         passed = modes.recursion(real(times[k] - times[k - 1] if k else 0.0))
         new = modes.measure(now)
         rows = [
             left * x + gain * b - back * a
-            for old, left, gain, back in zip(response.modes_of(stress), *passed, strict=True)
+            for old, left, gain, back in zip(constitutive.split_modes(stress), *passed, strict=True)
             for x, a, b in zip(old, measure, new, strict=True)
         ]
         stress, measure = jnp.stack(rows), new
         elastic = membrane.stress(g, UNIT, membrane.stress_factors(g, UNIT, law))[0]
-        found.append(float(one**2 * (elastic + response.free_across(response.modes_of(stress), now)[0])[0]))
+        found.append(float(one**2 * (elastic + constitutive.plane_stress(constitutive.split_modes(stress), now)[0])[0]))
     return np.asarray(found)
 
 
@@ -121,15 +121,15 @@ def test_a_sphere_under_a_step_of_pressure(kind: Any) -> None:
 def _dissipated(time: float, stretches: np.ndarray, step: float) -> tuple[float, list[Any]]:
     """Power lost by a Maxwell mode of modulus 1 at the last of uniaxial stretches, a step apart; the strains."""
     modes = jaxform.Maxwell(jnp.ones(1), jnp.full(1, time))
-    rest, gain, strains = modes.at_first(UNIT), 0.0, []
+    rest, gain, strains = modes.initial_stress(UNIT), 0.0, []
     passed = modes.recursion(real(step))
     for stretch in stretches:
-        now = response.strained(_metric(stretch**2, 0.0, 1.0 / stretch), UNIT)
-        memory = dataclasses.replace(response.present(rest, modes), gain=jnp.full(1, gain))
-        found = response.overstress(now.metric, UNIT, memory)
+        now = constitutive.strain_state(_metric(stretch**2, 0.0, 1.0 / stretch), UNIT)
+        memory = dataclasses.replace(constitutive.present_memory(rest, modes), gain=jnp.full(1, gain))
+        found = constitutive.overstress(now.metric, UNIT, memory)
         strains.append(np.asarray(found.measure)[:, 0])
-        rest, gain = jnp.stack(found.kept(passed)), float(passed.gain[0])
-    return float(modes.with_losses(real(step)).loss(found.modes, now)[0]), strains
+        rest, gain = jnp.stack(found.updated_history(passed)), float(passed.gain[0])
+    return float(modes.limit_losses(real(step)).loss(found.modes, now)[0]), strains
 
 
 @pytest.mark.parametrize("short", [1e2, 1e4, 1e6])
@@ -262,11 +262,11 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
     assert adaptivity is not None
     forest, before = adaptivity.forest, first_mesh(scene, adaptivity)
     wanted = jnp.asarray([0, 5], jnp.int32)
-    split_at, queue = remeshing.closed(before.split_at, wanted, jnp.int32(2), forest, jnp.int32(0))
-    after = dataclasses.replace(remeshing.bisected(before, queue, forest), split_at=split_at)
+    split_at, queue = remeshing.close_queue(before.split_at, wanted, jnp.int32(2), forest, jnp.int32(0))
+    after = dataclasses.replace(remeshing.bisect_mesh(before, queue, forest), split_at=split_at)
     again = jnp.asarray([2 * 5 + forest.root_count], jnp.int32)
-    split_at, queue = remeshing.closed(after.split_at, again, jnp.int32(1), forest, jnp.int32(0))
-    last = remeshing.bisected(after, queue, forest)
+    split_at, queue = remeshing.close_queue(after.split_at, again, jnp.int32(1), forest, jnp.int32(0))
+    last = remeshing.bisect_mesh(after, queue, forest)
     used = int(last.element_count)
     assert used > int(after.element_count) > int(before.element_count)
     moved = jnp.asarray([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.0], [0.3, 0.4, 1.0]]) @ scene.parison.positions.T
@@ -274,9 +274,9 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
     def measure(mesh: Any) -> jax.Array:
         triangles, inverse = forest.sheet.triangles[:, mesh.element], forest.sheet.inverse_metric[:, mesh.element]
         g = membrane.metric(*membrane.edges(moved, triangles)[1:])
-        return jnp.stack(kind.measure(response.strained(g, inverse)))
+        return jnp.stack(kind.measure(constitutive.strain_state(g, inverse)))
 
-    found = inheritance.inherited(measure(before), inheritance.ancestry(before, last, forest))
+    found = inheritance.inherit_stress(measure(before), inheritance.find_ancestry(before, last, forest))
     np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
 
 
@@ -284,25 +284,30 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
 def test_in_blocks_and_at_once_a_step_remembers_the_same(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """As on the CPU, as on other devices, and as the differentiable way has it."""
     scene = _cup(kind)
-    modes, sheet = scene.material.viscous, scenes.begun(scene)[1]
+    modes, sheet = scene.material.viscous, scenes.begin_run(scene)[1]
     assert modes is not None
     whole, random = sheet.whole, np.random.default_rng(0)
-    elements, places = whole.elements, whole.taken(scene.parison.positions.T)
+    elements, places = whole.elements, whole.pack(scene.parison.positions.T)
     moved = 1.2 * places + 0.02 * random.standard_normal(places.shape)
-    rest = jnp.tile(modes.at_first(elements.inverse_metric)[:4], (2, 1)) + 0.1
-    memory = dataclasses.replace(response.present(rest, modes), gain=modes.recursion(real(0.01)).gain)
+    rest = jnp.tile(modes.initial_stress(elements.inverse_metric)[:4], (2, 1)) + 0.1
+    memory = dataclasses.replace(constitutive.present_memory(rest, modes), gain=modes.recursion(real(0.01)).gain)
     load = corners.Load(moved, sheet.thickness[whole.element], real(0.1), scene.material.elastic, memory)
     used, found = np.asarray(elements.area) > 0.0, []
     for backend in ("cpu", "another"):
         monkeypatch.setattr(membrane.jax, "default_backend", lambda backend=backend: backend)
-        room, step = no_corners(moved, elements), modes.recursion(real(0.02))
-        forces, volume, kept = corners.corner_forces_remembered(load, elements, room, modes, step)
+        room, step = allocate_corner_forces(moved, elements), modes.recursion(real(0.02))
+        forces, volume, kept = corners.viscous_corner_forces(load, elements, room, modes, step)
         found.append(
-            [volume, kept.loss, kept.rest[:, used], *corners.stresses_now(load, elements, modes, differentiable=False)]
+            [
+                volume,
+                kept.loss,
+                kept.history[:, used],
+                *corners.present_mode_stress(load, elements, modes, differentiable=False),
+            ]
         )
         found[-1][3] = found[-1][3][:, used]
-        plain = corners.remembered(load, elements, modes, step)
-        np.testing.assert_allclose(plain.rest[:, used], kept.rest[:, used], rtol=1e-12)
+        plain = corners.update_history(load, elements, modes, step)
+        np.testing.assert_allclose(plain.history[:, used], kept.history[:, used], rtol=1e-12)
         np.testing.assert_allclose(plain.loss, kept.loss, rtol=1e-12)
         assert np.all(np.isfinite(np.stack(forces)))
     for one, other in zip(*found, strict=True):
@@ -332,10 +337,12 @@ def test_the_bound_on_the_step_holds_for_any_history(kind: Any) -> None:
         c = gradient.T @ gradient
         g = _metric(c[0, 0], c[0, 1], c[1, 1])
         strain = membrane.invariants(g, UNIT)
-        measure = kind.measure(response.strained(g, UNIT)) if kind is jaxform.Christensen else [jnp.zeros(1)] * 4
+        measure = (
+            kind.measure(constitutive.strain_state(g, UNIT)) if kind is jaxform.Christensen else [jnp.zeros(1)] * 4
+        )
         first = [rest[0, 0], rest[0, 1], rest[1, 1], across]
         stress = [x + gain * row for x, row in zip(first, measure, strict=True)]
-        bound = float(stiffness.viscous_stiffness(strain, response.strained(g, UNIT), [stress], modes)[0])
+        bound = float(stiffness.viscous_stiffness(strain, constitutive.strain_state(g, UNIT), [stress], modes)[0])
         assert bound >= exact - 1e-9
 
 

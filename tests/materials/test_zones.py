@@ -12,7 +12,7 @@ import pytest
 import jaxform
 import optimize
 from benchmarks.accuracy import cases
-from jaxform.io import files, rewriting
+from jaxform.io import files, scene_rewriting
 from tests import scenes
 from tests.scenes import real
 
@@ -171,12 +171,12 @@ def test_zones_in_a_file_and_designed_back_into_one(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
     variable = optimize.Scale(scene, of="material.mu", bounds=(0.5, 2.0))
     free = jnp.asarray(variable.start) + 0.3
-    rewriting.write_scene(document, variable.document(free), tmp_path / "best")
+    scene_rewriting.write_scene(document, variable.document(free), tmp_path / "best")
     again = files.load(tmp_path / "best" / "best.toml")
     np.testing.assert_allclose(again.material.zones["mu"], variable.changes(free)["material.mu"], rtol=1e-6)
     # And once more from there, into another folder.
     written = files.read_scene(tmp_path / "best" / "best.toml")
-    rewriting.write_scene(written, {}, tmp_path / "moved")
+    scene_rewriting.write_scene(written, {}, tmp_path / "moved")
     moved = files.load(tmp_path / "moved" / "best.toml")
     np.testing.assert_array_equal(moved.material.zones["mu"], again.material.zones["mu"])
 

@@ -12,13 +12,13 @@ import pytest
 
 import jaxform
 from jaxform import shapes
-from jaxform.core.compiling import compiled
+from jaxform.core.compilation import compile_function
 from jaxform.kernels import blocks
 from jaxform.materials import Law
 from jaxform.mechanics import force, membrane, stiffness
 from jaxform.mechanics.corners import Load
 from jaxform.mechanics.elements import Elements
-from jaxform.model.tables import Sheet
+from jaxform.model.tables import ReferenceGeometry
 from jaxform.sheet import packing
 from tests.scenes import mooney, real
 
@@ -39,14 +39,14 @@ def _case(law: Law, *, paired: bool = False, seed: int = 0) -> tuple[Load, Eleme
     inverse, area = membrane.reference_metric(start, triangles)
     moved = 1.2 * start + 0.05 * random.normal(size=start.shape)
     thickness = jnp.asarray(0.01 * random.uniform(0.5, 1.5, area.size))
-    sheet = Sheet(triangles, inverse, area, jnp.zeros(3))
+    sheet = ReferenceGeometry(triangles, inverse, area, jnp.zeros(3))
     if paired:
         assembly = packing.make_paired_assembly(disc.positions, disc.triangles)
     else:
         assembly = packing.make_assembly(disc.triangles, len(disc.positions))
     packed = packing.pack(None, sheet, assembly)
     assert (packed.elements.orientation is not None) == paired
-    return Load(packed.taken(moved), thickness[packed.element], real(0.3), law), packed.elements
+    return Load(packed.pack(moved), thickness[packed.element], real(0.3), law), packed.elements
 
 
 def _random_like(tree: object, seed: int) -> object:
@@ -63,11 +63,11 @@ def test_rows_are_looked_up_together_and_summed(depth: int, backend: str, monkey
     rows[:, 0] = [0.0, -0.0, np.nan]
     index = random.integers(0, 20, (depth, 50))
     index[:, 0] = 0
-    got = jax.jit(membrane.summed_up)([jnp.asarray(row) for row in rows], jnp.asarray(index))
+    got = jax.jit(membrane.gather_sum)([jnp.asarray(row) for row in rows], jnp.asarray(index))
     expected = functools.reduce(np.add, [rows[:, places] for places in index])
     np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
     if depth == 1:
-        alone = membrane.looked_up([jnp.asarray(row) for row in rows], jnp.asarray(index[0]))
+        alone = membrane.gather_rows([jnp.asarray(row) for row in rows], jnp.asarray(index[0]))
         np.testing.assert_array_equal(alone, rows[:, index[0]])
         assert backend != "cpu" or np.signbit(alone[1][0])
 
@@ -76,7 +76,7 @@ def test_rows_are_looked_up_together_and_summed(depth: int, backend: str, monkey
 def test_the_longest_vectors_change_no_number(paired: bool) -> None:
     load, sheet = _case(LAWS[2], paired=paired)
     work = jax.jit(force.force)
-    usual, longest = work(load, sheet), compiled(work, load, sheet)(load, sheet)
+    usual, longest = work(load, sheet), compile_function(work, load, sheet)(load, sheet)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-17), usual, longest)
 
 
@@ -155,7 +155,7 @@ def test_pairs_get_what_their_elements_get_one_by_one(backend: str, monkeypatch:
     triangles[::7] = triangles[::7, [1, 0, 2]]
     start = jnp.asarray(sheet.positions.T)
     inverse, area = membrane.reference_metric(start, jnp.asarray(triangles.T))
-    tables = Sheet(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3))
+    tables = ReferenceGeometry(jnp.asarray(triangles.T), inverse, area, jnp.zeros(3))
     moved = 1.2 * start + jnp.asarray(0.01 * random.normal(size=start.shape))
     thickness, weights = (
         jnp.asarray(random.uniform(0.01, 0.02, area.size)),
@@ -172,9 +172,9 @@ def test_pairs_get_what_their_elements_get_one_by_one(backend: str, monkeypatch:
         def pushed(
             moved: jax.Array, thickness: jax.Array, packed: packing.Packed = packed
         ) -> tuple[jax.Array, jax.Array]:
-            load = Load(packed.taken(moved), thickness[packed.element], real(0.3), LAWS[1])
+            load = Load(packed.pack(moved), thickness[packed.element], real(0.3), LAWS[1])
             nodal, volume = force.force(load, packed.elements)
-            return packed.put_back(nodal), volume
+            return packed.unpack(nodal), volume
 
         value, pull = jax.vjp(pushed, moved, thickness)
         found.append((value, pull((weights, real(0.7)))))
@@ -219,6 +219,8 @@ def test_stable_step_bounds_the_true_limit_closely() -> None:
     limit = 2 / np.sqrt(np.linalg.eigvalsh(root[:, None] * assembled * root[None, :]).max())
     bound = stiffness.shape_bound(sheet.inverse_metric, sheet.area)
     moving = sheet.area > 0
-    stiff = stiffness.of_elements(load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material)
+    stiff = stiffness.element_stiffness(
+        load.positions, sheet.triangles, sheet.inverse_metric, bound, moving, load.material
+    )
     step = stiffness.stable_step(jnp.max(stiff), load.material)
     assert 0.6 * limit < float(step) <= limit

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from jaxform import shapes
-from jaxform.adapt.remeshing import Queue, closed
+from jaxform.adapt.remeshing import Queue, close_queue
 from jaxform.core.errors import InputError
 from jaxform.mesh import bisection, topology
-from jaxform.mesh.bisection import Forest
+from jaxform.mesh.bisection import TriangleForest
 from jaxform.sheet.discretization import NEVER
 
 DEPTH = 4
@@ -39,12 +39,12 @@ def random_mesh(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([points, np.zeros(len(points))]), triangles
 
 
-def parents(forest: Forest) -> np.ndarray:
+def parents(forest: TriangleForest) -> np.ndarray:
     index, roots = np.arange(len(forest.triangles)), forest.root_count
     return np.where(index < roots, index, (index - roots) // 2)
 
 
-def plain_closure(split: np.ndarray, forest: Forest) -> np.ndarray:
+def plain_closure(split: np.ndarray, forest: TriangleForest) -> np.ndarray:
     """One triangle after the other, from the definition."""
     split, todo = split.copy(), np.flatnonzero(split).tolist()
     parent = parents(forest)
@@ -57,11 +57,11 @@ def plain_closure(split: np.ndarray, forest: Forest) -> np.ndarray:
     return split
 
 
-def active_of(split: np.ndarray, forest: Forest) -> np.ndarray:
+def active_of(split: np.ndarray, forest: TriangleForest) -> np.ndarray:
     return (split[parents(forest)] | (np.arange(len(split)) < forest.root_count)) & ~split
 
 
-def marked_mesh(forest: Forest, seed: int, rounds: int) -> np.ndarray:
+def marked_mesh(forest: TriangleForest, seed: int, rounds: int) -> np.ndarray:
     random, split = np.random.default_rng(seed), np.zeros(len(forest.triangles), bool)
     for _ in range(rounds):
         active = active_of(split, forest)
@@ -118,7 +118,7 @@ def test_closure_in_the_program_is_the_plain_one_and_does_not_depend_on_the_orde
     @jax.jit
     def close(marks: jax.Array, split: jax.Array) -> tuple[jax.Array, Queue]:
         split_at = jnp.where(split, 0, NEVER)
-        return closed(split_at, jnp.where(marks, number, NEVER), jnp.int32(number.size), forest, jnp.int32(7))
+        return close_queue(split_at, jnp.where(marks, number, NEVER), jnp.int32(number.size), forest, jnp.int32(7))
 
     for _ in range(20):
         split = marked_mesh(forest, int(random.integers(10**6)), 3)
@@ -146,7 +146,7 @@ def test_children_halve_their_parent_and_nodes_know_their_edge() -> None:
     np.testing.assert_array_equal(np.sort(forest.ends[forest.middle[inner]]), np.sort(forest.triangles[inner, 1:]))
     np.testing.assert_array_equal(forest.partner[forest.partner], np.arange(len(area)))
     values = forest.positions[: len(positions)] @ [1.0, 2.0, 3.0]
-    extended = bisection.extended(values, forest.ends, forest.depth)
+    extended = bisection.extend_values(values, forest.ends, forest.depth)
     np.testing.assert_allclose(extended, forest.positions @ [1.0, 2.0, 3.0], atol=1e-12)
 
 

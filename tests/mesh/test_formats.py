@@ -17,7 +17,7 @@ import trimesh
 from jaxform import molds
 from jaxform.core import disk
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.io import fields, files, rewriting
+from jaxform.io import fields, files, scene_rewriting
 from jaxform.mesh import meshes, polygons
 from jaxform.mesh.meshes import Mesh, read_mesh
 from tests import scenes
@@ -335,7 +335,7 @@ def test_several_mold_files_are_one_mold(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         np.asarray(two.mold.vertices)[two.mold.triangles], np.asarray(one.mold.vertices)[one.mold.triangles], atol=1e-8
     )
-    written = rewriting.write_scene(files.read_scene(tmp_path / "two.toml"), {}, tmp_path / "half")
+    written = scene_rewriting.write_scene(files.read_scene(tmp_path / "two.toml"), {}, tmp_path / "half")
     again = files.load(written)
     assert again.mold is not None
     np.testing.assert_array_equal(again.mold.vertices, two.mold.vertices)
@@ -361,5 +361,5 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, name: str) -
         file.truncate(disk.MOST_MESH + 1)
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(InputError):
-        read_mesh(disk.located("x", tmp_path).with_name(name) if "\0" not in name else f"{tmp_path}/{name}")
+        read_mesh(disk.expand_path("x", tmp_path).with_name(name) if "\0" not in name else f"{tmp_path}/{name}")
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 100_000  # kB

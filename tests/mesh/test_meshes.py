@@ -316,7 +316,7 @@ def test_open_rims_are_numbered_without_gaps():
 
 def test_points_along_edges_have_both_ends_and_those_of_a_point_are_it():
     edges = np.array([[[0, 0, 0], [1, 0, 0]], [[2, 3, 4], [2, 3, 4]], [[0, 0, 0], [0, 0.3, 0]]], float)
-    points = topology.points_along(edges, 1.0)
+    points = topology.edge_points(edges, 1.0)
     expected = [[0, 0, 0], [0.5, 0, 0], [1, 0, 0], [2, 3, 4], [2, 3, 4], [0, 0, 0], [0, 0.3, 0]]
     np.testing.assert_allclose(points, expected, atol=1e-15)
 

@@ -134,7 +134,7 @@ def test_sizes_that_do_not_fit_are_refused():
 
 
 def test_shapes_round_points():
-    turned = contours.Rectangle(np.array([0.3, -0.2]), np.array([0.2, 0.1]), 0.4)
+    turned = contours.OrientedRectangle(np.array([0.3, -0.2]), np.array([0.2, 0.1]), 0.4)
     corners = turned.corner + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * turned.sides @ turned.axes
     found = contours.smallest_rectangle(contours.hull(corners))
     np.testing.assert_allclose(found.corner, turned.corner, atol=1e-9)

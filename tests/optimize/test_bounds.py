@@ -14,11 +14,19 @@ import pytest
 import jaxform
 import optimize
 from jaxform.mesh.profiles import Profile
-from optimize import endings
+from optimize import termination
 from optimize.designs import Point
 from optimize.gradients import gradient_error, slope_within
 from optimize.least_squares import _step
-from optimize.variables import SPAN, bounded, limited, log_bounded, log_unbounded, unbounded, unlimited
+from optimize.variables import (
+    SPAN,
+    apply_bounds,
+    apply_log_bounds,
+    apply_step_limit,
+    invert_bounds,
+    invert_log_bounds,
+    invert_step_limit,
+)
 from tests import scenes
 
 HIDDEN = np.array([0.015, 0.012, 0.01, 0.009])
@@ -49,13 +57,13 @@ def _even(thickness: float, bounds: tuple[float, float], **options: Any) -> opti
     return optimize.Study(scene, (variable,), optimize.Uniform(), **options)
 
 
-@pytest.mark.parametrize("into", [bounded, log_bounded])
+@pytest.mark.parametrize("into", [apply_bounds, apply_log_bounds])
 def test_the_map_is_as_steep_on_a_bound_as_in_the_middle(into: Any) -> None:
     ends = 0.5 * SPAN * np.array([-1.0, 0.0, 1.0])
     values = np.asarray(into(jnp.asarray(ends), (2.0, 5.0)))
     slopes = np.diag(jax.jacobian(lambda free: into(free, (2.0, 5.0)))(jnp.asarray(ends)))
     assert values[0] == 2.0 and values[2] == 5.0
-    shares = slopes / 3.0 if into is bounded else slopes / values / np.log(2.5)
+    shares = slopes / 3.0 if into is apply_bounds else slopes / values / np.log(2.5)
     np.testing.assert_allclose(shares, 1 / SPAN, rtol=1e-12)
     beyond = np.asarray(into(jnp.asarray(3.7 * ends), (2.0, 5.0)))
     assert beyond[0] == 2.0 and beyond[2] == 5.0
@@ -63,7 +71,7 @@ def test_the_map_is_as_steep_on_a_bound_as_in_the_middle(into: Any) -> None:
 
 @pytest.mark.parametrize("bounds", [(0.1, 0.3), (1e-3, 2e-3), (3e-5, 1.5e-3)])
 def test_values_on_a_bound_come_back_exactly(bounds: tuple[float, float]) -> None:
-    for into, back in ((bounded, unbounded), (log_bounded, log_unbounded)):
+    for into, back in ((apply_bounds, invert_bounds), (apply_log_bounds, invert_log_bounds)):
         np.testing.assert_array_equal(into(jnp.asarray(back(np.array(bounds), bounds)), bounds), bounds)
 
 
@@ -80,9 +88,9 @@ def test_a_sheet_on_its_bounds_starts_there() -> None:
 
 def test_values_on_a_limit_of_neighbours_come_back_and_have_slopes() -> None:
     values, change = np.array([2.0, 2.5, 2.3, 3.3, 5.0]), np.array([0.5, 0.2, 1.0, 1.7])
-    free = jnp.asarray(unlimited(values, (2.0, 5.0), change))
-    np.testing.assert_allclose(limited(free, (2.0, 5.0), change), values, rtol=1e-12)
-    slopes = np.diag(jax.jacobian(lambda free: limited(free, (2.0, 5.0), change))(free))
+    free = jnp.asarray(invert_step_limit(values, (2.0, 5.0), change))
+    np.testing.assert_allclose(apply_step_limit(free, (2.0, 5.0), change), values, rtol=1e-12)
+    slopes = np.diag(jax.jacobian(lambda free: apply_step_limit(free, (2.0, 5.0), change))(free))
     assert slopes.min() > 0.09
     # A history that never falls and has come to its largest value: all but the first of its knots can go down.
     variable = optimize.PressureKnots(scenes.cup(), bounds=(0.0, 0.25), increasing=True)
@@ -122,8 +130,8 @@ def _at(value: float, slope: float) -> Point:
 def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
     study, first = _study(0.01), _at(0.0275, 0.03)
     idle = [0.0111] * 7
-    flat = endings.done(study, _at(0.0111, 1e-4), idle, first)
-    steep = endings.done(study, _at(0.0111, 0.03), idle, first)
+    flat = termination.check_convergence(study, _at(0.0111, 1e-4), idle, first)
+    steep = termination.check_convergence(study, _at(0.0111, 0.03), idle, first)
     assert flat is not None and flat.by == "tolerance"
     assert steep is not None and steep.by == "no-progress" and "100 % of the first one" in steep.words
     # What presses on a bound promises nothing.
@@ -133,14 +141,14 @@ def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
 
 def test_a_search_ends_where_deviations_are_finer_than_a_mesh_can_tell() -> None:
     study, first = _study(0.01), _at(1.0, 1.0)
-    reached = endings.done(study, _at(0.9e-6, 0.1), [1.0, 0.9e-6], first)
+    reached = termination.check_convergence(study, _at(0.9e-6, 0.1), [1.0, 0.9e-6], first)
     assert reached is not None and reached.by == "target"
     # From 0.305 to 0.3 % in five steps: a wall of 1 mm by 50 nm.
     slow = np.square(np.linspace(3.05e-3, 3.0e-3, 6)).tolist()
-    ended = endings.done(study, _at(slow[-1], 1e-7), slow, _at(1.0, 1e-6))
+    ended = termination.check_convergence(study, _at(slow[-1], 1e-7), slow, _at(1.0, 1e-6))
     assert ended is not None and ended.by == "tolerance"
     quick = np.square(np.linspace(4e-3, 3.0e-3, 6)).tolist()
-    assert endings.done(study, _at(quick[-1], 1e-7), quick, _at(1.0, 1e-6)) is None
+    assert termination.check_convergence(study, _at(quick[-1], 1e-7), quick, _at(1.0, 1e-6)) is None
 
 
 def test_the_check_of_a_gradient_on_a_bound_stays_inside() -> None:

@@ -19,7 +19,7 @@ import pytest
 import jaxform
 from jaxform import InputError, InputWarning
 from jaxform.cli import command, session
-from jaxform.core.errors import heard
+from jaxform.core.errors import collect_warnings
 from jaxform.io import files, schema
 from jaxform.materials import LAWS
 from optimize import fitting
@@ -42,7 +42,7 @@ def _values(fit: fitting.Fit) -> dict[str, float]:
 @pytest.fixture(scope="module")
 def treloar() -> fitting.Fit:
     tables = [fitting.read_table(str(TRELOAR / f"{name}.csv")) for name in ("uniaxial", "equibiaxial")]
-    with heard(lambda _: None) as warned:
+    with collect_warnings(lambda _: None) as warned:
         found = fitting.fit(tables, "ogden", terms=3)
     assert len(warned) == 2 and "mu[2], mu[3]: known to no better" in warned[0]
     return found
@@ -64,13 +64,13 @@ def test_three_terms_of_ogdens_law_fit_treloars_rubber(treloar: fitting.Fit) -> 
 
 
 def test_the_table_is_one_that_a_scene_takes(treloar: fitting.Fit, tmp_path: Path) -> None:
-    from jaxform.io.fitted import material_text
+    from jaxform.io.fit_output import material_text
 
     begin, end = FILE.index("[material]"), FILE.index("[pressure]")
     text = material_text(treloar.table(950.0), ["fitted to\nTreloar"])
     (tmp_path / "scene.toml").write_text(FILE[:begin] + text + FILE[end:])
     law = files.read_scene(tmp_path / "scene.toml").model.material
-    assert isinstance(law, schema.Ogden) and law.density == 950.0
+    assert isinstance(law, schema.OgdenTable) and law.density == 950.0
     numbers = [row["value"] for row in treloar.summary([], 1.0)["numbers"]]
     np.testing.assert_allclose([*law.mu, *law.alpha], numbers, rtol=1e-7)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
@@ -106,7 +106,7 @@ def test_the_wall_and_the_slopes_of_a_bubble(exact_bubble: tuple[Bubble, np.ndar
     table, wall = exact_bubble
     plan = bubble.plan(table.height / table.radius, None)
     law = lambda free: jaxform.MooneyRivlin(free[0], free[1], real(1.0))  # noqa: E731
-    pressure = jax.jit(lambda free: bubble.inflated(law(free), plan, 2e5, False))
+    pressure = jax.jit(lambda free: bubble.inflate_bubble(law(free), plan, 2e5, False))
     slopes = np.asarray(jax.jit(jax.jacfwd(lambda free: pressure(free)[0]))(jnp.array([2e5, 0.5])))
     ahead, behind = (np.asarray(pressure(jnp.array([2e5, alpha]))[0]) for alpha in (0.5001, 0.4999))
     np.testing.assert_allclose(slopes[:, 1], (ahead - behind) / 2e-4, rtol=1e-5)
@@ -125,7 +125,7 @@ def test_a_height_without_equilibrium_spoils_no_other() -> None:
             return -self.a * jnp.log(1.5 - (i1 - 3.0))
 
     plan = bubble.plan(np.array([0.4, 1.0, 0.4]), None)
-    found = jax.jit(lambda: bubble.inflated(Bursting(real(1.0), real(1.0)), plan, 1.0, False))()
+    found = jax.jit(lambda: bubble.inflate_bubble(Bursting(real(1.0), real(1.0)), plan, 1.0, False))()
     pressure, wall = map(np.asarray, found)
     assert np.isfinite([pressure[0], wall[0]]).all() and np.isnan([pressure[1], wall[1]]).all()
     np.testing.assert_allclose([pressure[2], wall[2]], [pressure[0], wall[0]], rtol=1e-9)
@@ -135,8 +135,8 @@ def test_a_bubble_that_is_held_relaxes() -> None:
     """Maxwell modes at constant strain scale the stress of rubber, whatever its shape."""
     law = jaxform.NeoHookean(real(1.0), real(1.0), viscous=jaxform.Maxwell(jnp.array([2.0]), jnp.array([4.0])))
     plan = bubble.plan(np.full(4, 0.6), np.array([1e-9, 1.0, 4.0, 1e4]))
-    pressure, wall = jax.jit(lambda: bubble.inflated(law, plan, 1.0, True))()
-    alone = bubble.inflated(law.elastic, bubble.plan(np.array([0.6]), None), 1.0, False)[0]
+    pressure, wall = jax.jit(lambda: bubble.inflate_bubble(law, plan, 1.0, True))()
+    alone = bubble.inflate_bubble(law.elastic, bubble.plan(np.array([0.6]), None), 1.0, False)[0]
     np.testing.assert_allclose(pressure / alone, [2.0, 1.0 + np.exp(-0.25), 1.0 + np.exp(-1.0), 1.0], rtol=1e-7)
     np.testing.assert_allclose(wall, wall[0], rtol=1e-9)
 
@@ -183,7 +183,7 @@ def test_numbers_that_these_tests_cannot_tell_apart() -> None:
     stretch = np.linspace(1.2, 3.0, 12)
     stress = 2e5 * (stretch - stretch**-3)  # of pure shear: of c (1 + alpha) alone
     stress *= 1.0 + 0.01 * np.sin(np.arange(12))
-    with heard(lambda _: None) as warned:
+    with collect_warnings(lambda _: None) as warned:
         found = _values(fitting.fit([_pull("pure-shear", stretch, stress)], "mooney-rivlin"))
     assert "c and alpha: these tests hardly tell one from the other" in warned[-1]
     np.testing.assert_allclose(2.0 * found["c"] * (1.0 + found["alpha"]), 2e5, rtol=5e-3)
@@ -192,7 +192,7 @@ def test_numbers_that_these_tests_cannot_tell_apart() -> None:
 def test_a_number_that_the_tests_do_not_need_is_at_its_bound() -> None:
     stretch = np.linspace(1.2, 3.0, 12)
     stress = 2e5 * (stretch - stretch**-2)
-    with heard(lambda _: None) as warned:
+    with collect_warnings(lambda _: None) as warned:
         fit = fitting.fit([_pull("uniaxial", stretch, stress)], "modified-mooney-rivlin")
     assert fit.confidence.at_bound.tolist() == [False, True] and "a02 ended at the bound" in warned[0]
     assert fit.summary([], 1.0)["numbers"][1]["interval"] is None
@@ -201,7 +201,7 @@ def test_a_number_that_the_tests_do_not_need_is_at_its_bound() -> None:
 
 def test_a_number_that_changes_nothing_is_told_as_such() -> None:
     stretch = np.linspace(1.05, 1.3, 10)
-    with heard(lambda _: None) as warned:
+    with collect_warnings(lambda _: None) as warned:
         fit = fitting.fit([_pull("uniaxial", stretch, 2e5 * (stretch - stretch**-2))], "gent")
     assert warned == ["j_max: no influence on what was measured; a simpler law may do for these tests"]
     mu, limit = fit.summary([], 1.0)["numbers"]
@@ -227,7 +227,7 @@ def test_an_unstable_law_is_left_for_a_stable_one() -> None:
     invariant = stretch**2 + 2.0 / stretch - 3.0
     stress = 2.0 * (stretch - stretch**-2) * (1e5 - 8e4 * invariant + 2.2e4 * invariant**2)
     assert np.any(np.diff(stress * stretch) < 0.0)
-    with heard(lambda _: None) as warned:
+    with collect_warnings(lambda _: None) as warned:
         found = fitting.fit([_pull("uniaxial", stretch, stress)], "yeoh")
     assert "would fit better where it is unstable" in warned[0]
     fine = np.linspace(1.05, 1.8, 500)

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.hostile import fuzz_journals
 from jaxform import InputError
-from jaxform.core.writing import PREFIX, whole
+from jaxform.core.atomic_write import PREFIX, atomic_path
 from optimize import Journal, write_history
 from optimize.designs import COLUMNS
 
@@ -195,11 +195,11 @@ def _opens_a_full_disk(path: Path, *_: object, **__: object) -> _Full:
 def test_files_are_there_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "facts.json"
     path.write_text("old")
-    with pytest.raises(KeyError), whole(path) as fresh:
+    with pytest.raises(KeyError), atomic_path(path) as fresh:
         fresh.write_text("half of")
         raise KeyError
     assert path.read_text() == "old" and [file.name for file in tmp_path.iterdir()] == ["facts.json"]
-    with whole(path) as fresh:
+    with atomic_path(path) as fresh:
         assert fresh.name.startswith(PREFIX)
         fresh.write_text("new")
         assert path.read_text() == "old"

@@ -17,7 +17,7 @@ from jaxform.mesh.profiles import Profile
 from optimize import objectives
 from optimize.designs import KEPT
 from optimize.search import Search
-from optimize.walls import formed_area
+from optimize.wall_statistics import formed_area
 from tests import scenes
 
 HIDDEN = np.array([0.015, 0.012, 0.01, 0.008])

@@ -12,9 +12,16 @@ import pytest
 
 import jaxform
 import optimize
-from jaxform.io import files, rewriting
+from jaxform.io import files, scene_rewriting
 from jaxform.mesh.profiles import Profile
-from optimize.variables import bounded, limited, log_bounded, log_unbounded, unbounded, unlimited
+from optimize.variables import (
+    apply_bounds,
+    apply_log_bounds,
+    apply_step_limit,
+    invert_bounds,
+    invert_log_bounds,
+    invert_step_limit,
+)
 from tests import scenes
 from tests.examples.cooling import Cooling
 
@@ -25,7 +32,7 @@ def _thickness(variable: optimize.ThicknessProfile | optimize.ThicknessField, fr
     return np.asarray(variable.changes(jnp.asarray(free))["parison.thickness"])
 
 
-@pytest.mark.parametrize("into, back", [(bounded, unbounded), (log_bounded, log_unbounded)])
+@pytest.mark.parametrize("into, back", [(apply_bounds, invert_bounds), (apply_log_bounds, invert_log_bounds)])
 def test_bounds_hold_for_any_number_and_the_map_can_be_undone(into: Any, back: Any) -> None:
     free = jnp.asarray([-80.0, -1.0, 0.0, 2.0, 80.0])
     inside = into(free, (2.0, 5.0))
@@ -42,12 +49,14 @@ def test_limits_between_neighbours_hold_and_the_map_can_be_undone(rising: bool, 
     count = 4 if first is not None else 5
     for seed in range(20):
         free = 4 * np.random.default_rng(seed).normal(size=count)
-        values = np.asarray(limited(jnp.asarray(free), (2.0, 5.0), change, first, rising))
+        values = np.asarray(apply_step_limit(jnp.asarray(free), (2.0, 5.0), change, first, rising))
         steps = np.diff(values if first is None else [first, *values])
         assert np.all((values >= 2.0) & (values <= 5.0)) and np.all(np.abs(steps) <= change + 1e-12)
         assert not rising or np.all(steps >= 0)
     calm = np.array([2.6, 2.7, 2.85, 3.2, 3.3])[:count]
-    again = limited(jnp.asarray(unlimited(calm, (2.0, 5.0), change, first, rising)), (2.0, 5.0), change, first, rising)
+    again = apply_step_limit(
+        jnp.asarray(invert_step_limit(calm, (2.0, 5.0), change, first, rising)), (2.0, 5.0), change, first, rising
+    )
     np.testing.assert_allclose(again, calm, rtol=1e-9)
 
 
@@ -121,7 +130,7 @@ def test_a_field_of_a_refined_scene_comes_back_from_its_file(tmp_path: Path) -> 
     scene = files.build(document)
     variable = optimize.ThicknessField(scene, bounds=(5e-4, 2e-3), smoothness=0.06)
     free = 2 * np.random.default_rng(3).normal(size=variable.start.size)
-    rewriting.write_scene(document, variable.document(jnp.asarray(free)), tmp_path)
+    scene_rewriting.write_scene(document, variable.document(jnp.asarray(free)), tmp_path)
     again = files.load(tmp_path / "best.toml")
     np.testing.assert_allclose(again.parison.thickness, _thickness(variable, free), rtol=1e-6)
 
@@ -166,7 +175,7 @@ def test_a_scale_multiplies_a_number_of_the_scene() -> None:
         present = np.asarray(getattr(getattr(scene, part), name))
         np.testing.assert_allclose(variable.changes(jnp.asarray(variable.start))[path], present, rtol=1e-12)
         free = jnp.asarray([0.7])
-        factor = float(bounded(free, (0.5, 3.0))[0])
+        factor = float(apply_bounds(free, (0.5, 3.0))[0])
         np.testing.assert_allclose(variable.changes(free)[path], factor * present, rtol=1e-12)
         np.testing.assert_allclose(
             variable.document(free)[path], factor * present if name == "value" else factor * present.flat[0]

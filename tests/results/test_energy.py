@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import jaxform
-from jaxform.core.pytree import marked
+from jaxform.core.pytree import marked_field_names
 from jaxform.results.energy import Energy
 from jaxform.sheet.state import LOSS, LOSSES
 from tests import scenes
 
 
 def test_every_loss_of_a_run_is_one_of_its_result() -> None:
-    assert marked(Energy, LOSS) == LOSSES
+    assert marked_field_names(Energy, LOSS) == LOSSES
     result = jaxform.run(scene := scenes.cup())
     assert set(LOSSES) <= set(jaxform.summarize(result, scene)["energy"])
 

@@ -20,8 +20,8 @@ from jaxform.cli import command, session
 from jaxform.results.result import Result
 from jaxform.results.summary import summarize
 from jaxform.sheet.state import Status
-from jaxform.tools.facing import facing
-from jaxform.tools.gaps import places_of
+from jaxform.tools.facing import find_facing
+from jaxform.tools.gaps import mold_points
 from jaxform.tools.mold import make_mold
 from jaxform.tools.search import build_grid
 from tests import scenes
@@ -116,9 +116,9 @@ def _depth(solids: list[trimesh.Trimesh], *, push: float = 1.0, size: float = 1.
     one: Any = trimesh.util.concatenate([solid.subdivide() for solid in solids])
     mold = make_mold(np.asarray(one.vertices), np.asarray(one.faces, np.int32))
     grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
-    found = facing(*_sheet(size), push, mold, grid)
+    found = find_facing(*_sheet(size), push, mold, grid)
     assert found is not None
-    return found.depth(places_of(mold))
+    return found.depth(mold_points(mold))
 
 
 def _box(low: list[float], high: list[float]) -> trimesh.Trimesh:
@@ -147,7 +147,7 @@ def test_closed_sheets_have_no_direction() -> None:
     mold = molds.revolved(profile=[[0.0, 0.5], [1.0, 0.5]], segments=12)
     grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
     made = make_mold(mold.vertices, mold.triangles)
-    assert facing(np.asarray(ball.positions), np.asarray(ball.triangles), 1.0, made, grid) is None
+    assert find_facing(np.asarray(ball.positions), np.asarray(ball.triangles), 1.0, made, grid) is None
 
 
 @pytest.mark.parametrize(("fill", "status"), [("", 3), ("fill = false", 0)])

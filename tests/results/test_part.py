@@ -22,11 +22,11 @@ from jaxform import molds
 from jaxform.cli import command, session
 from jaxform.core.errors import InputError
 from jaxform.io import export, files, plots
-from jaxform.results.part import only_part, part_elements
+from jaxform.results.part import mask_part, part_elements
 from jaxform.results.result import Result
 from jaxform.results.summary import formed_areas, summarize
 from optimize.search import Search
-from optimize.walls import wall
+from optimize.wall_statistics import wall
 from tests import scenes
 
 
@@ -86,7 +86,7 @@ def test_the_summary_and_what_a_search_reports_are_of_the_part(formed: tuple[jax
     assert summary["thinnest"]["thickness"] == pytest.approx(hand["min"])
     assert summary["mass"] == pytest.approx(hand["mass"], rel=1e-12) and summary["sheet_mass"] == whole["mass"]
     assert "sheet_mass" not in whole and whole["thickness"]["min"] == float(result.element_thickness.min())
-    reported = wall(scene, only_part(result, scene))
+    reported = wall(scene, mask_part(result, scene))
     assert float(reported.least) == pytest.approx(hand["min"]) and float(reported.mass) == pytest.approx(hand["mass"])
     assert float(reported.mean) == pytest.approx(hand["mean"])
 
@@ -95,7 +95,7 @@ def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
     formed: tuple[jaxform.Scene, Result],
 ) -> None:
     plain, result = formed
-    assert only_part(result, plain) is result
+    assert mask_part(result, plain) is result
     scene = dataclasses.replace(plain, part=jaxform.make_part(trim=("z", 0.2, "above")))
     mine = np.asarray(part_elements(result, scene))
     area, walls = formed_areas(result)[mine], np.asarray(result.element_thickness)[mine]
@@ -105,7 +105,7 @@ def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
         study = optimize.Study(scene, (), objective)
         search = object.__new__(Search)
         search.study = study
-        value, report = search.judged(scene, result, None)
+        value, report = search.judge(scene, result, None)
         return float(value), report
 
     value, report = judged(optimize.Uniform())
@@ -116,7 +116,7 @@ def test_objectives_count_the_part_alone_and_a_scene_without_one_is_as_it_was(
     assert len(others) and np.all(np.asarray(report["ratio"])[others] == 1.0)
     least = optimize.LeastMass(scene, 0.0075)
     assert judged(least)[0] == pytest.approx(_by_hand(scene, result, mine)["mass"] / least._first_mass)
-    excess, weight = least.constraints(scene, only_part(result, scene))
+    excess, weight = least.constraints(scene, mask_part(result, scene))
     assert np.all(np.asarray(weight)[~mine] == 0.0) and float(jnp.sum(weight)) == pytest.approx(1.0)
     np.testing.assert_allclose(np.asarray(excess)[mine], 1.0 - walls / 0.0075)
 
@@ -127,7 +127,7 @@ def test_the_gradient_of_an_objective_over_the_part_is_that_of_central_differenc
 
     def value(thickness: jax.Array) -> jax.Array:
         changed = jaxform.replace(scene, {"parison.thickness": thickness})
-        return objective(changed, only_part(jaxform.simulate(changed, schedule=schedule), changed))
+        return objective(changed, mask_part(jaxform.simulate(changed, schedule=schedule), changed))
 
     program, thickness = jax.jit(jax.value_and_grad(value)), scene.parison.thickness
     slope = program(thickness)[1]

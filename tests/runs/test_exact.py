@@ -9,7 +9,7 @@ import pytest
 import jaxform
 from benchmarks.accuracy import cases
 from jaxform.io import files
-from jaxform.results.result import Result, only_used
+from jaxform.results.result import Result, drop_unused
 
 SIZES = (38, 150, 600)
 
@@ -58,4 +58,4 @@ def test_dish_against_the_exact_cup(name: str, most: float) -> None:
     result = jaxform.run(scene)
     assert jaxform.explain(result) == "ok"
     assert float(result.energy.balance_error) < 1e-2
-    assert cases.wall_error(*only_used(scene, result), reference) < most
+    assert cases.wall_error(*drop_unused(scene, result), reference) < most

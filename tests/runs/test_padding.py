@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import jaxform
 from benchmarks.speed import waiting
 from jaxform.core.store import Store
-from jaxform.kernels import sizes
+from jaxform.kernels import capacities
 from jaxform.runs import loop, padding
 from tests.scenes import assert_same, cup
 
@@ -70,7 +70,7 @@ def test_a_second_scene_of_a_kind_compiles_nothing(compilations: Callable[[], in
 
 def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[[], int]) -> None:
     """With the same result, nodes to the last bit; not those of three rungs more."""
-    first, second = (sizes.elements(1), sizes.elements(sizes.elements(1)))
+    first, second = (capacities.element_capacity(1), capacities.element_capacity(capacities.element_capacity(1)))
     scene, larger, store = dish(0.05, 77), dish(0.05, first + 40), Store()
     assert first < len(larger.parison.triangles) < second and not loop.is_compiled(scene, store)
     jaxform.run(larger, store=store)
@@ -82,9 +82,9 @@ def test_programs_for_more_elements_serve_a_smaller_mesh(compilations: Callable[
     for name in ("positions", "thickness", "contact_time", "wall", "triangles", "steps"):
         assert_same(getattr(served, name), getattr(alone, name))
     assert float(served.energy.strain) == pytest.approx(float(alone.energy.strain), rel=1e-13)
-    fourth = padding.on_rungs(scene, sizes.elements(second), recorded=True).scene
+    fourth = padding.pad_to_bucket(scene, capacities.element_capacity(second), recorded=True).scene
     loop.programs(fourth, far := Store())
-    assert len(loop.roomed(scene, far).scene.parison.triangles) == first
+    assert len(loop.select_bucket(scene, far).scene.parison.triangles) == first
 
 
 def test_a_jitted_function_of_padded_scenes_is_traced_once(compilations: Callable[[], int]) -> None:
@@ -142,7 +142,7 @@ def _worth(scene: jaxform.Scene) -> Callable[[jax.Array, jax.Array], jax.Array]:
 @pytest.mark.parametrize("make", [lambda: dish(0.05, 40), lambda: refined(30)], ids=["uniform", "refined"])
 def test_the_same_gradient_and_none_beyond(make: Callable[[], jaxform.Scene]) -> None:
     scene = make()
-    room = padding.on_rungs(scene)
+    room = padding.pad_to_bucket(scene)
     assert room.order is not None
     found = []
     for each in (scene, room.scene):
@@ -161,9 +161,9 @@ def test_the_same_gradient_and_none_beyond(make: Callable[[], jaxform.Scene]) ->
 @pytest.mark.parametrize("make", [lambda: dish(0.05, 60), lambda: refined(40)], ids=["uniform", "refined"])
 def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     """Other nodes, other triangles of the mold and other entries of lists there change no bit."""
-    room = padding.on_rungs(make())
+    room = padding.pad_to_bucket(make())
     assert room.order is not None
-    scene, own = room.scene, room.own
+    scene, own = room.scene, room.original
     whole = loop.whole_run
     expected = whole(scene)
     beyond = np.ones(len(scene.parison.positions), bool)
@@ -210,8 +210,8 @@ def test_a_schedule_is_one_of_the_scene_itself() -> None:
 def test_a_mesh_as_large_as_a_rung_has_an_element_to_spare(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pairs that are none are of an element without area."""
     scene = dish(0.05, 60)
-    monkeypatch.setattr(sizes, "_in_blocks", lambda count, _: count)
-    room = padding.on_rungs(scene).scene
+    monkeypatch.setattr(capacities, "_block_multiple", lambda count, _: count)
+    room = padding.pad_to_bucket(scene).scene
     pairs = room.tables.assembly.pairs
     assert pairs is not None and room.tables.counts is not None and room.tables.counts.pairs is not None
     none = np.asarray(pairs.element)[0, int(room.tables.counts.pairs) :]
@@ -244,10 +244,10 @@ def test_what_has_room_already_keeps_it() -> None:
 def test_what_scenes_share_is_padded_once_while_it_is_there() -> None:
     scene = dish(0.05, 60)
     other = jaxform.replace(scene, {"parison.thickness": 2e-3, "material.c": 3e5})
-    rooms = [padding.on_rungs(each, recorded=True).scene for each in (scene, other)]
+    rooms = [padding.pad_to_bucket(each, recorded=True).scene for each in (scene, other)]
     assert rooms[0].tables is rooms[1].tables and rooms[0].mold is rooms[1].mold
     assert np.all(np.asarray(rooms[1].parison.thickness) == 2e-3)
-    assert padding.on_rungs(scene).scene.tables.window_count != rooms[0].tables.window_count
+    assert padding.pad_to_bucket(scene).scene.tables.window_count != rooms[0].tables.window_count
     gone = weakref.ref(rooms[0].tables), weakref.ref(rooms[0].mold)
     del scene, other, rooms
     gc.collect()
@@ -259,9 +259,9 @@ def test_what_can_be_written_into_is_padded_anew() -> None:
     assert scene.mold is not None
     vertices = np.array(scene.mold.vertices)
     scene = dataclasses.replace(scene, mold=dataclasses.replace(scene.mold, vertices=vertices))
-    first = padding.on_rungs(scene).scene.mold
+    first = padding.pad_to_bucket(scene).scene.mold
     vertices += 1e-3
-    second = padding.on_rungs(scene).scene.mold
+    second = padding.pad_to_bucket(scene).scene.mold
     assert first is not None and second is not None
     np.testing.assert_allclose(second.vertices, np.asarray(first.vertices) + 1e-3)
 
@@ -274,21 +274,21 @@ def test_a_traced_scene_is_not_padded() -> None:
 @given(st.integers(1, 3_000_000), st.integers(0, 3_000_000))
 def test_rungs_hold_what_they_are_for(count: int, more: int) -> None:
     ladders: list[Callable[[int], int]] = [
-        sizes.elements,
-        sizes.roots,
-        sizes.grown,
-        sizes.knots,
-        sizes.windows,
-        sizes.mold_triangles,
-        sizes.cells,
-        sizes.listed,
-        lambda count: sizes.nodes(count, 1000),
-        lambda count: sizes.pairs(count, 1000),
+        capacities.element_capacity,
+        capacities.root_capacity,
+        capacities.refined_capacity,
+        capacities.knot_capacity,
+        capacities.window_capacity,
+        capacities.mold_triangle_capacity,
+        capacities.cell_capacity,
+        capacities.cell_list_capacity,
+        lambda count: capacities.node_capacity(count, 1000),
+        lambda count: capacities.pair_capacity(count, 1000),
     ]
     for ladder in ladders:
         room = ladder(count)
         assert count <= room <= max(ladder(1), 4 * count)
         assert ladder(room + more) >= room
-    assert sizes.nodes(count, 1000) > count and sizes.pairs(count, 1000) > count
-    edges = sizes.half_edges(count, 1000)
+    assert capacities.node_capacity(count, 1000) > count and capacities.pair_capacity(count, 1000) > count
+    edges = capacities.half_edge_capacity(count, 1000)
     assert edges % 2 == 0 and edges >= count + 2

@@ -44,7 +44,7 @@ def _own_parts() -> jaxform.Scene:
 @pytest.mark.parametrize("make", [scenes.cup, _refined, _own_parts])
 def test_every_program_says_along_which_axes(make: Callable[[], jaxform.Scene]) -> None:
     scene = make()
-    room = padding.on_rungs(scene, recorded=True).scene
+    room = padding.pad_to_bucket(scene, recorded=True).scene
 
     def whole_run(scene: jaxform.Scene) -> jaxform.Result:
         state, first, taken = loop.begin(scene)

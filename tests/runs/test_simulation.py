@@ -294,7 +294,7 @@ def _traced(scene: jaxform.Scene) -> set[str]:
 def _programs() -> list[set[str]]:
     """What `_traced` finds for a sheet alone, one over a mold, and one under a history of pressure."""
     law, history = scenes.mooney(0.1), jaxform.make_pressure([0.0], [1.0])
-    return [_traced(scene) for scene in (scenes.free_disc(60, 2.0, law), scenes.cup(), scenes.loaded(history))]
+    return [_traced(scene) for scene in (scenes.free_disc(60, 2.0, law), scenes.cup(), scenes.loaded_scene(history))]
 
 
 def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
@@ -303,7 +303,13 @@ def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
         free, cup, loaded = fresh.submit(_programs).result()
     for part in ("contact/candidates.py", "contact/broad_phase.py", "contact/sticking.py", "packed_moving"):
         assert part in cup and part not in free
-    absent = {"_pressure_inside", "model/field.py", "adapt/refinement.py", "materials/viscous.py", "sheet/idle.py"}
+    absent = {
+        "_pressure_inside",
+        "model/field.py",
+        "adapt/refinement.py",
+        "materials/viscous.py",
+        "sheet/inactive_relaxation.py",
+    }
     assert not absent & (free | cup | loaded)
 
 

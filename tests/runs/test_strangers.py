@@ -92,7 +92,7 @@ def _pieces() -> list[cad_molds.Surface]:
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "msh"])
 def test_a_surface_comes_back_from_its_file(tmp_path: Path, ending: str) -> None:
-    surface = cad_molds._joined(_pieces())
+    surface = cad_molds._join(_pieces())
     assert len(surface.points) == 6
     path = tmp_path / f"mold.{ending}"
     if ending == "stl":
@@ -107,7 +107,7 @@ def test_a_surface_comes_back_from_its_file(tmp_path: Path, ending: str) -> None
 
 def test_pieces_that_do_not_share_points_stay_apart() -> None:
     one, two = _pieces()
-    joined = cad_molds._joined([one, cad_molds.Surface(two.points.copy(), two.faces)])
+    joined = cad_molds._join([one, cad_molds.Surface(two.points.copy(), two.faces)])
     assert len(joined.points) == 8
     np.testing.assert_array_equal(joined.points[joined.faces[1]], two.points[two.faces[0]])
 
@@ -133,7 +133,7 @@ def test_mass_and_symmetry_are_told_from_the_file_that_a_user_sees(tmp_path: Pat
         nodal = {"reference": flat, "thickness": wall}
         meshes.write_vtu(tmp_path / "final.vtu", flat, triangles, nodal, {"thickness": wall[triangles].mean(1)})
         mass = 1000.0 * part.thickness * 0.2 * 0.14
-        found = cad.measured(tmp_path / "final.vtu", part, mass)
+        found = cad.measure_part(tmp_path / "final.vtu", part, mass)
         assert found["mass"] == pytest.approx(0.0, abs=1e-12)
         assert found["in the file"] == pytest.approx(0.0, abs=1e-12)
         assert (found["asymmetry"] < 0.01) == symmetric

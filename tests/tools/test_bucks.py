@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from jaxform.core.errors import InputError
-from jaxform.io import draping
+from jaxform.io import drape_setup
 from jaxform.mesh import meshes
-from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, kinds, molds, platen, rims, scans, undercut
 
@@ -22,7 +22,7 @@ def united(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def as_mesh(solid: trimesh.Trimesh) -> Mesh:
-    return rims.welded(np.array(solid.vertices, float), np.array(solid.faces, np.int32))
+    return rims.weld_mold(np.array(solid.vertices, float), np.array(solid.faces, np.int32))
 
 
 def drafted(top: float = 0.7, chamfer: float = 0.0) -> trimesh.Trimesh:
@@ -40,7 +40,7 @@ def dome(segments: int = 24, rough: float = 0.0) -> Mesh:
     at_rim = points[:, 2] < 1e-9
     angle = np.arctan2(points[:, 1], points[:, 0])
     points[:, 2] -= np.where(at_rim, rough * (1.5 + np.sin(3 * angle)), 0.0)
-    return rims.welded(points, outwards(points, shape.triangles))
+    return rims.weld_mold(points, outwards(points, shape.triangles))
 
 
 def outwards(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -85,20 +85,20 @@ BUCKS = {
 @pytest.mark.parametrize("name", BUCKS)
 def test_bucks_stand_on_their_base(name):
     mold = BUCKS[name]
-    judged = kinds.judge(mold)
+    judged = kinds.classify(mold)
     # A block that is open below may be a tray as well.
     assert judged.drape or (name == "open below" and "--drape" in judged.doubt)
-    found = buck.find(mold)
+    found = buck.find_buck(mold)
     np.testing.assert_allclose(found.direction, [0, 0, 1], atol=1e-6)
     low = 0.0 if name == "cone on platen" else mold.positions[:, 2].min()
     np.testing.assert_allclose(found.height, mold.positions[:, 2].max() - low, rtol=1e-6)
     assert found.flat and found.on_platen == (name == "cone on platen")
-    made = draping.drape(mold, None)
+    made = drape_setup.drape(mold, None)
     assert made.undercut is None
     # All that is open is closed down to the platen.
     added = [] if made.added is None else [made.added]
     assert (made.site.platen is None) == (name == "cone on platen")
-    assert np.isclose(meshes.merged([mold, *added]).positions[:, 2].min(), mold.positions[:, 2].min(), atol=1e-9)
+    assert np.isclose(meshes.merge([mold, *added]).positions[:, 2].min(), mold.positions[:, 2].min(), atol=1e-9)
 
 
 @pytest.mark.parametrize("degrees", [(180.0, 0.0, 0.0), (0.0, 90.0, 0.0), (30.0, -50.0, 110.0)])
@@ -106,8 +106,8 @@ def test_bucks_stand_on_their_base(name):
 def test_bucks_are_found_in_any_pose(name, degrees):
     turn, mold = molds.rotation(np.array(degrees)), BUCKS[name]
     turned = Mesh(mold.positions @ turn.T + [0.3, -0.2, 0.5], mold.triangles)
-    assert kinds.judge(turned).drape
-    found = buck.find(turned)
+    assert kinds.classify(turned).drape
+    found = buck.find_buck(turned)
     # A rim that is rough has no plane to the last digit.
     np.testing.assert_allclose(found.direction, turn[:, 2], atol=0.05 if name == "rough dome" else 1e-5)
 
@@ -129,27 +129,27 @@ def _cavities() -> dict[str, Mesh]:
 @pytest.mark.parametrize("name", _cavities())
 def test_cavities_are_no_bucks(name):
     mold = _cavities()[name]
-    assert not kinds.judge(rims.welded(mold.positions, mold.triangles)).drape
+    assert not kinds.classify(rims.weld_mold(mold.positions, mold.triangles)).drape
 
 
 def test_what_is_doubtful_names_the_other_kind():
-    assert "--cavity" in kinds.judge(BUCKS["dome"]).doubt
+    assert "--cavity" in kinds.classify(BUCKS["dome"]).doubt
     flanged = _cavities()["flanged"]
-    assert "--drape" in kinds.judge(flanged).doubt
+    assert "--drape" in kinds.classify(flanged).doubt
     # Either end of a cylinder will do for a base.
-    assert buck.find(BUCKS["cylinder"]).others == ["-z"] and buck.find(BUCKS["drafted"]).others == []
+    assert buck.find_buck(BUCKS["cylinder"]).others == ["-z"] and buck.find_buck(BUCKS["drafted"]).others == []
 
 
 def test_the_sheet_reaches_about_the_height_beyond_the_buck():
-    site = platen.fit(buck.find(BUCKS["box"]))
-    assert isinstance(site.planform.shape, Rectangle) and site.platen is not None
+    site = platen.fit_site(buck.find_buck(BUCKS["box"]))
+    assert isinstance(site.planform.shape, OrientedRectangle) and site.platen is not None
     np.testing.assert_allclose(np.sort(site.planform.shape.sides), [0.14, 0.18], atol=1e-3)
     np.testing.assert_allclose(site.platen.positions[:, 2], -0.015, atol=1e-9)
     assert (np.ptp(site.platen.positions, axis=0)[:2] > [0.18, 0.14]).all()
-    site = platen.fit(buck.find(BUCKS["cylinder"]))
+    site = platen.fit_site(buck.find_buck(BUCKS["cylinder"]))
     assert isinstance(site.planform.shape, Circle)
     np.testing.assert_allclose(site.planform.shape.radius, 0.1, atol=1e-3)
-    site = platen.fit(buck.find(BUCKS["cone on platen"]))
+    site = platen.fit_site(buck.find_buck(BUCKS["cone on platen"]))
     assert isinstance(site.planform.shape, Circle)
     np.testing.assert_allclose(site.planform.shape.radius, 0.1, atol=0.011)
 
@@ -159,12 +159,12 @@ def test_an_undercut_is_measured_sideways():
     stem = trimesh.creation.cylinder(0.03, 0.04, sections=64).apply_translation([0, 0, 0.02])
     hat = trimesh.creation.cylinder(0.05, 0.01, sections=64).apply_translation([0, 0, 0.045])
     mold = as_mesh(united(stem, hat))
-    found = undercut.deepest(buck.find(mold, buck.parse("+z")), mold)
+    found = undercut.deepest_undercut(buck.find_buck(mold, buck.parse_direction("+z")), mold)
     assert found is not None
     np.testing.assert_allclose(found.depth, 0.02, atol=6e-4)
     assert np.isclose(np.linalg.norm(found.place[:2]), 0.03, atol=1e-3) and 0 < found.place[2] < 0.04
-    assert undercut.deepest(buck.find(BUCKS["drafted"]), BUCKS["drafted"]) is None
-    down = undercut.deepest(buck.find(BUCKS["drafted"], buck.parse("-z")), BUCKS["drafted"])
+    assert undercut.deepest_undercut(buck.find_buck(BUCKS["drafted"]), BUCKS["drafted"]) is None
+    down = undercut.deepest_undercut(buck.find_buck(BUCKS["drafted"], buck.parse_direction("-z")), BUCKS["drafted"])
     assert down is not None
     np.testing.assert_allclose(down.depth, 0.15 * 0.12, rtol=0.1)
 
@@ -173,18 +173,18 @@ def test_a_void_inside_is_no_undercut():
     outer = drafted()
     inner = trimesh.creation.box([0.04, 0.03, 0.02]).apply_translation([0, 0, 0.02])
     mold = as_mesh(united(outer, inner))
-    assert undercut.deepest(buck.find(mold), mold) is None
+    assert undercut.deepest_undercut(buck.find_buck(mold), mold) is None
 
 
 def test_a_scan_is_closed_by_walls_and_its_holes_by_covers():
     mold = dome(rough=0.004)
     high = np.argsort(-mold.positions[mold.triangles][..., 2].mean(1))
-    holed = rims.welded(mold.positions, np.delete(mold.triangles, high[30:34], axis=0))
-    made = draping.drape(holed, None)
+    holed = rims.weld_mold(mold.positions, np.delete(mold.triangles, high[30:34], axis=0))
+    made = drape_setup.drape(holed, None)
     assert made.holes == 1 and made.site.platen is not None and made.added is not None
-    found = scans.rims_of(rims.welded(mold.positions, mold.triangles))
+    found = scans.find_rims(rims.weld_mold(mold.positions, mold.triangles))
     assert found is not None and len(found.spanned) == 1
-    closing = scans.closing(mold, found, made.buck.view.turn, made.buck.base)
+    closing = scans.close_rims(mold, found, made.buck.view.turn, made.buck.base)
     assert len(closing.walls) == 1 and not closing.fans
     # The walls go down to the platen from every edge of the rim.
     assert np.isclose(closing.walls[0].positions[:, 2].max(), made.buck.base)
@@ -193,8 +193,8 @@ def test_a_scan_is_closed_by_walls_and_its_holes_by_covers():
 
 def test_a_ball_has_no_base_and_is_cut_at_its_equator():
     ball = as_mesh(trimesh.creation.icosphere(subdivisions=3, radius=0.05))
-    assert kinds.judge(ball).drape
-    found = buck.find(ball)
+    assert kinds.classify(ball).drape
+    found = buck.find_buck(ball)
     assert not found.flat and abs(found.height - 0.05) < 0.01
 
 
@@ -203,11 +203,13 @@ def test_a_ball_has_no_base_and_is_cut_at_its_equator():
     [("+z", [0, 0, 1]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]), ("0,3,4", [0, 0.6, 0.8]), ("-Z", [0, 0, -1])],
 )
 def test_directions(text, direction):
-    np.testing.assert_allclose(buck.parse(text), direction)
-    np.testing.assert_allclose(buck.parse(buck.named(buck.parse(text))), direction, atol=1e-9)
+    np.testing.assert_allclose(buck.parse_direction(text), direction)
+    np.testing.assert_allclose(
+        buck.parse_direction(buck.direction_name(buck.parse_direction(text))), direction, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("text", ["", "up", "0,0,0", "1,2", "1,nan,0", "+w"])
 def test_what_is_no_direction(text):
     with pytest.raises(InputError, match="is no direction; give"):
-        buck.parse(text)
+        buck.parse_direction(text)

@@ -20,18 +20,20 @@ TURNS = [(0.0, 0.0, 0.0), (90.0, 0.0, 30.0), (25.0, -50.0, 110.0)]
 def mold(name: str, degrees: tuple[float, ...] = (0.0, 0.0, 0.0), fine: float = 0.5) -> Mesh:
     """One of the strangers' molds [m], turned."""
     made = KINDS[name].made(fine)
-    return rims.welded(1e-3 * np.asarray(made.vertices) @ molds.rotation(np.array(degrees)).T, np.asarray(made.faces))
+    return rims.weld_mold(
+        1e-3 * np.asarray(made.vertices) @ molds.rotation(np.array(degrees)).T, np.asarray(made.faces)
+    )
 
 
 def closed(shape: Mesh) -> tuple[opening.Opening, np.ndarray, covers.Covers]:
-    found = opening.find(shape.positions, shape.triangles, male=False)
-    polygon = footprint.fit(found, shape.positions, shape.triangles).polygon
+    found = opening.find_opening(shape.positions, shape.triangles, male=False)
+    polygon = footprint.fit_planform(found, shape.positions, shape.triangles).polygon
     return found, polygon, covers.cover(found, polygon, shape)
 
 
-def behind(shape: Mesh, found: opening.Opening, polygon: np.ndarray, added: Mesh | None) -> cells.Cells:
+def behind(shape: Mesh, found: opening.Opening, polygon: np.ndarray, added: Mesh | None) -> cells.CellGrid:
     """The cells behind a sheet, with what covers the mold."""
-    whole = shape if added is None else meshes.merged([shape, added])
+    whole = shape if added is None else meshes.merge([shape, added])
     return cells.cells((whole.positions @ found.view.turn.T)[whole.triangles], polygon, found)
 
 
@@ -58,7 +60,7 @@ def test_nothing_leaks_from_what_has_many_holes(name, sides, holes):
     assert not behind(shape, found, polygon, added.mesh).leaks.any()
     # Covers lie on the walls or span holes in them, and do not stand in the hollow.
     assert added.mesh is not None
-    near = meshes.merged([shape, added.mesh])
+    near = meshes.merge([shape, added.mesh])
     assert np.ptp(near.positions, axis=0) == pytest.approx(np.ptp(shape.positions, axis=0), rel=1e-9)
 
 
@@ -89,7 +91,7 @@ def test_whole_walls_are_not_covered(name):
 @pytest.mark.parametrize("degrees", [TURNS[0], TURNS[2]])
 def test_handles_lips_and_skirts_are_no_part_of_the_cavity(name, radius, depth, degrees):
     shape = mold(name, degrees, fine=1.0)
-    found = opening.find(shape.positions, shape.triangles, male=False)
+    found = opening.find_opening(shape.positions, shape.triangles, male=False)
     into = molds.rotation(np.array(degrees)) @ [0.0, 0.0, -1.0]
     np.testing.assert_allclose(found.view.turn @ into, [0, 0, 1], atol=1e-3)
     assert found.rim == 1.0
@@ -99,14 +101,14 @@ def test_handles_lips_and_skirts_are_no_part_of_the_cavity(name, radius, depth, 
 
 
 def _welded(*parts: Any) -> Mesh:
-    whole = meshes.merged([Mesh(1e-3 * np.asarray(part.vertices), np.asarray(part.faces)) for part in parts])
-    return rims.welded(whole.positions, whole.triangles)
+    whole = meshes.merge([Mesh(1e-3 * np.asarray(part.vertices), np.asarray(part.faces)) for part in parts])
+    return rims.weld_mold(whole.positions, whole.triangles)
 
 
 def pan() -> Mesh:
     """A pan, 0.042 deep within a radius of 0.117, whose handle is as high as its rim and longer than it is wide."""
     profile = [[0, 0], [110, 0], [120, 45], [117, 45], [107, 3], [0, 3]]
-    return _welded(file_molds.turned(profile, 120), file_molds.box([118, -10, 38], [300, 10, 45]))
+    return _welded(file_molds.turn_mesh(profile, 120), file_molds.box([118, -10, 38], [300, 10, 45]))
 
 
 def high_handled() -> Mesh:
@@ -118,7 +120,7 @@ def rolled_bowl() -> Mesh:
     """An open shell whose rim, at a radius of 0.084, is rolled until it points down and in."""
     angle = np.linspace(np.pi, -np.pi / 2, 12)
     lip = np.stack([84 + 4 * np.cos(angle), 30 + 4 * np.sin(angle)], axis=1)
-    return _welded(file_molds.turned(np.concatenate([[[0, 0], [50, 0]], lip]), 96))
+    return _welded(file_molds.turn_mesh(np.concatenate([[[0, 0], [50, 0]], lip]), 96))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +141,7 @@ def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
         InputError, match=r"is a bottle: its hollow is about .. mm wide behind a neck of.*--drape --direction=\+[xyz] "
     ):
         chambers.refuse_bottles(shape)
-    found = chambers.widest(shape)
+    found = chambers.widest_chamber(shape)
     assert found is not None
     # Within two cells of what they are.
     assert found.width == pytest.approx(0.061, abs=0.004) and found.neck == pytest.approx(0.021, abs=0.004)
@@ -147,13 +149,13 @@ def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
 
 def test_a_mold_that_is_hollow_on_two_sides_names_the_other():
     shape = mold("cup with a skirt", (25.0, -50.0, 110.0))
-    found = opening.find(shape.positions, shape.triangles, male=False)
+    found = opening.find_opening(shape.positions, shape.triangles, male=False)
     (other,) = found.others
     np.testing.assert_allclose(other, found.view.turn[2], atol=1e-3)
-    again = opening.find(shape.positions, shape.triangles, male=False, direction=other)
+    again = opening.find_opening(shape.positions, shape.triangles, male=False, direction=other)
     np.testing.assert_allclose(again.view.turn[2], -other, atol=1e-3)
     mug = mold("mug")
-    assert again.depth > 0 and not opening.find(mug.positions, mug.triangles, male=False).others
+    assert again.depth > 0 and not opening.find_opening(mug.positions, mug.triangles, male=False).others
 
 
 def test_the_mouth_of_a_bottle_is_closed_for_a_sheet_over_its_outside():
@@ -162,16 +164,16 @@ def test_the_mouth_of_a_bottle_is_closed_for_a_sheet_over_its_outside():
     # Over the mouth, to its edge, and not far into the neck, 0.021 wide and 0.03 long.
     assert lid.positions[:, 2].min() > 0.2 - 0.011 and lid.positions[:, 2].max() < 0.201
     assert 0.009 < np.hypot(*lid.positions[:, :2].T).max() < 0.0125
-    assert chambers.widest(meshes.merged([shape, lid])) is None
+    assert chambers.widest_chamber(meshes.merge([shape, lid])) is None
     assert chambers.close_necks(mold("mug")) == []
 
 
 @pytest.mark.parametrize("name", [name for name in KINDS if name != "hollow bottle"])
 def test_nothing_else_is_a_bottle(name):
     shape = mold(name)
-    assert chambers.widest(shape) is None
+    assert chambers.widest_chamber(shape) is None
 
 
 @pytest.mark.parametrize("name", ["hollow bottle", "solid bottle", "jerry can", "tube", "cylinder buck"])
 def test_a_closed_solid_is_never_completed(name):
-    assert halves.rest(mold(name)) is None
+    assert halves.find_completion(mold(name)) is None

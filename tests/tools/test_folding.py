@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxform import shapes
 from jaxform.tools.crossings import intersect
-from jaxform.tools.folding import through_itself
+from jaxform.tools.folding import self_intersecting_elements
 
 SHEET = shapes.rectangle(size=(2.0, 1.0), element_size=0.15)
 
@@ -29,13 +29,13 @@ def test_a_sheet_that_is_folded_through_itself() -> None:
     expected = set(one[cut]) | set(other[cut])
     everything = np.arange(len(triangles))
     assert len(expected) > 10
-    assert set(through_itself(positions, triangles, everything)) == expected
+    assert set(self_intersecting_elements(positions, triangles, everything)) == expected
     some = everything[::-3]
-    assert list(through_itself(positions, triangles, some)) == sorted(expected & set(some))
-    assert not len(through_itself(positions, triangles, some[:0]))
+    assert list(self_intersecting_elements(positions, triangles, some)) == sorted(expected & set(some))
+    assert not len(self_intersecting_elements(positions, triangles, some[:0]))
 
 
 def test_a_sheet_that_lies_over_itself_does_not_pass_through() -> None:
     everything = np.arange(len(SHEET.triangles))
     for positions in (SHEET.positions, _folded(0.37), _folded(0.0)):
-        assert not len(through_itself(np.asarray(positions), SHEET.triangles, everything))
+        assert not len(self_intersecting_elements(np.asarray(positions), SHEET.triangles, everything))

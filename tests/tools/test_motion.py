@@ -17,10 +17,10 @@ import jaxform
 from jaxform.core.errors import InputError
 from jaxform.io import output
 from jaxform.io.output import Frames
-from jaxform.io.report import reading
-from jaxform.model.replacing import number_at
-from jaxform.prepare import planning
-from jaxform.results.result import Result, only_used
+from jaxform.io.report import stored_results
+from jaxform.model.replacement import number_at
+from jaxform.prepare import window_budget
+from jaxform.results.result import Result, drop_unused
 
 RADIUS, THICKNESS, RISE = 0.1, 1e-3, 0.05
 FILE = """
@@ -105,8 +105,8 @@ def test_a_plug_shortens_the_steps_while_it_moves_alone(
     assert scene.mold is not None
     held = np.asarray(result.wall) != 0
     np.testing.assert_allclose(np.asarray(result.positions)[held, 2].max(), RISE, atol=1e-9)
-    step, end = 1.6 * planning.first_step(scene), float(scene.solver.end_time)
-    moving = planning.tool_steps(scene.motion, scene.tables.grid, end, step)
+    step, end = 1.6 * window_budget.first_step(scene), float(scene.solver.end_time)
+    moving = window_budget.tool_steps(scene.motion, scene.tables.grid, end, step)
     # As `jaxform check` has it.
     assert int(result.steps) < most * (end / step + moving)
 
@@ -182,7 +182,7 @@ def test_the_same_by_every_loop_with_gradients(formed: tuple[jaxform.Scene, Resu
 def test_a_refined_sheet_on_a_plug(tmp_path: Path) -> None:
     """New nodes between held ones are held as well, on its top or its side; clamped ones stay where they are."""
     scene = plug(tmp_path, "[refinement]\nangle = 3.0\ninterval = 64\nmax_level = 2\n", element_size="0.016")
-    shown, result = only_used(scene, jaxform.run(scene))
+    shown, result = drop_unused(scene, jaxform.run(scene))
     assert int(result.status) == 0 and len(result.triangles) > 1.5 * scene.first_nodes
     assert float(result.energy.balance_error) < 2e-3
     start, now, held = (np.asarray(a) for a in (shown.parison.positions, result.positions, result.wall))
@@ -201,7 +201,7 @@ def test_files_have_the_mold_where_it_is_in_the_end(formed: tuple[jaxform.Scene,
     assert summary["warnings"] == [] and summary["penetration_max"] < 1e-9
     np.testing.assert_allclose(summary["energy"]["tool_work"], result.energy.tool_work)
     np.testing.assert_allclose(meshio.read(tmp_path / "mold.vtu").points[:, 2].max(), RISE, atol=1e-12)
-    shown, _ = only_used(scene, result)
+    shown, _ = drop_unused(scene, result)
     assert shown.mold is not None and float(np.asarray(shown.mold.vertices)[:, 2].max()) == pytest.approx(RISE)
 
 
@@ -240,5 +240,7 @@ def test_frames_show_the_mold_where_it_is(formed: tuple[jaxform.Scene, Result], 
         places = meshio.read(tmp_path / item["file"]).points
         np.testing.assert_allclose(places, scene.mold.vertices_at(float(item["timestep"])), atol=1e-12)
     assert np.ptp([meshio.read(tmp_path / item["file"]).points[:, 2].max() for item in molds]) > 0.05
-    shown, count = reading._frames(tmp_path, reading._part(tmp_path / listed[1]["file"]), float(result.time))
+    shown, count = stored_results._frames(
+        tmp_path, stored_results._part(tmp_path / listed[1]["file"]), float(result.time)
+    )
     assert (len(shown), count) == (1, 2)

@@ -7,7 +7,7 @@ import pytest
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
-from jaxform.mesh.contours import Circle, Rectangle
+from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import covers, footprint, molds, opening, rims
 
@@ -53,13 +53,13 @@ def turned(mold: Mesh, degrees: tuple[float, ...]) -> Mesh:
 @pytest.mark.parametrize("degrees", TURNS)
 def test_a_cup_is_found_from_its_open_side(degrees):
     mold = turned(flanged(), degrees)
-    found = opening.find(mold.positions, mold.triangles)
+    found = opening.find_opening(mold.positions, mold.triangles)
     into = molds.rotation(np.array(degrees))[:, 2]
     np.testing.assert_allclose(found.view.turn @ into, [0, 0, 1], atol=1e-6)
     assert not found.male and found.rim == 1.0
     origin = found.view.turn @ [0.3, -0.2, 0.5]
     np.testing.assert_allclose([found.level, found.depth], [origin[2], 0.05], atol=1e-6)
-    sheet = footprint.fit(found, mold.positions, mold.triangles)
+    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
     assert isinstance(sheet.shape, Circle) and sheet.flange
     np.testing.assert_allclose(sheet.shape.center, origin[:2], atol=2e-4)
     assert 0.0405 < sheet.shape.radius < 0.045
@@ -68,29 +68,29 @@ def test_a_cup_is_found_from_its_open_side(degrees):
 
 def test_a_bare_cup_has_a_disc_inside_its_rim():
     mold = cup(16)
-    found = opening.find(mold.positions, mold.triangles)
-    sheet = footprint.fit(found, mold.positions, mold.triangles)
+    found = opening.find_opening(mold.positions, mold.triangles)
+    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
     assert isinstance(sheet.shape, Circle) and not sheet.flange
     np.testing.assert_allclose(sheet.shape.radius, 0.04 * np.cos(np.pi / 16), rtol=1e-3)
 
 
 def test_a_tray_has_a_rectangle_and_an_l_its_outline():
     mold = turned(box((0, 0, 0), (0.2, 0.1, 0.03), lid=False), (0.0, 0.0, 20.0))
-    found = opening.find(mold.positions, mold.triangles)
-    sheet = footprint.fit(found, mold.positions, mold.triangles)
-    assert isinstance(sheet.shape, Rectangle)
+    found = opening.find_opening(mold.positions, mold.triangles)
+    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
+    assert isinstance(sheet.shape, OrientedRectangle)
     np.testing.assert_allclose(np.sort(sheet.shape.sides), [0.1, 0.2], rtol=1e-9)
     np.testing.assert_allclose(abs(np.degrees(sheet.shape.angle)), 20.0, rtol=1e-6)
     mold = l_shaped()
-    found = opening.find(mold.positions, mold.triangles)
-    sheet = footprint.fit(found, mold.positions, mold.triangles)
+    found = opening.find_opening(mold.positions, mold.triangles)
+    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
     seen = {tuple(corner) for corner in np.round(sheet.polygon @ found.view.turn[:2, :2], 9).tolist()}
     assert seen == {(0, 0), (0.2, 0), (0.2, 0.1), (0.1, 0.1), (0.1, 0.2), (0, 0.2)}
 
 
 def test_a_sheet_over_the_rim_lies_in_its_plane_with_normals_into_the_mold():
     mold = turned(l_shaped(), TURNS[3])
-    sheet = rims.over_opening(mold.positions, mold.triangles, elements=100)
+    sheet = rims.sheet_over_opening(mold.positions, mold.triangles, elements=100)
     axes = molds.rotation(np.array(TURNS[3]))
     np.testing.assert_allclose((sheet.positions - [0.3, -0.2, 0.5]) @ axes[:, 2], 0.0, atol=1e-9)
     corner = sheet.positions[sheet.triangles]
@@ -103,19 +103,19 @@ def test_a_sheet_over_the_rim_lies_in_its_plane_with_normals_into_the_mold():
 
 
 def test_a_plug_is_formed_over_within_walls():
-    mold = meshes.merged([box((0, 0, 0.04), (0.2, 0.16, 0.05)), box((0.05, 0.05, 0.0), (0.15, 0.11, 0.04))])
-    found = opening.find(mold.positions, mold.triangles)
+    mold = meshes.merge([box((0, 0, 0.04), (0.2, 0.16, 0.05)), box((0.05, 0.05, 0.0), (0.15, 0.11, 0.04))])
+    found = opening.find_opening(mold.positions, mold.triangles)
     assert found.male
     np.testing.assert_allclose(found.view.turn[2], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose([found.level, found.depth], [0.0, 0.04], atol=1e-9)
-    sheet = footprint.fit(found, mold.positions, mold.triangles)
+    sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
     walls = covers.cover(found, sheet.polygon, mold)
-    assert isinstance(sheet.shape, Rectangle) and walls.mesh is not None
+    assert isinstance(sheet.shape, OrientedRectangle) and walls.mesh is not None
     np.testing.assert_allclose(walls.gaps, 0.72, rtol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.min(0), [0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.max(0), [0.2, 0.16, 0.04], atol=1e-6)
     with pytest.raises(InputError, match=r"mold_rim.*a plug stands out"):
-        rims.over_opening(mold.positions, mold.triangles, elements=100)
+        rims.sheet_over_opening(mold.positions, mold.triangles, elements=100)
 
 
 def test_holes_are_covered_and_seams_are_none():
@@ -123,8 +123,8 @@ def test_holes_are_covered_and_seams_are_none():
     lowest = whole.positions[whole.triangles][..., 2].max(1)
     gone = np.flatnonzero(lowest < 0.4501)[3:6]
     holed = Mesh(whole.positions, np.delete(whole.triangles, gone, axis=0))
-    found = opening.find(holed.positions, holed.triangles)
-    polygon = footprint.fit(found, holed.positions, holed.triangles).polygon
+    found = opening.find_opening(holed.positions, holed.triangles)
+    polygon = footprint.fit_planform(found, holed.positions, holed.triangles).polygon
     closed = covers.cover(found, polygon, holed)
     assert closed.mesh is not None and closed.holes == 1
     corner = closed.mesh.positions[closed.mesh.triangles]
@@ -135,18 +135,18 @@ def test_holes_are_covered_and_seams_are_none():
     )
     # The same mold in two pieces that do not share their corners.
     lower = whole.positions[whole.triangles][..., 2].max(1) < 0.5 - 1e-9
-    pieces = meshes.merged(
+    pieces = meshes.merge(
         [Mesh(whole.positions, whole.triangles[~lower]), Mesh(whole.positions, whole.triangles[lower])]
     )
     apart = Mesh(pieces.positions + np.linspace(0, 1e-7, len(pieces.positions))[:, None], pieces.triangles)
-    found = opening.find(apart.positions, apart.triangles)
+    found = opening.find_opening(apart.positions, apart.triangles)
     assert covers.cover(found, polygon, apart).mesh is None
 
 
 def test_what_has_no_opening_is_refused():
     cube = box((0, 0, 0), (0.1, 0.1, 0.1))
     with pytest.raises(InputError, match="no opening was found"):
-        opening.find(cube.positions, cube.triangles)
+        opening.find_opening(cube.positions, cube.triangles)
 
 
 @pytest.mark.parametrize("degrees", [*TURNS, (10.0, 90.0, 0.0), (-170.0, -90.0, 0.0), (0.0, 0.0, 180.0)])

@@ -93,9 +93,9 @@ def test_pieces_that_distances_are_looked_up_in_are_bounded_and_the_farthest_is_
     random = np.random.default_rng(1)
     points = random.uniform([-0.05, -0.05, 0.0], [0.05, 0.05, 0.11], (3000, 3))
     every = surface.exact(points)
-    best, which = surface.farthest_of(points)
+    best, which = surface.largest(points)
     assert best == every.max() > 5e-4 and every[which] == best
-    assert surface.farthest_of(points[:0]) == (0.0, -1)
+    assert surface.largest(points[:0]) == (0.0, -1)
 
 
 def test_of_a_sheet_that_burst_the_largest_elements_are_not_compared_and_counted(
@@ -113,7 +113,7 @@ def test_of_a_sheet_that_burst_the_largest_elements_are_not_compared_and_counted
     found = penetration(burst, triangles, none, mold)
     assert 0 < found.unmeasured < len(triangles)
     asked = np.arange(len(triangles))
-    every = folding.through_itself(burst, triangles, asked)
+    every = folding.self_intersecting_elements(burst, triangles, asked)
     assert len(every) > 350
     monkeypatch.setattr(folding, "_MOST_PAIRS", 1000)
-    np.testing.assert_array_equal(folding.through_itself(burst, triangles, asked), every[every < 300])
+    np.testing.assert_array_equal(folding.self_intersecting_elements(burst, triangles, asked), every[every < 300])

@@ -14,7 +14,7 @@ from jaxform.tools import rims, tubes
 
 
 def _mold(body: Any) -> Mesh:
-    return rims.welded(np.asarray(body.vertices, float), np.asarray(body.faces))
+    return rims.weld_mold(np.asarray(body.vertices, float), np.asarray(body.faces))
 
 
 def _pipe(length: float) -> trimesh.Trimesh:

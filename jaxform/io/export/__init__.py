@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxform.core.writing import whole
+from jaxform.core.atomic_write import atomic_path
 from jaxform.io.export import abaqus, calculix, radioss, table, vtu
-from jaxform.io.export.wall import Wall, mirrored, read_wall
+from jaxform.io.export.wall import WallSurface, mirror, read_wall
 
 
 class Format(NamedTuple):
@@ -20,7 +20,7 @@ class Format(NamedTuple):
     """
 
     ending: str
-    write: Callable[[Path, Wall], None]
+    write: Callable[[Path, WallSurface], None]
 
 
 FORMATS = {
@@ -33,14 +33,14 @@ FORMATS = {
 """By the name that `jaxform export --to` takes."""
 
 
-def write_wall(wall: Wall, path: Path, name: str) -> None:
+def write_wall(wall: WallSurface, path: Path, name: str) -> None:
     """Writes a wall in the format of that name.
 
     Raises:
         InputError: The file cannot be written.
     """
-    with whole(path, "choose another file (--out)") as fresh:
+    with atomic_path(path, "choose another file (--out)") as fresh:
         FORMATS[name].write(fresh, wall)
 
 
-__all__ = ["FORMATS", "Format", "Wall", "mirrored", "read_wall", "write_wall"]
+__all__ = ["FORMATS", "Format", "WallSurface", "mirror", "read_wall", "write_wall"]

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.io.export import text
-from jaxform.io.export.wall import Wall
+from jaxform.io.export.wall import WallSurface
 
 MATERIAL = "WALL"
 """What the section's material is called; the file that includes this one says what it is."""
 
 
-def write(path: Path, wall: Wall) -> None:
+def write(path: Path, wall: WallSurface) -> None:
     """Writes the wall for Abaqus: S3, ELSET and material WALL, NSET NODES and those of the wall."""
     sections = keywords(wall, "S3", wall.triangles, wall.positions, wall.thickness, wall.node_sets(), ", 5")
     path.write_text("\n".join(sections) + "\n", encoding="utf-8")
 
 
 def keywords(
-    wall: Wall,
+    wall: WallSurface,
     kind: str,
     elements: NDArray[np.integer],
     positions: NDArray[np.float64],

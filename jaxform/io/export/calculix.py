@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxform.io.export import abaqus
-from jaxform.io.export.wall import Wall, end_sets
+from jaxform.io.export.wall import WallSurface, end_sets
 from jaxform.mesh import topology
 
 
-def write(path: Path, wall: Wall) -> None:
+def write(path: Path, wall: WallSurface) -> None:
     """Writes the wall for CalculiX: S6, ELSET and material WALL, NSET NODES and those of the wall."""
     edge, _ = topology.edges(wall.triangles)
     count = len(wall.positions)

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError, warn_of
-from jaxform.core.words import extent
-from jaxform.io.export.wall import Wall
+from jaxform.core.formatting import format_extent
+from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.volumes import areas, conserving
-from jaxform.tools.distances import Distances, Nearest, Triangulation, interpolated, weights
-from jaxform.tools.search import cut
+from jaxform.mesh.volumes import areas, conserve_volume
+from jaxform.tools.distances import Distances, NearestPlaces, Triangulation, interpolate, weights
+from jaxform.tools.search import split_long_triangles
 
 Array = NDArray[np.float64]
 
@@ -62,9 +62,9 @@ class _Samples(NamedTuple):
     triangle: NDArray[np.int64]
     weight: Array
     area: Array
-    found: Nearest
+    found: NearestPlaces
 
-    def covered(self, reach: float, size: float) -> NDArray[np.bool_]:
+    def is_covered(self, reach: float, size: float) -> NDArray[np.bool_]:
         beside = self.found.at_rim & (self.found.distance > _ON_RIM * size)
         return (self.found.distance <= reach) & ~beside
 
@@ -87,7 +87,7 @@ def read_target(path: Path, scale: float) -> Mesh:
     return mesh
 
 
-def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
+def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Coverage]:
     """The wall on another mesh, and how that lies on the part.
 
     Every place of the mesh takes the thickness of the nearest place of the part, also where that is far away. All are
@@ -108,15 +108,17 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
     _check_size(size, mesh, name)
     reach = FARTHEST * size
     part, target = Triangulation(wall.positions, wall.triangles), Triangulation(mesh.positions, mesh.triangles)
-    here, there = _sampled(target, part, reach, size), _sampled(part, target, reach, size)
-    on, used = here.covered(reach, size), there.covered(reach, size)
+    here, there = _sample_surface(target, part, reach, size), _sample_surface(part, target, reach, size)
+    on, used = here.is_covered(reach, size), there.is_covered(reach, size)
     share = float(here.area[on].sum() / here.area.sum())
     if share < _LEAST_SHARE or not used.any():
-        raise InputError(_nowhere(wall, mesh, reach), "move or scale the mesh to where the part is", "--onto", name)
-    mapped = _carried(wall, mesh, here, reach)
-    volumes = there.area * interpolated(wall.thickness, wall.triangles, there.triangle, there.weight)
+        raise InputError(
+            _no_overlap_message(wall, mesh, reach), "move or scale the mesh to where the part is", "--onto", name
+        )
+    mapped = _transfer_wall(wall, mesh, here, reach)
+    volumes = there.area * interpolate(wall.thickness, wall.triangles, there.triangle, there.weight)
     volume = float(volumes[used].sum())
-    before = float(here.area[on] @ interpolated(mapped.thickness, mesh.triangles, here.triangle, here.weight)[on])
+    before = float(here.area[on] @ interpolate(mapped.thickness, mesh.triangles, here.triangle, here.weight)[on])
     coverage = Coverage(
         share,
         volume / float(volumes.sum()),
@@ -124,7 +126,7 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
         volume / before,
         volume,
     )
-    _look_over(coverage, float(here.area[on].sum() / there.area[used].sum()), wall, reach, name)
+    _warn_of_coverage(coverage, float(here.area[on].sum() / there.area[used].sum()), wall, reach, name)
     mapped = replace(
         mapped,
         thickness=coverage.scaled * mapped.thickness,
@@ -134,42 +136,42 @@ def onto(wall: Wall, mesh: Mesh, name: str) -> tuple[Wall, Coverage]:
     return mapped, coverage
 
 
-def _sampled(surface: Triangulation, other: Triangulation, reach: float, size: float) -> _Samples:
+def _sample_surface(surface: Triangulation, other: Triangulation, reach: float, size: float) -> _Samples:
     """Places all over a surface, as close as the elements of the finer one, and where they are on the other."""
     area = float(areas(surface.vertices, surface.triangles).sum())
     sides = [np.linalg.norm(np.diff(one.vertices[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
     longest = max(0.5 * min(float(np.median(side)) for side in sides), size / _FINEST, (area / _MOST) ** 0.5)
-    pieces, owner = cut(surface.vertices[surface.triangles], longest)
+    pieces, owner = split_long_triangles(surface.vertices[surface.triangles], longest)
     middle = pieces.mean(1)
     doubled = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     weight = weights(middle, surface.vertices[surface.triangles[owner]])
     return _Samples(owner, weight, 0.5 * doubled, _nearest(other, middle, reach))
 
 
-def _nearest(surface: Triangulation, points: Array, reach: float) -> Nearest:
+def _nearest(surface: Triangulation, points: Array, reach: float) -> NearestPlaces:
     distances = Distances(surface, reach)
     parts = np.array_split(points, 1 + len(points) // _CHUNK)
     found = [distances.nearest(part) for part in parts]
-    return Nearest(*(np.concatenate(values) for values in zip(*found, strict=True)))
+    return NearestPlaces(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
-def _carried(wall: Wall, mesh: Mesh, samples: _Samples, reach: float) -> Wall:
+def _transfer_wall(wall: WallSurface, mesh: Mesh, samples: _Samples, reach: float) -> WallSurface:
     """The wall with the mesh's nodes, each triangle as thick as its samples are on average."""
     part = Triangulation(wall.positions, wall.triangles)
     nodes = _nearest(part, mesh.positions, reach)
     weight = weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
-    nodal = interpolated(wall.thickness, wall.triangles, nodes.triangle, weight)
+    nodal = interpolate(wall.thickness, wall.triangles, nodes.triangle, weight)
     found = samples.found
     there = weights(found.place, wall.positions[wall.triangles[found.triangle]])
-    thick = samples.area * interpolated(wall.thickness, wall.triangles, found.triangle, there)
+    thick = samples.area * interpolate(wall.thickness, wall.triangles, found.triangle, there)
     count = len(mesh.triangles)
     elements = np.bincount(samples.triangle, thick, count) / areas(mesh.positions, mesh.triangles)
-    return Wall(
+    return WallSurface(
         mesh.positions,
         mesh.triangles,
-        conserving(mesh.positions, mesh.triangles, nodal, elements),
+        conserve_volume(mesh.positions, mesh.triangles, nodal, elements),
         elements,
-        interpolated(wall.reference, wall.triangles, nodes.triangle, weight),
+        interpolate(wall.reference, wall.triangles, nodes.triangle, weight),
         np.ones(len(mesh.positions), bool),
         wall.planes,
     )
@@ -183,13 +185,13 @@ def _check_size(size: float, mesh: Mesh, name: str) -> None:
         raise InputError(problem, f"give its unit of length in m (--scale, {many})", "--onto", name)
 
 
-def _nowhere(wall: Wall, mesh: Mesh, reach: float) -> str:
-    ends = [extent(positions.min(0), positions.max(0)) for positions in (mesh.positions, wall.positions)]
+def _no_overlap_message(wall: WallSurface, mesh: Mesh, reach: float) -> str:
+    ends = [format_extent(positions.min(0), positions.max(0)) for positions in (mesh.positions, wall.positions)]
     boxes = f"mesh {ends[0]}, part {ends[1]}"
     return f"nearly nothing of the mesh lies within {1e3 * reach:.3g} mm of the part ({boxes})"
 
 
-def _look_over(coverage: Coverage, ratio: float, wall: Wall, reach: float, name: str) -> None:
+def _warn_of_coverage(coverage: Coverage, ratio: float, wall: WallSurface, reach: float, name: str) -> None:
     if ratio > 1 + _TWO_SIDED or ratio < 1 - _TWO_SIDED:
         problem = f"where it lies on the part its area is {ratio:.3g} times the part's"
         less = "give a surface that follows all of the part: this one leaves out ribs, folds or a side"

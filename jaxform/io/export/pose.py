@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError
-from jaxform.io.export.wall import Wall
+from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas
@@ -48,7 +48,7 @@ class Pose(NamedTuple):
         """Where places (n, 3) [m] of the files are in the scene."""
         return positions @ self.turn.T + self.shift
 
-    def has(self, path: Path) -> bool:
+    def contains_file(self, path: Path) -> bool:
         """Whether a file is one of the mold's, or a copy of one."""
         return any(disk.is_file(file) and filecmp.cmp(file, path, shallow=False) for file in self.files)
 
@@ -72,23 +72,27 @@ def read_pose(folder: Path) -> Pose | None:
         way = np.array(table.motion.direction, float)
         shift = shift + way / np.linalg.norm(way) * table.motion.displacement[-1]
     paths = [table.path] if isinstance(table.path, str) else table.path
-    located = tuple(disk.located(path, document.folder) for path in paths)
+    located = tuple(disk.expand_path(path, document.folder) for path in paths)
     return Pose(table.scale, rotation(np.array(table.rotate, float)), shift, located)
 
 
-def follows(wall: Wall, positions: Array, triangles: NDArray[np.integer]) -> float:
+def match_fraction(wall: WallSurface, positions: Array, triangles: NDArray[np.integer]) -> float:
     """Share of the part's nodes that a surface is near to."""
     near = _NEAR * meshes.size(wall.positions)
-    distance = Distances(Triangulation(positions, triangles), near).about(wall.positions)
+    distance = Distances(Triangulation(positions, triangles), near).upper_bounds(wall.positions)
     return float((distance <= near).mean())
 
 
-def suits_better(wall: Wall, mesh: Mesh, posed: Array, otherwise: Mesh) -> bool:
+def fits_better_posed(wall: WallSurface, mesh: Mesh, posed: Array, otherwise: Mesh) -> bool:
     """Whether a mesh follows the part where the scene's pose takes it, and less where it is."""
-    return follows(wall, posed, mesh.triangles) > _BETTER + follows(wall, otherwise.positions, otherwise.triangles)
+    return match_fraction(wall, posed, mesh.triangles) > _BETTER + match_fraction(
+        wall, otherwise.positions, otherwise.triangles
+    )
 
 
-def touched_side(wall: Wall, mesh: Mesh, reach: float, whole: bool = True) -> tuple[Mesh, NDArray[np.int64], float]:
+def contact_side(
+    wall: WallSurface, mesh: Mesh, reach: float, whole: bool = True
+) -> tuple[Mesh, NDArray[np.int64], float]:
     """Of a closed solid the side on which the part lies; any other mesh as it is, or without what is not near the part.
 
     Args:

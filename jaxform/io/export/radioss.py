@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from jaxform.io.export import text
-from jaxform.io.export.wall import Wall
+from jaxform.io.export.wall import WallSurface
 
 
-def write(path: Path, wall: Wall) -> None:
+def write(path: Path, wall: WallSurface) -> None:
     """Writes the wall for Radioss, block format: /PART/1 with /PROP/SHELL/1 and /MAT/.../1, a /GRNOD for each set."""
     path.write_text("\n".join(_blocks(wall)) + "\n", encoding="utf-8")
 
 
-def _blocks(wall: Wall) -> Iterator[str]:
+def _blocks(wall: WallSurface) -> Iterator[str]:
     number, sets = np.arange(1, len(wall.positions) + 1), wall.node_sets()
     yield "#RADIOSS STARTER"
     yield from (f"# {line}" for line in text.head(wall))

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io.export.wall import Wall
+from jaxform.io.export.wall import WallSurface
 
 
-def head(wall: Wall, middles: int = 0) -> list[str]:
+def head(wall: WallSurface, middles: int = 0) -> list[str]:
     """Lines in which a file says what it holds, without the marks of comments.
 
     Args:

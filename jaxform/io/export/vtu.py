@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxform.io.export import text
-from jaxform.io.export.wall import Wall
+from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes
 
 
-def write(path: Path, wall: Wall) -> None:
+def write(path: Path, wall: WallSurface) -> None:
     """Writes point data `thickness` and `reference` [m], cell data `thickness`, and a mark (0 or 1) for each set."""
     marks = {}
     for name, nodes in wall.node_sets().items():

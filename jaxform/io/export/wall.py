@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from jaxform.core import disk, release
 from jaxform.core.errors import InputError, warn_of
-from jaxform.io import earlier
+from jaxform.io import previous_results
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.volumes import areas, conserving, with_folds
+from jaxform.mesh.volumes import add_fold_volume, areas, conserve_volume
 
 Array = NDArray[np.float64]
 Index = NDArray[np.integer]
@@ -25,7 +25,7 @@ _NO_RESULTS = "name a folder that `jaxform simulate` or `jaxform optimize` wrote
 
 
 @dataclass(frozen=True)
-class Wall:
+class WallSurface:
     """A wall as a surface of triangles.
 
     Attributes:
@@ -70,7 +70,7 @@ class Wall:
         return {name: nodes for name, nodes in {"RIM": rim[self.held[rim]], **found}.items() if len(nodes)}
 
 
-def read_wall(folder: Path, whole: bool = False) -> Wall:
+def read_wall(folder: Path, whole: bool = False) -> WallSurface:
     """The wall that a run or a search left in a folder: of the part, where the scene says which that is.
 
     Args:
@@ -86,7 +86,7 @@ def read_wall(folder: Path, whole: bool = False) -> Wall:
     path = folder / "final.vtu"
     if not disk.is_file(path):
         raise InputError("has no final.vtu", _NO_RESULTS, value=str(folder))
-    summary = earlier.read_summary(folder)
+    summary = previous_results.read_summary(folder)
     mesh = meshes.read_mesh(path)
     if not whole:
         mesh = _part(mesh)
@@ -95,20 +95,20 @@ def read_wall(folder: Path, whole: bool = False) -> Wall:
         # Older files, or those of others, may lack what the elements know.
         known = "thickness" in mesh.cell_fields
         elements = _positive(mesh.cell_fields, "thickness") if known else nodal[mesh.triangles].mean(1)
-        elements = with_folds(mesh, elements, str(path))
+        elements = add_fold_volume(mesh, elements, str(path))
     except InputError as error:
         raise error.within(file=str(path)) from None
     status = summary.get("status", "ok")
     if status != "ok":
         warn_of(f"the run did not end well: {status}", "the wall is that of the moment", file=str(folder))
-    return Wall(
+    return WallSurface(
         mesh.positions,
         mesh.triangles,
-        conserving(mesh.positions, mesh.triangles, nodal, elements),
+        conserve_volume(mesh.positions, mesh.triangles, nodal, elements),
         elements,
         _reference(mesh),
         mesh.fields.get("contact_time", np.zeros(len(mesh.positions))) == 0.0,
-        earlier.symmetry_planes(summary),
+        previous_results.symmetry_planes(summary),
         (f"wall of {summary.get('scene', 'a formed part')}, exported by jaxform {release.version()}",),
     )
 
@@ -156,7 +156,7 @@ def end_sets(positions: Array) -> dict[str, Index]:
     return found
 
 
-def mirrored(wall: Wall, axis: int, level: float) -> Wall:
+def mirror(wall: WallSurface, axis: int, level: float) -> WallSurface:
     """The wall and its image in a plane, joined there.
 
     Raises:
@@ -172,7 +172,7 @@ def mirrored(wall: Wall, axis: int, level: float) -> Wall:
     count = len(away)
     image = np.where(on, np.arange(count), count - 1 + np.cumsum(~on))
 
-    def reflected(points: Array, place: float | Array) -> Array:
+    def reflect(points: Array, place: float | Array) -> Array:
         points = points.copy()
         points[:, axis] = 2.0 * place - points[:, axis]
         return points[~on]
@@ -182,12 +182,12 @@ def mirrored(wall: Wall, axis: int, level: float) -> Wall:
     planes = {key: place for key, place in wall.planes.items() if key != axis}
     return replace(
         wall,
-        positions=np.concatenate([positions, reflected(positions, level)]),
+        positions=np.concatenate([positions, reflect(positions, level)]),
         # Turned, so that all normals agree.
         triangles=np.concatenate([wall.triangles, image[wall.triangles][:, [0, 2, 1]]]),
         thickness=np.concatenate([wall.thickness, wall.thickness[~on]]),
         element_thickness=np.tile(wall.element_thickness, 2),
-        reference=np.concatenate([wall.reference, reflected(wall.reference, level)]),
+        reference=np.concatenate([wall.reference, reflect(wall.reference, level)]),
         held=np.concatenate([wall.held, wall.held[~on]]),
         planes=planes,
         words=(*wall.words, f"with its image in the plane {value} m"),

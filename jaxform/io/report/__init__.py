@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxform.core.writing import whole
+from jaxform.core.atomic_write import atomic_path
 from jaxform.io.report import page
+from jaxform.io.report.binary_packing import Parcel
 from jaxform.io.report.charts import pack_charts
 from jaxform.io.report.contents import pack_parts
-from jaxform.io.report.measuring import measuring_points
-from jaxform.io.report.packing import Parcel
-from jaxform.io.report.reading import Results, read_results
+from jaxform.io.report.measuring_points import measuring_points
+from jaxform.io.report.stored_results import Results, read_results
 
 NAME = "report.html"
 _SCRIPTS = ("unpack", "chart", "part", "shaders", "view", "words", "overlay", "controls", "page")
@@ -41,7 +41,7 @@ def write_report(folder: str | Path) -> Path:
     results = read_results(folder)
     with np.errstate(all="ignore"):
         text = _page(results)
-    with whole(folder / NAME) as fresh:
+    with atomic_path(folder / NAME) as fresh:
         fresh.write_text(text, encoding="utf-8")
     return folder / NAME
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.io.report.binary_packing import Parcel
 from jaxform.io.report.contents import symmetry_of
-from jaxform.io.report.measuring import is_disc, wall_curves
-from jaxform.io.report.packing import Parcel
-from jaxform.io.report.reading import Part, Results
-from jaxform.io.scales import seen_apart
-from jaxform.results.sections import Curve
+from jaxform.io.report.measuring_points import is_disc, wall_curves
+from jaxform.io.report.stored_results import Results, StoredPart
+from jaxform.io.scales import distinguishable_points
+from jaxform.results.sections import SectionCurve
 
 Array = NDArray[np.float64]
 Chart = dict[str, Any]
@@ -51,8 +51,8 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
     series = []
     for number, (label, role, curve) in enumerate(named):
         line = {"label": label, "role": role if number == 0 or results.start else "other", "dots": _is_cloud(curve)}
-        kept = _shown(curve.arc, curve.thickness, line["dots"])
-        line |= _packed(parcel, f"wall{number}", 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept])
+        kept = _visible_points(curve.arc, curve.thickness, line["dots"])
+        line |= _pack(parcel, f"wall{number}", 1e3 * curve.arc[kept], 1e3 * curve.thickness[kept])
         # Of the part with that number, in the view.
         line |= {"places": f"chart.places{number}", "part": 0 if role == "after" else 1}
         parcel.add(line["places"], curve.place[kept])
@@ -65,7 +65,7 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
     return _chart(title, f"{where} [mm]", "wall thickness [mm]", series, zero=True)
 
 
-def _initial(start: Part, best: Part, disc: bool, parcel: Parcel) -> list[Chart]:
+def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) -> list[Chart]:
     """What the search changed in the sheet, its thickness or temperature, over the place there; none of another."""
     changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
     if not changed:
@@ -77,8 +77,8 @@ def _initial(start: Part, best: Part, disc: bool, parcel: Parcel) -> list[Chart]
         if name not in part.nodal:
             continue
         place = np.hypot(*part.reference[:, :2].T) if disc else part.reference[:, along]
-        kept = _shown(place, part.nodal[name], dots=True)
-        points = _packed(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
+        kept = _visible_points(place, part.nodal[name], dots=True)
+        points = _pack(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
         series.append({"label": label, "role": role, "dots": True, **points})
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
     return [_chart("The sheet before it is formed", f"{where} [mm]", words, series, zero=factor > 1.0)]
@@ -94,12 +94,12 @@ def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
     if not np.isfinite(error).any():
         error, words = _column(rows, "objective"), "objective"
     search = [
-        {"label": "each simulation", "role": "before", "dots": True, **_packed(parcel, "search.all", spent, error)},
+        {"label": "each simulation", "role": "before", "dots": True, **_pack(parcel, "search.all", spent, error)},
         _good(rows, spent, error, parcel),
     ]
     walls = []
     for role, label, name in (("after", "mean wall", "wall_mean"), ("other", "thinnest wall", "wall_min")):
-        points = _packed(parcel, f"search.{name}", spent, 1e3 * _column(rows, name))
+        points = _pack(parcel, f"search.{name}", spent, 1e3 * _column(rows, name))
         walls.append({"label": label, "role": role, "dots": False, **points})
     cost = "cost in simulations"
     return [
@@ -112,31 +112,31 @@ def _good(rows: Sequence[dict[str, str]], spent: Array, error: Array, parcel: Pa
     """The simulations that keep all limits, or the best so far where there are none."""
     if "violation" in rows[0]:
         kept = _column(rows, "violation") <= _KEPT
-        return {"label": "limits kept", "role": "after", "dots": True} | _packed(
+        return {"label": "limits kept", "role": "after", "dots": True} | _pack(
             parcel, "search.kept", spent[kept], error[kept]
         )
     best = np.fmin.accumulate(np.where(error > 0, error, np.nan))
-    return {"label": "best so far", "role": "after", "dots": False} | _packed(parcel, "search.best", spent, best)
+    return {"label": "best so far", "role": "after", "dots": False} | _pack(parcel, "search.best", spent, best)
 
 
 def _chart(title: str, x: str, y: str, series: list[dict[str, Any]], *, zero: bool = False, log: bool = False) -> Chart:
     return {"title": title, "x": x, "y": y, "series": series, "zero": zero, "log": log}
 
 
-def _packed(parcel: Parcel, name: str, across: Array, up: Array) -> dict[str, str]:
+def _pack(parcel: Parcel, name: str, across: Array, up: Array) -> dict[str, str]:
     """Packs points, and says under which name."""
     parcel.add(f"chart.{name}", np.stack([across, up], axis=1))
     return {"points": f"chart.{name}"}
 
 
-def _is_cloud(curve: Curve) -> bool:
+def _is_cloud(curve: SectionCurve) -> bool:
     """Whether the points of a curve are those of all nodes, which make no line."""
     return curve.label == "all nodes"
 
 
-def _shown(across: Array, up: Array, dots: bool) -> NDArray[np.int64]:
+def _visible_points(across: Array, up: Array, dots: bool) -> NDArray[np.int64]:
     """Which points (n,) are drawn: all of a line, and of dots those that can be told from each other."""
-    return np.sort(seen_apart(across, up)) if dots and len(across) else np.arange(len(across))
+    return np.sort(distinguishable_points(across, up)) if dots and len(across) else np.arange(len(across))
 
 
 def _column(rows: Sequence[dict[str, str]], name: str) -> Array:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io import earlier
-from jaxform.io.report.packing import Parcel, by_first_use, spatial_order
-from jaxform.io.report.reading import Part, Results
+from jaxform.io import previous_results
+from jaxform.io.report.binary_packing import Parcel, by_first_use, spatial_order
+from jaxform.io.report.stored_results import Results, StoredPart
 from jaxform.io.scales import color_range, counted_elements
 from jaxform.mesh.meshes import Mesh
 
@@ -71,7 +71,7 @@ def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
 
 def symmetry_of(results: Results) -> dict[str, float]:
     """Place [m] of the planes about which the modelled part is symmetric, by the name of their axis."""
-    return {"xyz"[axis]: level for axis, level in earlier.symmetry_planes(results.summary).items()}
+    return {"xyz"[axis]: level for axis, level in previous_results.symmetry_planes(results.summary).items()}
 
 
 class _Parts:
@@ -81,12 +81,12 @@ class _Parts:
         self.described: list[dict[str, Any]] = []
         self._motion, self._end = motion, end
         self._parcel = parcel
-        self._meshes: list[tuple[Part, NDArray[np.int64]]] = []
+        self._meshes: list[tuple[StoredPart, NDArray[np.int64]]] = []
 
-    def add(self, part: Part, label: str, time: float, coarse: bool = False) -> None:
+    def add(self, part: StoredPart, label: str, time: float, coarse: bool = False) -> None:
         """Packs a part, coarsely if it is a frame: then without what it has in common with the last part."""
         if coarse:
-            part = self._as_known(part)
+            part = self._reorder_elements(part)
         mesh = self._mesh(part)
         nodes, prefix = self._meshes[mesh][1], f"part{len(self.described)}"
         nodal = {name: values[nodes] for name, values in part.nodal.items() if name != "thickness"}
@@ -100,14 +100,14 @@ class _Parts:
             if quantity.key != "level":
                 name = f"{prefix}.{quantity.key}"
                 values = part.cells[quantity.key]
-                if quantity.key == "thickness" and part.own is not None:
-                    values = np.where(part.own != 0, values, np.nan)  # drawn in grey
+                if quantity.key == "thickness" and part.part_mask is not None:
+                    values = np.where(part.part_mask != 0, values, np.nan)  # drawn in grey
                 self._parcel.add(name, values, relative=quantity.relative, coarse=coarse)
         for name, values in nodal.items():
             self._parcel.add(f"{prefix}.{name}", values, coarse=coarse)
-        self.described.append({"label": label, "time": time, "mesh": mesh, "mold": self._moved(time)})
+        self.described.append({"label": label, "time": time, "mesh": mesh, "mold": self._mold_offset(time)})
 
-    def _moved(self, time: float) -> list[float]:
+    def _mold_offset(self, time: float) -> list[float]:
         """How far the mold is at a time [s] from where it is in the end (3,) [m]."""
         if self._motion is None:
             return [0.0, 0.0, 0.0]
@@ -115,7 +115,7 @@ class _Parts:
         there, last = (np.asarray(self._motion.offset(moment), float) for moment in moments)
         return (there - last).tolist()
 
-    def _as_known(self, part: Part) -> Part:
+    def _reorder_elements(self, part: StoredPart) -> StoredPart:
         """The same with its elements in an order that takes little room, unless its mesh is already there."""
         if any(_same_mesh(known, part) for known, _ in self._meshes):
             return part
@@ -123,7 +123,7 @@ class _Parts:
         cells = {name: values[order] for name, values in part.cells.items()}
         return part._replace(triangles=part.triangles[order], cells=cells)
 
-    def _mesh(self, part: Part) -> int:
+    def _mesh(self, part: StoredPart) -> int:
         """The number of the part's mesh, which is packed where it is a new one."""
         for number, (known, _) in enumerate(self._meshes):
             if _same_mesh(known, part):
@@ -137,11 +137,11 @@ class _Parts:
         return number
 
 
-def _same_mesh(one: Part, other: Part) -> bool:
+def _same_mesh(one: StoredPart, other: StoredPart) -> bool:
     return np.array_equal(one.triangles, other.triangles) and np.array_equal(one.reference, other.reference)
 
 
-def _quantities(parts: list[Part]) -> list[dict[str, Any]]:
+def _quantities(parts: list[StoredPart]) -> list[dict[str, Any]]:
     """Quantities that the parts can be coloured by, and the ranges of the colours, which they share."""
     areas, formed = zip(*(formed_areas(part) for part in parts), strict=True)
     known = {quantity.key for quantity in _NODAL_QUANTITIES} | {"thickness"}
@@ -161,7 +161,7 @@ def _quantities(parts: list[Part]) -> list[dict[str, Any]]:
     return found
 
 
-def _values(part: Part, key: str, of: str) -> Array:
+def _values(part: StoredPart, key: str, of: str) -> Array:
     """Of the elements (n_element,): of nodal values their mean, of times of contact that of the last corner."""
     if key == "area_stretch":
         return part.cells["stretch_1"] * part.cells["stretch_2"]
@@ -176,14 +176,14 @@ def _values(part: Part, key: str, of: str) -> Array:
     return corners.mean(1)
 
 
-def formed_areas(part: Part) -> tuple[Array, NDArray[np.bool_]]:
+def formed_areas(part: StoredPart) -> tuple[Array, NDArray[np.bool_]]:
     """Areas (n,) [m^2] of the elements that were formed, and which of all these are."""
-    formed = counted_elements(part.reference, part.positions, part.triangles, part.own)
+    formed = counted_elements(part.reference, part.positions, part.triangles, part.part_mask)
     a, b, c = np.moveaxis(part.positions[part.triangles[formed]], 1, 0)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1), formed
 
 
-def _hangs(part: Part, moved: bool) -> bool:
+def _hangs(part: StoredPart, moved: bool) -> bool:
     """Whether the part is drawn with z down: one looks into a sheet that rose from a plane, and onto a buck.
 
     A buck moved, and pushed the sheet to where its head is.
@@ -195,7 +195,7 @@ def _hangs(part: Part, moved: bool) -> bool:
 
 def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel) -> dict[str, Any]:
     """Packs the mold; says whether it ends at a symmetry plane, so that its images are wanted."""
-    vertices, triangles = _roughened(mold.positions, mold.triangles)
+    vertices, triangles = _coarsen(mold.positions, mold.triangles)
     triangles, kept = by_first_use(triangles)
     parcel.add_triangles("mold.triangles", triangles)
     parcel.add("mold.positions", vertices[kept])
@@ -209,7 +209,7 @@ def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel) -> dic
     return {"mirrored": not all(crosses), "rough": len(triangles) < len(mold.triangles)}
 
 
-def _roughened(vertices: Array, triangles: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+def _coarsen(vertices: Array, triangles: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
     """Vertices (n, 3) and triangles (m, 3) of a mold with few enough triangles: those in a cell of space become one."""
     cells, low, size = _FINEST, vertices.min(0), float(np.ptp(vertices, axis=0).max()) or 1.0
     while len(triangles) > _MOST_WALLS and cells > 1:

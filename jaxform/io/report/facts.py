@@ -8,28 +8,28 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxform.core.errors import InputError
-from jaxform.io import earlier
-from jaxform.io.earlier import AGAIN
+from jaxform.io import previous_results
+from jaxform.io.previous_results import AGAIN
 
 Number = float | None
 """Null where it was not finite."""
 Place = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
-class _Table(BaseModel):
+class _FactsTable(BaseModel):
     """A table that may have more keys than are asked for."""
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
 
 
-class _Wall(_Table):
+class _WallFacts(_FactsTable):
     min: Number
     mean: Number
     max: Number
     cv: Number
 
 
-class _Thinnest(_Table):
+class _Thinnest(_FactsTable):
     thickness: Number
     formed: Place
     initial: Place
@@ -39,7 +39,7 @@ class _Thinnest(_Table):
     scatter_of: str = ""
 
 
-class _Design(_Table):
+class _DesignFacts(_FactsTable):
     before: dict[str, Number]
     after: dict[str, Number]
     evaluations: Number = None
@@ -48,13 +48,13 @@ class _Design(_Table):
     message: str = ""
 
 
-class _Summary(_Table):
+class _SummaryFacts(_FactsTable):
     scene: str
     status: str
     elements_final: Number = None
     steps: Number = None
     time: Number = None
-    thickness: _Wall
+    thickness: _WallFacts
     thinnest: _Thinnest
     symmetry_planes: dict[str, float] = {}
     contact_fraction: Number
@@ -66,7 +66,7 @@ class _Summary(_Table):
     gap_place: Place | None = None
     energy: dict[str, Number]
     warnings: list[str]
-    design: _Design | None = None
+    design: _DesignFacts | None = None
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
@@ -75,9 +75,9 @@ def read_summary(folder: Path) -> dict[str, Any]:
     Raises:
         InputError: It cannot be read, is no JSON, or a key is missing or of another kind.
     """
-    path, facts = folder / earlier.SUMMARY, earlier.read_summary(folder)
+    path, facts = folder / previous_results.SUMMARY, previous_results.read_summary(folder)
     try:
-        return _Summary.model_validate(facts).model_dump(exclude_unset=True)
+        return _SummaryFacts.model_validate(facts).model_dump(exclude_unset=True)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from jaxform.core.words import coordinate
+from jaxform.core.formatting import format_coordinate
 from jaxform.io.report.contents import symmetry_of
-from jaxform.io.report.measuring import Point
-from jaxform.io.report.reading import Results
+from jaxform.io.report.measuring_points import MeasuringPoint
+from jaxform.io.report.stored_results import Results
 
 _ENERGY = {
     "strain": "strain energy at the end",
@@ -81,7 +81,7 @@ def _tile(label: str, value: str, unit: str, before: Any = None, factor: float =
     )
 
 
-def _recovered(thin: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _recovered_rows(thin: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The rows of the thinnest recovered wall; none of a summary that does not know it."""
     if thin.get("recovered") is None:
         return []
@@ -105,7 +105,7 @@ def quality(results: Results) -> str:
         ("thinnest element", f"{number(thin['thickness'], 1e3)} mm"),
         ("&emsp;where, in the part", _place(thin["formed"])),
         ("&emsp;where it came from, in the sheet", _place(thin["initial"])),
-        *_recovered(thin),
+        *_recovered_rows(thin),
         ("mean wall, by formed area", f"{number(wall['mean'], 1e3)} mm"),
         ("spread (coefficient of variation)", f"{number(wall['cv'], 100)} %"),
         ("thickest wall", f"{number(wall['max'], 1e3)} mm"),
@@ -128,7 +128,7 @@ def quality(results: Results) -> str:
     return f"<h2>The part</h2><table>{body}</table>"
 
 
-def to_measure(points: Sequence[Point]) -> str:
+def to_measure(points: Sequence[MeasuringPoint]) -> str:
     """The table of places to measure on a first part, which can be shown in the view, and how they were chosen."""
     rows = "".join(
         f'<tr><td><button class="mark" data-point="{index}" aria-label="show the {point.name} place">{index + 1}'
@@ -220,7 +220,7 @@ def _place(point: Sequence[Any], unit: str = " mm") -> str:
     """A place given in [m], in mm."""
     if len(point) != 3 or None in point:
         return _NOTHING
-    return f"{', '.join(coordinate(x, 1e3) for x in point)}{unit}"
+    return f"{', '.join(format_coordinate(x, 1e3) for x in point)}{unit}"
 
 
 def _whole_mass(results: Results) -> float | None:

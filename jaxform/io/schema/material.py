@@ -8,17 +8,17 @@ from pydantic import Field, Tag, model_validator
 
 from jaxform.core.ranges import OF_LAWS
 from jaxform.io.schema.quantities import Zoned
-from jaxform.io.validation import Table, allowing, choice, within, wrong
+from jaxform.io.validation import Table, allow_range, choice, declared_range, validation_error
 
 
 def _in(law: str, key: str) -> Any:
     """The range of a law's number, for `Annotated`."""
-    return allowing(OF_LAWS[law][key])
+    return allow_range(OF_LAWS[law][key])
 
 
 _MOST_TERMS = 6
 _MOST_MODES = 12
-Density = Zoned[Annotated[float, within("material.density")]]
+Density = Zoned[Annotated[float, declared_range("material.density")]]
 
 
 class Viscous(Table):
@@ -33,17 +33,17 @@ class Viscous(Table):
 
     kind: Literal["christensen", "maxwell"]
     modulus: Annotated[
-        list[Annotated[float, within("material.viscous.modulus")]], Field(min_length=1, max_length=_MOST_MODES)
+        list[Annotated[float, declared_range("material.viscous.modulus")]], Field(min_length=1, max_length=_MOST_MODES)
     ]
     time: Annotated[
-        list[Annotated[float, within("material.viscous.time")]], Field(min_length=1, max_length=_MOST_MODES)
+        list[Annotated[float, declared_range("material.viscous.time")]], Field(min_length=1, max_length=_MOST_MODES)
     ]
 
     @model_validator(mode="after")
     def _check(self) -> Viscous:
         if len(self.time) != len(self.modulus):
             problem = f"has {len(self.time)} numbers, modulus has {len(self.modulus)}"
-            raise wrong(problem, "give one for each mode", "time", self.time)
+            raise validation_error(problem, "give one for each mode", "time", self.time)
         return self
 
 
@@ -58,9 +58,9 @@ class WlfShift(Table):
     """
 
     kind: Literal["wlf"]
-    reference: Annotated[float, within("material.shift.reference")]
-    c1: Annotated[float, within("material.shift.c1")]
-    c2: Annotated[float, within("material.shift.c2")]
+    reference: Annotated[float, declared_range("material.shift.reference")]
+    c1: Annotated[float, declared_range("material.shift.c1")]
+    c2: Annotated[float, declared_range("material.shift.c2")]
 
 
 class ArrheniusShift(Table):
@@ -73,8 +73,8 @@ class ArrheniusShift(Table):
     """
 
     kind: Literal["arrhenius", "arrhenius-stiffness"]
-    reference: Annotated[float, within("material.shift.reference")]
-    activation_energy: Annotated[float, within("material.shift.activation_energy")]
+    reference: Annotated[float, declared_range("material.shift.reference")]
+    activation_energy: Annotated[float, declared_range("material.shift.activation_energy")]
 
 
 _SHIFTS = ["wlf", "arrhenius", "arrhenius-stiffness"]
@@ -86,7 +86,7 @@ Shift = Annotated[
 ]
 
 
-class _Law(Table):
+class _LawTable(Table):
     """What every law has.
 
     Attributes:
@@ -102,7 +102,7 @@ class _Law(Table):
     tension_field: bool = False
 
 
-class NeoHookean(_Law):
+class NeoHookeanTable(_LawTable):
     """W = c (I1 - 3).
 
     Attributes:
@@ -111,10 +111,10 @@ class NeoHookean(_Law):
     """
 
     model: Literal["neo-hookean"]
-    c: Zoned[Annotated[float, within("material.c")]]
+    c: Zoned[Annotated[float, declared_range("material.c")]]
 
 
-class MooneyRivlin(_Law):
+class MooneyRivlinTable(_LawTable):
     """W = c [(I1 - 3) + alpha (I2 - 3)].
 
     Attributes:
@@ -124,11 +124,11 @@ class MooneyRivlin(_Law):
     """
 
     model: Literal["mooney-rivlin"]
-    c: Zoned[Annotated[float, within("material.c")]]
-    alpha: Zoned[Annotated[float, within("material.alpha")]]
+    c: Zoned[Annotated[float, declared_range("material.c")]]
+    alpha: Zoned[Annotated[float, declared_range("material.alpha")]]
 
 
-class ModifiedMooneyRivlin(_Law):
+class ModifiedMooneyRivlinTable(_LawTable):
     """W = a01 (I1 - 3) + a02 (I2 - 3)^2.
 
     Attributes:
@@ -138,11 +138,11 @@ class ModifiedMooneyRivlin(_Law):
     """
 
     model: Literal["modified-mooney-rivlin"]
-    a01: Zoned[Annotated[float, within("material.a01")]]
-    a02: Zoned[Annotated[float, within("material.a02")]]
+    a01: Zoned[Annotated[float, declared_range("material.a01")]]
+    a02: Zoned[Annotated[float, declared_range("material.a02")]]
 
 
-class Yeoh(_Law):
+class YeohTable(_LawTable):
     """W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3.
 
     Attributes:
@@ -158,7 +158,7 @@ class Yeoh(_Law):
     c3: Zoned[Annotated[float, _in("yeoh", "c3")]] = 0.0
 
 
-class Gent(_Law):
+class GentTable(_LawTable):
     """W = -mu j_max / 2 ln(1 - (I1 - 3) / j_max), which does not stretch beyond a limit.
 
     Attributes:
@@ -172,7 +172,7 @@ class Gent(_Law):
     j_max: Zoned[Annotated[float, _in("gent", "j_max")]]
 
 
-class Ogden(_Law):
+class OgdenTable(_LawTable):
     """W = sum of mu / alpha (l1^alpha + l2^alpha + l3^alpha - 3), l1 to l3 the principal stretches.
 
     Attributes:
@@ -187,11 +187,11 @@ class Ogden(_Law):
 
 
 Material = Annotated[
-    Annotated[NeoHookean, Tag("<neo-hookean>")]
-    | Annotated[MooneyRivlin, Tag("<mooney-rivlin>")]
-    | Annotated[ModifiedMooneyRivlin, Tag("<modified-mooney-rivlin>")]
-    | Annotated[Yeoh, Tag("<yeoh>")]
-    | Annotated[Gent, Tag("<gent>")]
-    | Annotated[Ogden, Tag("<ogden>")],
+    Annotated[NeoHookeanTable, Tag("<neo-hookean>")]
+    | Annotated[MooneyRivlinTable, Tag("<mooney-rivlin>")]
+    | Annotated[ModifiedMooneyRivlinTable, Tag("<modified-mooney-rivlin>")]
+    | Annotated[YeohTable, Tag("<yeoh>")]
+    | Annotated[GentTable, Tag("<gent>")]
+    | Annotated[OgdenTable, Tag("<ogden>")],
     *choice("model", ["neo-hookean", "mooney-rivlin", "modified-mooney-rivlin", "yeoh", "gent", "ogden"]),
 ]

@@ -10,7 +10,7 @@ from jaxform.io.schema.quantities import Count
 from jaxform.io.validation import NotNegative, Positive, Table, choice
 
 
-class _Search(Table):
+class _SearchTable(Table):
     """What all methods share; see `optimize.Study`.
 
     Attributes:
@@ -38,7 +38,7 @@ class _Search(Table):
     rounds: Count | None = None
 
 
-class Lbfgs(_Search):
+class Lbfgs(_SearchTable):
     """Limited-memory quasi-Newton method with line search.
 
     Attributes:
@@ -48,7 +48,7 @@ class Lbfgs(_Search):
     method: Literal["lbfgs"] = "lbfgs"
 
 
-class Adam(_Search):
+class Adam(_SearchTable):
     """First-order method with momentum.
 
     Attributes:
@@ -60,7 +60,7 @@ class Adam(_Search):
     learning_rate: Positive | None = None
 
 
-class LeastSquares(_Search):
+class LeastSquares(_SearchTable):
     """Levenberg-Marquardt, for few variables and a sum of squares.
 
     Attributes:
@@ -70,7 +70,7 @@ class LeastSquares(_Search):
     method: Literal["least-squares"]
 
 
-class FixedPoint(_Search):
+class FixedPoint(_SearchTable):
     """Thicken the sheet where the wall is thin.
 
     Attributes:

@@ -10,7 +10,7 @@ from jaxform.io.schema.quantities import Point, Triple
 from jaxform.io.validation import Length, NotNegative, Number, Positive, Table, choice, form
 
 
-class Motion(Table):
+class MotionTable(Table):
     """How the mold moves: along a straight line, smoothly from knot to knot, and with it what sticks to it.
 
     Attributes:
@@ -38,7 +38,7 @@ class RevolvedMold(Table):
     shape: Literal["revolved"]
     profile: Annotated[list[Point], Field(min_length=2)]
     segments: Annotated[int, Field(ge=3, le=1_000_000)]
-    motion: Motion | None = None
+    motion: MotionTable | None = None
     fill: bool = True
 
 
@@ -66,7 +66,7 @@ class BoxInsertMold(Table):
     insert_height: Length = 0.04
     draft: NotNegative = 0.0
     divisions: Annotated[int, Field(ge=1, le=200)] = 1
-    motion: Motion | None = None
+    motion: MotionTable | None = None
     fill: bool = True
 
 
@@ -90,7 +90,7 @@ class BottleHalfMold(Table):
     neck_radius: Length = 0.014
     hole: Annotated[list[Length], Field(min_length=2, max_length=2)] = Field(default_factory=lambda: [0.0075, 0.027])
     element_size: Length = 0.00595
-    motion: Motion | None = None
+    motion: MotionTable | None = None
     fill: bool = True
 
 
@@ -118,7 +118,7 @@ class FileMold(Table):
     scale: Positive = 1.0
     translate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotate: Triple = Field(default_factory=lambda: [0.0, 0.0, 0.0])
-    motion: Motion | None = None
+    motion: MotionTable | None = None
     fill: bool = True
 
 

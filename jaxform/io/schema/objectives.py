@@ -10,7 +10,7 @@ from jaxform.io.schema.quantities import TargetThickness
 from jaxform.io.validation import Positive, Table, choice, form
 
 
-class Wanted(Table):
+class ObjectiveTable(Table):
     """What all objectives share.
 
     Attributes:
@@ -20,7 +20,7 @@ class Wanted(Table):
     weight: Positive = 1.0
 
 
-class Target(Wanted):
+class TargetTable(ObjectiveTable):
     """Come close to a final thickness [m]; with `limit`, keep a deviation (relative, rms) instead.
 
     Attributes:
@@ -34,7 +34,7 @@ class Target(Wanted):
     limit: Positive | None = None
 
 
-class Uniform(Wanted):
+class UniformTable(ObjectiveTable):
     """Make the wall even.
 
     Attributes:
@@ -44,7 +44,7 @@ class Uniform(Wanted):
     kind: Literal["uniform"]
 
 
-class LeastMass(Wanted):
+class LeastMassTable(ObjectiveTable):
     """Use as little material as a minimum of the wall [m] allows.
 
     Attributes:
@@ -56,7 +56,7 @@ class LeastMass(Wanted):
     minimum: Positive
 
 
-class FormingTime(Wanted):
+class FormingTimeTable(ObjectiveTable):
     """Form quickly; the higher the power of the mean, the more the last contact counts.
 
     Attributes:
@@ -68,7 +68,7 @@ class FormingTime(Wanted):
     power: Annotated[float, Field(ge=1, le=100)] = 8.0
 
 
-class KineticEnergy(Wanted):
+class KineticEnergyTable(ObjectiveTable):
     """Form gently.
 
     Attributes:
@@ -80,11 +80,11 @@ class KineticEnergy(Wanted):
 
 _OBJECTIVES = ["target", "uniform", "least-mass", "forming-time", "kinetic-energy"]
 Objective = Annotated[
-    Annotated[Target, Tag("<target>")]
-    | Annotated[Uniform, Tag("<uniform>")]
-    | Annotated[LeastMass, Tag("<least-mass>")]
-    | Annotated[FormingTime, Tag("<forming-time>")]
-    | Annotated[KineticEnergy, Tag("<kinetic-energy>")],
+    Annotated[TargetTable, Tag("<target>")]
+    | Annotated[UniformTable, Tag("<uniform>")]
+    | Annotated[LeastMassTable, Tag("<least-mass>")]
+    | Annotated[FormingTimeTable, Tag("<forming-time>")]
+    | Annotated[KineticEnergyTable, Tag("<kinetic-energy>")],
     *choice("kind", _OBJECTIVES),
 ]
 Objectives = Annotated[

@@ -7,15 +7,15 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, Tag, field_validator, model_validator
 
 from jaxform.core.errors import InputError
-from jaxform.io.schema.quantities import Count, ElementSize, Point, Profile, Temperature, Thickness
-from jaxform.io.validation import Length, Positive, Table, choice, wrong
-from jaxform.mesh.surfaces import plane_of
+from jaxform.io.schema.quantities import Count, ElementSize, Point, ProfileTable, Temperature, Thickness
+from jaxform.io.validation import Length, Positive, Table, choice, validation_error
+from jaxform.mesh.surfaces import parse_plane
 
 
 def _given_elsewhere(given: Any) -> Any:
     if isinstance(given, str):
         problem = "only a parison from a file has fields of its own"
-        raise wrong(problem, "give {file, field}, a number or a profile", value=given)
+        raise validation_error(problem, "give {file, field}, a number or a profile", value=given)
     return given
 
 
@@ -54,12 +54,12 @@ class Disc(_BuiltIn):
     @field_validator("element_size")
     @classmethod
     def _along_radius(cls, size: Any) -> Any:
-        if isinstance(size, Profile) and size.along != "radius":
-            raise wrong("is not possible for a disc", "use radius", "along", size.along)
+        if isinstance(size, ProfileTable) and size.along != "radius":
+            raise validation_error("is not possible for a disc", "use radius", "along", size.along)
         return size
 
 
-class Rectangle(_BuiltIn):
+class RectangleTable(_BuiltIn):
     """A sheet over [0, a] x [0, b] in z = 0 with clamped edges.
 
     Attributes:
@@ -146,17 +146,19 @@ class Outline(Table):
     def _one_of_both(self) -> Outline:
         if (self.polygon is not None) == self.mold_rim:
             problem = "is given together with mold_rim" if self.mold_rim else "nothing says what the planform is"
-            raise wrong(problem, "give polygon = [[x, y], ...] or mold_rim = true, one of them", "polygon")
+            raise validation_error(problem, "give polygon = [[x, y], ...] or mold_rim = true, one of them", "polygon")
         if self.mold_rim and self.planes:
-            raise wrong("is not possible with mold_rim", "give a polygon that is cut there", "planes", self.planes)
+            raise validation_error(
+                "is not possible with mold_rim", "give a polygon that is cut there", "planes", self.planes
+            )
         return self
 
 
 def _plane(text: str) -> str:
     try:
-        plane_of(text)
+        parse_plane(text)
     except InputError as error:
-        raise wrong(error.problem, error.remedy, value=text) from None
+        raise validation_error(error.problem, error.remedy, value=text) from None
     return text
 
 
@@ -187,7 +189,7 @@ class FileParison(Table):
 
 Parison = Annotated[
     Annotated[Disc, Tag("<disc>")]
-    | Annotated[Rectangle, Tag("<rectangle>")]
+    | Annotated[RectangleTable, Tag("<rectangle>")]
     | Annotated[Sphere, Tag("<sphere>")]
     | Annotated[BottleHalfParison, Tag("<bottle-half>")]
     | Annotated[Outline, Tag("<outline>")]

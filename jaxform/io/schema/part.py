@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from jaxform.io.schema.quantities import Triple
-from jaxform.io.validation import Coordinate, Table, wrong
+from jaxform.io.validation import Coordinate, Table, validation_error
 
 
-class Trim(Table):
+class TrimTable(Table):
     """A plane across an axis at which the part is cut off.
 
     Attributes:
@@ -24,7 +24,7 @@ class Trim(Table):
     keep: Literal["above", "below"]
 
 
-class Part(Table):
+class PartTable(Table):
     """Which of the formed sheet is the part: elements that all keys hold for.
 
     Statistics, the thinnest place, mass, objectives, pictures and exports are then of the part alone, not of what
@@ -39,11 +39,11 @@ class Part(Table):
     """
 
     box: Annotated[list[Triple], Field(min_length=2, max_length=2)] | None = None
-    trim: Trim | None = None
+    trim: TrimTable | None = None
     molds: Annotated[list[str], Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Part:
+    def _check(self) -> PartTable:
         if self.box is None and self.trim is None and self.molds is None:
-            raise wrong("says nothing", "give box, trim or molds, or leave [part] out", "", {})
+            raise validation_error("says nothing", "give box, trim or molds, or leave [part] out", "", {})
         return self

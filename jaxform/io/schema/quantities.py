@@ -6,7 +6,16 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, Tag, model_validator
 
-from jaxform.io.validation import Coordinate, Number, Positive, Table, check_increasing, form, within, wrong
+from jaxform.io.validation import (
+    Coordinate,
+    Number,
+    Positive,
+    Table,
+    check_increasing,
+    declared_range,
+    form,
+    validation_error,
+)
 
 Triple = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
@@ -18,7 +27,7 @@ Place = Literal["radius", "x", "y", "z"]
 _FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
 
 
-class Profile(Table):
+class ProfileTable(Table):
     """A positive quantity, piecewise linear along a place in the initial sheet.
 
     Attributes:
@@ -32,7 +41,7 @@ class Profile(Table):
     value: list[Positive]
 
     @model_validator(mode="after")
-    def _check(self) -> Profile:
+    def _check(self) -> ProfileTable:
         _check_knots(self.at, self.value)
         return self
 
@@ -101,12 +110,12 @@ def _check_knots(at: list[float], value: list[float]) -> None:
     check_increasing(at)
     if len(at) != len(value):
         problem = f"has {len(value)} values for {len(at)} knots"
-        raise wrong(problem, "give one value per knot", "value", value)
+        raise validation_error(problem, "give one value per knot", "value", value)
 
 
 def _own_field(text: str) -> str:
     if not text.startswith("field:") or text == "field:":
-        raise wrong("is not a number", _FORMS, value=text)
+        raise validation_error("is not a number", _FORMS, value=text)
     return text
 
 
@@ -117,11 +126,11 @@ def _quantity_form(value: Any) -> str:
 
 
 _Number = Annotated[Positive, Tag("<number>")]
-_Wall = Annotated[float, within("parison.thickness")]
+_Wall = Annotated[float, declared_range("parison.thickness")]
 _Reference = Annotated[FieldReference, Tag("<reference>")]
 Thickness = Annotated[
     Annotated[_Wall, Tag("<number>")]
-    | Annotated[Profile, Tag("<profile>")]
+    | Annotated[ProfileTable, Tag("<profile>")]
     | _Reference
     | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
     form(_quantity_form),
@@ -135,9 +144,9 @@ Zoned = Annotated[
     form(_quantity_form),
 ]
 """A number, or what may vary over the sheet."""
-Temperature = Zoned[Annotated[float, within("parison.temperature")]]
+Temperature = Zoned[Annotated[float, declared_range("parison.temperature")]]
 ElementSize = Annotated[
-    _Number | Annotated[Profile, Tag("<profile>")],
+    _Number | Annotated[ProfileTable, Tag("<profile>")],
     form(lambda value: "profile" if isinstance(value, dict) else "number"),
 ]
 TargetThickness = Annotated[
@@ -155,7 +164,7 @@ def _target_form(value: Any) -> str:
 def check_bounds(bounds: list[float]) -> list[float]:
     """The bounds; raises unless there is room between them."""
     if bounds[0] >= bounds[1]:
-        raise wrong("leaves no room", "give the lower bound first, then the upper one", value=bounds)
+        raise validation_error("leaves no room", "give the lower bound first, then the upper one", value=bounds)
     return bounds
 
 

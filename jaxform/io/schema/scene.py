@@ -10,11 +10,11 @@ from jaxform.core.ranges import MOST_STEPS
 from jaxform.io.schema.material import Material
 from jaxform.io.schema.mold import Mold
 from jaxform.io.schema.parison import Parison
-from jaxform.io.schema.part import Part
-from jaxform.io.validation import Number, Table, within, wrong
+from jaxform.io.schema.part import PartTable
+from jaxform.io.validation import Number, Table, declared_range, validation_error
 
 
-class Pressure(Table):
+class PressureTable(Table):
     """Pressure difference over time, held before the first and after the last knot.
 
     Attributes:
@@ -28,7 +28,7 @@ class Pressure(Table):
     interpolation: Literal["linear", "cubic-ramp"] = "linear"
 
 
-class Refinement(Table):
+class RefinementTable(Table):
     """Where the mesh becomes finer; see `jaxform.Refinement`.
 
     Attributes:
@@ -44,19 +44,19 @@ class Refinement(Table):
         elements: Room for so many elements at first; the run makes more by itself.
     """
 
-    angle: Annotated[float, within("refinement.angle")] = 4.0
-    interval: Annotated[int, within("refinement.interval")] = 100
-    max_level: Annotated[int, within("refinement.max_level")] = 6
-    min_area: Annotated[float, within("refinement.min_area")] = 0.0
-    base_level: Annotated[int, within("refinement.base_level")] = 0
-    base_reach: Annotated[float, within("refinement.base_reach")] = 1.0
-    scaled_levels: Annotated[int, within("refinement.scaled_levels")] = 0
+    angle: Annotated[float, declared_range("refinement.angle")] = 4.0
+    interval: Annotated[int, declared_range("refinement.interval")] = 100
+    max_level: Annotated[int, declared_range("refinement.max_level")] = 6
+    min_area: Annotated[float, declared_range("refinement.min_area")] = 0.0
+    base_level: Annotated[int, declared_range("refinement.base_level")] = 0
+    base_reach: Annotated[float, declared_range("refinement.base_reach")] = 1.0
+    scaled_levels: Annotated[int, declared_range("refinement.scaled_levels")] = 0
     at_rest: bool = True
-    jump: Annotated[float, within("refinement.jump")] | None = None
-    elements: Annotated[int, within("refinement.elements")] | None = None
+    jump: Annotated[float, declared_range("refinement.jump")] | None = None
+    elements: Annotated[int, declared_range("refinement.elements")] | None = None
 
 
-class Solver(Table):
+class SolverTable(Table):
     """Time integration; `quasi_static` says that the process is meant to be slow: a quasi-static error is warned of.
 
     Attributes:
@@ -67,14 +67,14 @@ class Solver(Table):
         max_steps: Where a run stops at the latest.
     """
 
-    end_time: Annotated[float, within("solver.end_time")]
-    damping: Annotated[float, within("solver.damping")] | None = None
-    safety: Annotated[float, within("solver.safety")] = 0.9
+    end_time: Annotated[float, declared_range("solver.end_time")]
+    damping: Annotated[float, declared_range("solver.damping")] | None = None
+    safety: Annotated[float, declared_range("solver.safety")] = 0.9
     quasi_static: bool = False
-    max_steps: Annotated[int, within("solver.max_steps")] = MOST_STEPS
+    max_steps: Annotated[int, declared_range("solver.max_steps")] = MOST_STEPS
 
 
-class Cooling(Table):
+class CoolingTable(Table):
     """How the sheet cools, to the air on both sides and to the mold where it touches that; see `jaxform.Cooling`.
 
     Attributes:
@@ -86,17 +86,17 @@ class Cooling(Table):
         conductivity: Of the sheet [W/(m K)]: its surfaces are then colder than its middle.
     """
 
-    heat_capacity: Annotated[float, within("cooling.heat_capacity")]
-    air: Annotated[float, within("cooling.air")] = 0.0
-    air_temperature: Annotated[float, within("cooling.air_temperature")] = 20.0
-    mold: Annotated[float, within("cooling.mold")] = 0.0
-    mold_temperature: Annotated[float, within("cooling.mold_temperature")] = 20.0
-    conductivity: Annotated[float, within("cooling.conductivity")] | None = None
+    heat_capacity: Annotated[float, declared_range("cooling.heat_capacity")]
+    air: Annotated[float, declared_range("cooling.air")] = 0.0
+    air_temperature: Annotated[float, declared_range("cooling.air_temperature")] = 20.0
+    mold: Annotated[float, declared_range("cooling.mold")] = 0.0
+    mold_temperature: Annotated[float, declared_range("cooling.mold_temperature")] = 20.0
+    conductivity: Annotated[float, declared_range("cooling.conductivity")] | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Cooling:
+    def _check(self) -> CoolingTable:
         if self.air == 0.0 == self.mold:
-            raise wrong("cools nothing", "give air or mold, or leave [cooling] out", "air", self.air)
+            raise validation_error("cools nothing", "give air or mold, or leave [cooling] out", "air", self.air)
         return self
 
 
@@ -133,10 +133,10 @@ class SceneFile(Table):
     description: str = ""
     parison: Parison
     material: Material
-    pressure: Pressure
+    pressure: PressureTable
     mold: Mold | None = None
-    part: Part | None = None
-    refinement: Refinement | None = None
-    cooling: Cooling | None = None
-    solver: Solver
+    part: PartTable | None = None
+    refinement: RefinementTable | None = None
+    cooling: CoolingTable | None = None
+    solver: SolverTable
     output: Output = Output()

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 from jaxform.io.schema.methods import Method
 from jaxform.io.schema.objectives import Objectives
 from jaxform.io.schema.variables import Variable
-from jaxform.io.validation import Table, wrong
+from jaxform.io.validation import Table, validation_error
 
 
 class StudyFile(Table):
@@ -35,5 +35,5 @@ class StudyFile(Table):
         kinds = [getattr(variable, "of", variable.kind) for variable in variables]
         for index, kind in enumerate(kinds):
             if kind in kinds[:index]:
-                raise wrong("is there twice", "keep one of them", f"[{index}].kind", kind)
+                raise validation_error("is there twice", "keep one of them", f"[{index}].kind", kind)
         return variables

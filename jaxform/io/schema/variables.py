@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, Tag, model_validator
 
 from jaxform.io.schema.quantities import Limits, Pair, Place, check_bounds
-from jaxform.io.validation import Coordinate, NotNegative, Positive, Table, check_increasing, choice, wrong
+from jaxform.io.validation import Coordinate, NotNegative, Positive, Table, check_increasing, choice, validation_error
 
 
-class ThicknessProfile(Table):
+class ThicknessProfileTable(Table):
     """Design the initial thickness [m] along a place in the initial sheet; `slope` limits its change [m/m].
 
     Attributes:
@@ -32,19 +32,21 @@ class ThicknessProfile(Table):
     slope: Positive | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> ThicknessProfile:
+    def _check(self) -> ThicknessProfileTable:
         if (self.knots is None) == (self.at is None):
             problem = "is missing" if self.at is None else "is given together with at"
-            raise wrong(problem, "give the number of knots or their places (at), one of them", "knots", self.knots)
+            raise validation_error(
+                problem, "give the number of knots or their places (at), one of them", "knots", self.knots
+            )
         check_increasing(self.at or [])
         if self.interpolation == "cubic" and (self.knots or 0) < 4:
-            raise wrong("needs 4 evenly placed knots or more", "give knots, not at", "knots", self.knots)
+            raise validation_error("needs 4 evenly placed knots or more", "give knots, not at", "knots", self.knots)
         if self.interpolation == "zones" and self.slope is not None:
-            raise wrong("does not go with zones, which jump", "leave it out", "slope", self.slope)
+            raise validation_error("does not go with zones, which jump", "leave it out", "slope", self.slope)
         return self
 
 
-class ThicknessField(Table):
+class ThicknessFieldTable(Table):
     """Design the initial thickness [m] at the nodes of the mesh, no finer than a length `smoothness` [m].
 
     Attributes:
@@ -58,7 +60,7 @@ class ThicknessField(Table):
     smoothness: NotNegative = 0.0
 
 
-class PressureKnots(Table):
+class PressureKnotsTable(Table):
     """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
 
     `held` keeps the first knot's value; else the history may begin with a jump.
@@ -80,7 +82,7 @@ class PressureKnots(Table):
     end_time: Limits | None = None
 
 
-class Scale(Table):
+class ScaleTable(Table):
     """Design a factor on a number of the scene, such as material.c.
 
     Attributes:
@@ -94,7 +96,7 @@ class Scale(Table):
     bounds: Limits
 
 
-class HeaterZones(Table):
+class HeaterZonesTable(Table):
     """Design what a grid of heaters over the sheet is set to; each place has their mean, by view factors.
 
     Attributes:
@@ -114,10 +116,10 @@ class HeaterZones(Table):
 
 _VARIABLES = ["thickness-profile", "thickness-field", "pressure", "scale", "heater-zones"]
 Variable = Annotated[
-    Annotated[ThicknessProfile, Tag("<thickness-profile>")]
-    | Annotated[ThicknessField, Tag("<thickness-field>")]
-    | Annotated[PressureKnots, Tag("<pressure>")]
-    | Annotated[Scale, Tag("<scale>")]
-    | Annotated[HeaterZones, Tag("<heater-zones>")],
+    Annotated[ThicknessProfileTable, Tag("<thickness-profile>")]
+    | Annotated[ThicknessFieldTable, Tag("<thickness-field>")]
+    | Annotated[PressureKnotsTable, Tag("<pressure>")]
+    | Annotated[ScaleTable, Tag("<scale>")]
+    | Annotated[HeaterZonesTable, Tag("<heater-zones>")],
     *choice("kind", _VARIABLES),
 ]

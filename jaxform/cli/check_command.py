@@ -1,0 +1,199 @@
+"""What `jaxform check` says about a scene or a study, line by line; no step is run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_real
+from jaxform.core.store import Store
+from jaxform.io import files, schema
+from jaxform.io.files import SceneDocument
+from jaxform.io.scene_checks import Survey, survey
+from jaxform.model import mesh_connectivity
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.prepare import window_budget
+from jaxform.results.summary import SLOW_ENOUGH
+from jaxform.runs.loop import is_compiled
+
+# Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
+# process takes before it has a scene.
+_PER_ELEMENT, _PER_STEP, _SECONDS_TO_COMPILE = 12e-9, 10e-6, {False: 6, True: 20}  # uniform, refined
+_MEASURED_TO_BOUND = 1.6  # of the built-in scenes' first steps, 1.5 to 1.9
+_BYTES_AT_FIRST, _COPIES = 350e6, 3.0
+
+
+def read_study(source: str, store: Store) -> tuple[SceneDocument, Scene, list[str]]:
+    """A study's scene, and what the study asks for, line by line.
+
+    Raises:
+        InputError: Something in the study or its scene is wrong.
+    """
+    study = files.read_study(source)
+    tables = study.model.objective if isinstance(study.model.objective, list) else [study.model.objective]
+    others = [getattr(getattr(table, "thickness", None), "scene", None) for table in tables]
+    lines = list(_study_lines(study.file, study.model, tables))
+    if any(others):
+        # To build it would be to run the other scene.
+        for other in filter(None, others):
+            files.read_scene(other, study.folder)
+        return study.scene, files.build(study.scene, store), lines
+    import optimize
+
+    built = optimize.load_study(source, store)
+    try:
+        optimize.check(built)
+    except InputError as error:
+        raise error.within(file=study.file) from None
+    return study.scene, built.scene, [*lines, *(f"doubtful: {sentence}" for sentence in optimize.doubts(built))]
+
+
+def _study_lines(file: str, model: schema.StudyFile, tables: list[Any]) -> Iterator[str]:
+    yield f"study {file} of the scene {model.scene}"
+    for variable in model.variable:
+        yield f"variable: {_words(variable, 'kind')}"
+    for table in tables:
+        yield f"objective: {_words(table, 'kind')}"
+    yield f"search: {_words(model.solver, 'method')}"
+
+
+def _words(table: Any, name: str) -> str:
+    """A table of a study in words: its kind, then what it sets."""
+    options = {key: value for key, value in table.model_dump(warnings=False).items() if value not in (None, False)}
+    kind = options.pop(name)
+    return ", ".join([kind, *(f"{key} {_short(value)}" for key, value in options.items())])
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} {_short(item)}" for key, item in value.items() if item is not None) + "}"
+    if isinstance(value, list):
+        items = [_short(item) for item in value]
+        return f"[{', '.join(items if len(items) <= 6 else [*items[:2], '...', *items[-2:]])}]"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator[str]:
+    """What will be simulated, how, and what is skipped."""
+    seen = survey(scene)
+    yield from _sheet_lines(document, scene, seen)
+    yield from _mold_lines(scene, seen)
+    if document.model.part is not None:
+        yield f"part: {_short(document.model.part.model_dump(exclude_none=True))}; all numbers are of it alone"
+    yield from _run_lines(scene, store)
+    skipped = {
+        "contact (no mold)": scene.mold is None,
+        "damping (none given)": scene.solver.damping is None,
+        "memory (no viscous modes)": scene.material.viscous is None,
+        "the second invariant (the law has none)": document.model.material.model == "neo-hookean",
+        "refinement (none given)": scene.refinement is None,
+        "cooling (none given)": scene.cooling is None,
+        "frames (none wanted)": document.model.output.frames == 0,
+    }
+    yield "skipped: " + (", ".join(what for what, skip in skipped.items() if skip) or "nothing")
+
+
+def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterator[str]:
+    parison = scene.parison
+    modes = scene.material.viscous
+    viscous = [] if modes is None else [f"{modes.modulus.size} {modes.kind} modes"]
+    law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones), *viscous])
+    law += ", wrinkles where it would be compressed" if scene.material.tension_field else ""
+    yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
+    if parison.temperature is not None:
+        yield _temperature_line(scene, np.asarray(parison.temperature, float))
+    images = " with its images" if document.model.parison.shape != "file" and _is_cut_at_planes(scene) else ""
+    yield f"sheet{images}: {seen.sheet}; its thickness is {seen.thinness:.3g} times its size"
+    found = mesh_connectivity.parison_connectivity(parison)
+    first = scene.first_nodes
+    held = int(np.asarray(parison.clamped)[:first].sum())
+    parts = f"{found.part_count} part" if found.part_count == 1 else f"{found.part_count} parts"
+    rims = f"{found.rims} rim" if found.rims == 1 else f"{found.rims} rims"
+    on_planes = (
+        f", {int(np.asarray(parison.fixed)[:first].any(1).sum())} on symmetry planes"
+        if _is_cut_at_planes(scene)
+        else ""
+    )
+    yield f"{parts}, {rims}, {held} of {first} nodes clamped{on_planes}"
+    turns = ", but it changes its sign" if seen.changes_sign else ""
+    yield f"the pressure, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
+
+
+def _is_cut_at_planes(scene: Scene) -> bool:
+    return bool((np.asarray(scene.parison.fixed) & ~np.asarray(scene.parison.clamped)[:, None]).any())
+
+
+def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
+    if scene.mold is None or seen.mold is None:
+        return
+    dropped = f" ({scene.mold.dropped} degenerate or duplicate ones left out)" if scene.mold.dropped else ""
+    yield f"mold: {len(scene.mold.triangles)} triangles{dropped}; {seen.mold}"
+    if scene.motion is not None:
+        motion = scene.motion
+        way = ", ".join(f"{value:.4g}" for value in np.asarray(motion.direction, float))
+        far, time = float(motion.displacement[-1]), float(motion.time[-1])
+        yield f"the mold moves along ({way}), by {far:.4g} m at {time:.4g} s"
+        return
+    on = 1.0 - seen.ahead - seen.behind
+    sides = f"{100 * seen.ahead:.3g} % of the mold's area lies on that side"
+    sides += f", {100 * seen.behind:.3g} % on the other, {100 * on:.3g} % next to the sheet"
+    if seen.overlap is not None:
+        sides += f"; {100 * seen.overlap:.3g} % of the sheet has mold before it"
+    yield sides
+
+
+def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
+    elements = len(scene.parison.triangles)
+    if scene.adaptivity is not None:
+        limits, forest = scene.adaptivity
+        yield (
+            f"refined up to level {limits.deepest} of {forest.depth}, looked at every {limits.interval} steps: "
+            f"{forest.bound.size} triangles bisected beforehand, room for {limits.elements} elements at once"
+        )
+        elements = limits.elements
+    sharper = _MEASURED_TO_BOUND if scene.solver.sharp_step else 1.0
+    step, end = sharper * window_budget.first_step(scene), float(scene.solver.end_time)
+    longest = int(scene.tables.longest_window)
+    steps_each = f"{SHORT_WINDOW} to {longest}" if longest > SHORT_WINDOW else f"{SHORT_WINDOW}"
+    windows = f"at most {scene.tables.window_count} windows of {steps_each} steps"
+    yield f"to {end:.4g} s, first step about {step:.3g} s, {windows}"
+    steps = end / step + window_budget.tool_steps(scene.motion, scene.tables.grid, end, step)
+    seconds = steps * (_PER_STEP + elements * _PER_ELEMENT)
+    stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
+    most = "up to " if scene.refinement is not None else ""
+    yield (
+        f"about {steps:.2g} steps, fewer where all sticks sooner: {most}{_duration(seconds)}; "
+        f"{most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
+    )
+    if is_compiled(scene, store):
+        yield "its programs are compiled already"
+    else:
+        wait = _SECONDS_TO_COMPILE[scene.refinement is not None]
+        yield f"compiles first, for about {wait} s: no scene of this kind and size was run here before"
+    if scene.solver.quasi_static:
+        most = f"{100 * SLOW_ENOUGH:.2g} %"
+        yield f"meant to be slow: it is warned of if inertia or damping change the wall by more than {most}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.1g} s" if seconds < 10 else f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _temperature_line(scene: Scene, temperature: np.ndarray) -> str:
+    """How warm the sheet is, and how fast it cools at first."""
+    low, high = temperature.min(), temperature.max()
+    text = f"{low:.4g} degC" if low == high else f"{low:.4g} to {high:.4g} degC"
+    cooling, wall, second = scene.cooling, scene.parison.thickness.mean(), as_real(1e-3)
+    if cooling is None:
+        return f"temperature of the sheet: {text}, kept"
+    warm, density = as_real(temperature.mean()), scene.material.density.mean()
+    later = (cooling.cooled(warm, wall, as_real(share), density, second) for share in (0.0, 1.0))
+    air, mold = (float((warm - each) / second) for each in later)
+    return f"temperature of the sheet: {text}; at first it loses {air:.3g} K/s in the air, {mold:.3g} K/s on the mold"

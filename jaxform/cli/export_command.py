@@ -1,0 +1,143 @@
+"""The command `jaxform export`: the wall of a formed part for the next analysis, on its own mesh or on the user's."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxform.cli import session
+from jaxform.core import disk
+from jaxform.core.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxform.io.export import WallSurface
+    from jaxform.mesh.meshes import Mesh
+
+FORMATS = ("abaqus", "calculix", "radioss", "vtu", "csv")
+"""Those of `jaxform.io.export`, which takes NumPy to import."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what `jaxform export` takes."""
+    parser.add_argument("folder", metavar="DIR", type=Path, help="results of `jaxform simulate` or `jaxform optimize`")
+    parser.add_argument("--to", required=True, choices=FORMATS, help="what it is written for")
+    words = "a mesh of your own to carry the wall over to, in place of the formed one"
+    parser.add_argument("--onto", metavar="MESH", type=Path, help=words)
+    words = "the whole sheet, with what the scene's [part] cuts off"
+    parser.add_argument("--whole-sheet", action="store_true", help=words)
+    words = (
+        "in which coordinates MESH is: the scene's, or those of the mold's file, which [mold] scales, turns and moves"
+    )
+    words += " (default: those in which it lies on the part; the mold's own file is known)"
+    parser.add_argument("--pose", choices=("scene", "file"), help=words)
+    words = "metres per unit of length of MESH: 0.001 for millimetres (default 1, or the mold's)"
+    parser.add_argument("--scale", metavar="METRES", type=float, help=words)
+    words = "symmetry planes in which the part is completed: x, y or z, or the place as well, as x=0.15 (m)"
+    parser.add_argument("--mirror", metavar="PLANE", nargs="+", default=[], help=words)
+    parser.add_argument("--out", metavar="FILE", type=Path, help="what is written (default: wall.* in DIR)")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+
+
+def export(arguments: argparse.Namespace) -> int:
+    """Runs `jaxform export` with its arguments and returns its exit status.
+
+    Raises:
+        InputError: There are no results, the mesh does not lie on the part, or the file cannot be written.
+    """
+    from jaxform.io import export
+
+    for name in ("scale", "pose"):
+        if getattr(arguments, name) is not None and arguments.onto is None:
+            raise InputError("is there without a mesh", "give --onto as well", f"--{name}", getattr(arguments, name))
+    path = _path(arguments, export.FORMATS[arguments.to_power].ending)
+    wall = export.read_wall(arguments.folder, arguments.whole_sheet)
+    for plane in arguments.mirror:
+        wall = export.mirror(wall, *_plane(plane, wall))
+    said = []
+    if arguments.onto is not None:
+        wall, said = _map_wall(arguments, wall)
+    export.write_wall(wall, path, arguments.to_power)
+    _tell(arguments, wall, said, path)
+    return session.DONE
+
+
+def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSurface, list[str]]:
+    """The wall on the mesh that is named, in that one's coordinates, and what is to be said about it."""
+    from jaxform.io.export import mapping, pose
+    from jaxform.mesh import meshes
+
+    path, name = disk.expand_path(arguments.onto), str(arguments.onto)
+    mesh, place, said = _target(arguments, wall, path)
+    posed = dataclasses.replace(mesh, positions=place(mesh.positions))
+    reach = mapping.FARTHEST * meshes.size(wall.positions)
+    own = bool(said)
+    side, nodes, share = pose.contact_side(wall, posed, reach, whole=not own)
+    if share < 1.0:
+        said.append(
+            f"what of {name} the sheet lies on is written, {100 * share:.3g} % of its area; the rest, which is another "
+            "side of it or not near the part, gets no wall"
+        )
+    carried, coverage = mapping.map_wall(wall, side, name)
+    if own:
+        # Planes of symmetry are the scene's.
+        carried = dataclasses.replace(carried, positions=mesh.positions[nodes], planes={})
+    return carried, [*said, str(coverage)]
+
+
+def _target(
+    arguments: argparse.Namespace, wall: WallSurface, path: Path
+) -> tuple[Mesh, Callable[[np.ndarray], np.ndarray], list[str]]:
+    """The mesh that is named [m], what takes its places to those of the scene, and a sentence where these differ."""
+    from jaxform.io.export import mapping, pose
+
+    given = 1.0 if arguments.scale is None else arguments.scale
+    own = None if arguments.pose == "scene" else pose.read_pose(arguments.folder)
+    if own is None and arguments.pose == "file":
+        problem, remedy = "the scene in DIR has no mold from a file", "give --pose scene"
+        raise InputError(problem, remedy, "--pose", arguments.pose)
+    if own is not None:
+        scaled = mapping.read_target(path, own.scale if arguments.scale is None else given)
+        known = arguments.pose == "file" or own.contains_file(path)
+        words = (
+            "is the mold's own file"
+            if own.contains_file(path)
+            else "is taken to be in the coordinates of the mold's file"
+        )
+        if known or pose.fits_better_posed(wall, scaled, own.place(scaled.positions), mapping.read_target(path, given)):
+            return scaled, own.place, [f"{arguments.onto} {words}: placed as [mold] says; --pose scene says otherwise"]
+    return mapping.read_target(path, given), lambda places: places, []
+
+
+def _path(arguments: argparse.Namespace, ending: str) -> Path:
+    path = arguments.folder / f"wall{ending}" if arguments.out is None else disk.expand_path(arguments.out)
+    if path.is_dir():
+        raise InputError("is a folder", "name a file", "--out", str(path))
+    if path.exists() and not arguments.force:
+        raise InputError("is there already", "choose another file or give --force", "--out", str(path))
+    return path
+
+
+def _plane(text: str, wall: WallSurface) -> tuple[int, float]:
+    """Axis and place [m] of a plane such as `x` or `x=0.15`; without a place that of the run, or 0."""
+    from jaxform.mesh.surfaces import parse_plane
+
+    try:
+        axis, level = parse_plane(text)
+    except InputError:
+        raise InputError("is no plane", "give x, y or z, or a place as x=0.15 (m)", "--mirror", text) from None
+    return axis, level if "=" in text else wall.planes.get(axis, 0.0)
+
+
+def _tell(arguments: argparse.Namespace, wall: WallSurface, said: list[str], path: Path) -> None:
+    from jaxform.io.export import text
+
+    if arguments.quiet:
+        return
+    for line in [*said, text.head(wall)[-1], f"written to {path}"]:
+        session.say(line)

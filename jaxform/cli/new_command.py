@@ -1,0 +1,150 @@
+"""`jaxform new`: a folder with a first scene for a mold."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxform.cli import session
+from jaxform.core import disk
+from jaxform.core.errors import InputError, warn_of
+
+if TYPE_CHECKING:
+    from jaxform.io.scene_choices import Draft, UserChoices
+
+_LEAST, _MOST = 1e-9, 1e3  # m
+_LARGE = 3.0  # of a part in metres, which may be one of a few inches
+_DEEP = 1.5  # times the width, above which hardly anything is thermoformed
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what `jaxform new` takes."""
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
+    parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
+    parser.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--drape", action="store_true", help="form the sheet over the mold, a buck")
+    kind.add_argument("--cavity", action="store_true", help="form the sheet into the mold; found by default")
+    parser.add_argument(
+        "--direction", metavar="SIDE", help="from which the sheet comes: +z, -x ... or X,Y,Z in the file's axes"
+    )
+    parser.add_argument(
+        "--process", choices=["vacuum", "pressure"], default="vacuum", help="a vacuum has 0.9 bar at most (default)"
+    )
+    parser.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
+
+
+def start(arguments: argparse.Namespace) -> int:
+    """Writes the folder, says what was found and what to run next; returns the exit status."""
+    say = (lambda _: None) if arguments.quiet else session.say
+    for key in ("scale", "thickness"):
+        _check_positive(f"--{key}", getattr(arguments, key))
+    from jaxform.io import scene_text, scene_wizard
+
+    paths = [disk.expand_path(name) for name in arguments.mold]
+    wishes = _wishes(arguments)
+    try:
+        made = scene_wizard.draft(paths, wishes)
+    except InputError as error:
+        raise error.within(key="--mold") from None
+    try:
+        session.open_folder(arguments.folder, arguments.force)
+    except InputError as error:
+        raise replace(error, key="FOLDER") from None
+    files = scene_text.write(arguments.folder, paths, made)
+    _warn(made)
+    for line in _lines(made):
+        say(line)
+    scene, study = (shlex.quote(str(path)) for path in files[:2])
+    say(f"wrote {', '.join(path.name for path in files)} into {arguments.folder}")
+    say("next:")
+    for line in (
+        f"jaxform check {scene} --out {shlex.quote(str(arguments.folder / 'check'))}",
+        f"jaxform simulate {scene} --out {shlex.quote(str(arguments.folder / 'formed'))}",
+        f"jaxform optimize {study} --out {shlex.quote(str(arguments.folder / 'design'))}",
+    ):
+        say(f"    {line}")
+    return session.DONE
+
+
+def _wishes(arguments: argparse.Namespace) -> UserChoices:
+    from jaxform.io.scene_choices import UserChoices
+    from jaxform.tools import buck
+
+    direction = None if arguments.direction is None else buck.parse_direction(arguments.direction)
+    drape = True if arguments.drape else False if arguments.cavity else None
+    return UserChoices(arguments.scale, arguments.thickness, drape, direction, arguments.process)
+
+
+def _check_positive(key: str, value: float | None) -> None:
+    if value is not None and not _LEAST < value < _MOST:
+        raise InputError("is no possible number of metres", f"give {_LEAST:g} to {_MOST:g}", key, value)
+
+
+def _warn(made: Draft) -> None:
+    """Of what was found and may be meant otherwise."""
+    from jaxform.io import drape_setup, scene_text, units
+    from jaxform.tools import opening
+
+    found, largest = made.found, float(made.size.max())
+    if made.guessed and units.METRES < largest <= _LARGE:
+        problem = f"its box is {largest:.4g} units long: taken for {made.units.name}"
+        warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
+    if made.rest is not None:
+        problem = f"looks cut in {scene_text.cut_planes_text(made.rest, made.scale)}: {scene_text.IMAGES} completes it"
+        warn_of(problem, "look at check.png, and write the scene by hand where the mold is meant so", key="--mold")
+    if made.drape is not None:
+        drape_setup.warn(made.drape, made.scale)
+        return
+    if found.depth > _DEEP * made.width:
+        problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
+        warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")
+    if made.slit is not None:
+        problem = f"has {scene_text.slits_text(made.slit)}, and more than twice as deep: they are left open"
+        warn_of(problem, "widen them, or raise pressure.value and look whether the sheet meets itself", key="--mold")
+    if found.rim < opening.RIM:
+        problem = f"only {100 * found.rim:.0f} % of the edge around the opening is at one height"
+        warn_of(problem, "look at check.png: the sheet is clamped in one plane", key="--mold")
+
+
+def _lines(made: Draft) -> Iterator[str]:
+    from jaxform.io import drape_setup, scene_text
+
+    box = " x ".join(f"{side:.4g}" for side in made.size)
+    otherwise = made.units.others or "--scale says otherwise"
+    yield f"the mold's box is {box} in its file's units, taken for {made.units.name} ({otherwise})"
+    yield from _cavity_lines(made) if made.drape is None else drape_setup.lines(made.drape)
+    if made.doubt:
+        yield f"it is {made.doubt}"
+    yield f"sheet: {scene_text.shape_text(made)}, {1e3 * made.width:.3g} mm wide, {_clamp_words(made)}"
+    if made.drape is None and made.covers.mesh is not None:
+        yield f"{scene_text.COVERS} closes {scene_text.covers_text(made)}"
+    yield (
+        f"guessed: thickness {1e3 * made.thickness:.3g} mm, {made.pressure:.3g} Pa within {made.ramp:.3g} s; "
+        "the material is a placeholder"
+    )
+    if made.limited:
+        yield f"{scene_text.vacuum_text(made)} (--process pressure)"
+
+
+def _cavity_lines(made: Draft) -> Iterator[str]:
+    from jaxform.tools import buck
+
+    x, y, z = made.found.view.turn.T[:, 2]
+    yield f"its opening is found; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
+    if made.found.others:
+        sides = " or ".join(f"--direction={buck.direction_name(side)}" for side in made.found.others)
+        yield f"it is hollow on other sides too: {sides}"
+
+
+def _clamp_words(made: Draft) -> str:
+    depth = 1e3 * made.found.depth
+    if made.drape is not None:
+        return f"clamped {1e3 * made.drape.site.margin:.3g} mm around the buck, which is {depth:.3g} mm high"
+    return f"clamped {'on the flange' if made.planform.flange else 'along the rim'}; drawn {depth:.3g} mm deep"

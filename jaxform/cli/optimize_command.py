@@ -1,0 +1,151 @@
+"""The command `jaxform optimize`: a search, what it says as it goes, and what it leaves on disk."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxform.cli import session
+from jaxform.core.errors import InputError, InputWarning, warn_of
+
+
+def optimize_study(arguments: argparse.Namespace) -> int:
+    """Runs `jaxform optimize` with its arguments and returns its exit status.
+
+    Raises:
+        InputError: As the command's bad input, and where the search cannot be written down any more.
+    """
+    say, store = session.prepare(arguments)
+    import optimize
+    from jaxform.io import files
+
+    study = optimize.load_study(arguments.source, store)
+    reference = files.read_reference(study.document)
+    folder: Path = arguments.out
+    notes = folder / "search.jsonl"
+    if arguments.resume and not os.path.exists(notes):
+        problem, remedy = "has no search to go on with: it begins anew", "name the folder of the one that was stopped"
+        warn_of(problem, remedy, key="--resume", value=str(folder))
+    session.open_folder(folder, arguments.force or (arguments.resume and os.path.exists(notes)))
+    journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
+    rows: list[dict[str, Any]] = []
+    with session.progress(not arguments.quiet, "designing") as bar:
+
+        def on_evaluation(row: dict[str, Any]) -> None:
+            rows.append(row)
+            # Written anew each time: a search that is killed leaves what it did.
+            optimize.write_history(folder / "history.csv", rows)
+            if bar is not None:
+                bar(min(row["iteration"] / study.iterations, 1.0), _progress_words(row))
+
+        def on_check(error: float) -> None:
+            say(f"gradient along one direction: relative difference to central differences {error:.1e}")
+
+        def on_warning(sentence: str) -> None:
+            arguments.warned.append(sentence)
+            session.warn(sentence)
+
+        try:
+            # What is hardly meant in a design on the way is no news; the last one's summary says it.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", InputWarning)
+                design = optimize.solve(
+                    study, on_evaluation, on_check=on_check, on_warning=on_warning, on_wait=say, journal=journal
+                )
+        except InputError as error:
+            raise error.within(file=study.file) from None
+    if journal.replayed:
+        say(f"{journal.replayed} answers were known from before")
+    _write_design(arguments, study, design, reference)
+    _tell_design(say, design, folder)
+    return _exit_status(design)
+
+
+def _exit_status(design: Any) -> int:
+    """That of a design; one that does not fill its mold is no failure of the search: its summary says so, as here."""
+    from jaxform.results.explanation import explain
+    from jaxform.sheet.state import Status
+
+    if int(design.result.status) == Status.UNFILLED:
+        session.warn(explain(design.result))
+        return _limits_status(design)
+    return session.exit_status(design.result) or _limits_status(design)
+
+
+def _limits_status(design: Any) -> int:
+    """That of a design which breaks a limit: the search stopped before it kept all."""
+    if design.broken:
+        print(f"jaxform: {design.broken}", file=sys.stderr)
+        return session.STOPPED
+    return session.DONE
+
+
+def _progress_words(row: dict[str, Any]) -> str:
+    error = row["thickness_rms_error"]
+    what = f"objective {row['objective']:.4g}" if error == "" else f"deviation {100 * error:.3g} %"
+    return (
+        f"evaluation {row['evaluation']}, {what}, wall from {1e3 * row['wall_min']:.3g} mm, {1e3 * row['mass']:.4g} g"
+    )
+
+
+def _write_design(arguments: argparse.Namespace, study: Any, design: Any, reference: dict[str, Any] | None) -> None:
+    from jaxform.io import output, plots, scene_rewriting
+
+    folder: Path = arguments.out
+    scene_rewriting.write_scene(study.document, design.changes, folder)
+    exact = reference if not _changes_sheet(design.changes) else None
+
+    def write_rest() -> None:
+        output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
+        session.write_report(folder)
+
+    picture = session.picture(arguments, design.scene, design.result, exact)
+    session.write_part(arguments, design.scene, design.result, picture, design.amended, then=write_rest)
+    plots.convergence_picture(folder / "convergence.png", design.history)
+    before, after = (design.first_scene, design.first_result), (design.scene, design.result)
+    plots.design_picture(folder / "design.png", before, after, study.objective.uniform)
+    output.write_json(folder / "design.json", design.summary())
+
+
+def _changes_sheet(changes: dict[str, Any]) -> bool:
+    """Whether an exact solution for the scene's own sheet no longer applies."""
+    return any(key.startswith(("parison.", "material.")) for key in changes)
+
+
+def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
+    facts = design.summary()
+    first, best = facts["before"], facts["after"]
+    if best["thickness_rms_error"] is not None:
+        say(
+            f"deviation from the target {100 * first['thickness_rms_error']:.3g} % -> "
+            f"{100 * best['thickness_rms_error']:.3g} %"
+        )
+    say(
+        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, its variation "
+        f"{100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
+        f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
+    )
+    if facts["multiplier"] is not None:
+        # By how much they are broken is told with the status.
+        kept = "broken" if design.broken else f"kept to {100 * facts['violation']:.2g} %"
+        say(
+            f"limits are {kept}; multiplier {facts['multiplier']:.3g}: what the objective gains per relative change of "
+            "the limit"
+        )
+    if facts["price"] is not None:
+        say(
+            f"the last tenth of the gain cost the time of {facts['price']['simulations_for_the_last_tenth']:.0f} "
+            f"simulations, all before it that of {facts['price']['simulations_for_nine_tenths']:.0f}"
+        )
+    if facts["warm_start"]:
+        say(f"{facts['warm_start']} updates of the fixed point came first (solver.warm_start)")
+    say(
+        f"{facts['evaluations']} simulations with and without gradient (the time of {facts['simulations']:.0f} "
+        f"simulations, {facts['seconds']:.0f} s); stopped by {facts['stopped_by']}: {facts['message']}; results in "
+        f"{folder}"
+    )

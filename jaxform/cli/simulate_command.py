@@ -1,0 +1,142 @@
+"""The command `jaxform simulate`: a run with a bar and frames, its files and its picture."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxform.cli import session
+from jaxform.core import disk
+from jaxform.core.errors import InputError, defer_warnings, redirect_warnings
+
+if TYPE_CHECKING:
+    from jaxform.core.store import Store
+    from jaxform.model.scene import Scene
+    from jaxform.results.result import Result
+
+
+def simulate(arguments: argparse.Namespace) -> int:
+    """Runs `jaxform simulate` with its arguments and returns its exit status."""
+    with session.start_picture(arguments) as draw:
+        source = arguments.source
+        subject = os.path.abspath(source) if disk.is_file(Path(source)) else source
+        say, store = session.prepare(arguments, subject)
+        from jaxform.io import files, scene_rewriting
+        from jaxform.io.output import Frames
+        from jaxform.runs import loop
+
+        document = files.read_scene(arguments.source)
+        reference = files.read_reference(document)
+        with session.report_waiting(arguments, "reading the mold and preparing its search grid"):
+            scene = files.build_unchecked(document, store)
+        session.open_folder(arguments.out, arguments.force)
+        frames = Frames(arguments.out, document.model.output.frames)
+        frames.begin(scene)
+        loop.start_programs(scene, store)
+        look = session.run_in_background(lambda: _warn_of_scene(scene, document, arguments.warned))
+        # What the run warns of comes after what the scene is warned of, whichever ends first.
+        with defer_warnings(), look as looked:
+            result, there = _run(scene, frames, arguments, store)
+            picture = session.picture(arguments, scene, result, reference, draw)
+            store.record_programs(subject)
+        looked.result()
+
+        def write_rest() -> None:
+            scene_rewriting.keep_scene(document, arguments.out)
+            frames.finish(scene, result)
+            with session.report_waiting(arguments, "writing the report"):
+                session.write_report(arguments.out)
+
+        summary = session.write_part(arguments, scene, result, picture, then=write_rest, there=there)
+    _tell(say, summary, arguments.out)
+    return session.exit_status(result)
+
+
+def _warn_of_scene(scene: Scene, document: Any, warned: list[str]) -> None:
+    """Warns of what is hardly meant, while programs are loaded or compiled; then gets ready to write the results."""
+    from jaxform.io import files
+
+    def tell(sentence: str) -> None:
+        if sentence not in warned:
+            warned.append(sentence)
+            session.warn(sentence)
+
+    with redirect_warnings(tell):
+        files.review_scene(scene, document)
+    import meshio  # noqa: F401
+    import scipy.spatial  # noqa: F401
+
+
+def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store) -> tuple[Result, bool]:
+    """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed.
+
+    Returns:
+        The result, and whether it is written, all but what must be measured.
+    """
+    from jaxform.io import output
+    from jaxform.runs.host import Moment, run
+
+    interrupted = there = False
+
+    with contextlib.ExitStack() as measuring, session.progress(not arguments.quiet, scene.name) as bar:
+
+        def on_end(result: Result) -> None:
+            nonlocal there
+            # What cannot be written now is told when all is.
+            with contextlib.suppress(OSError, InputError):
+                output.write_at_once(scene, result, arguments.out, arguments.warned)
+                there = True
+            words = "measuring the part against the mold; its files are written"
+            measuring.enter_context(session.report_waiting(arguments, words))
+
+        def on_window(moment: Moment) -> bool:
+            nonlocal interrupted
+            try:
+                if bar is not None:
+                    bar(moment.time / moment.end_time, f"{moment.steps} steps")
+                frames.offer(scene, moment)
+            except KeyboardInterrupt:
+                interrupted = True
+            return interrupted
+
+        watched = bar is not None or frames.count > 0
+        result = run(scene, on_window=on_window if watched else None, on_end=on_end, store=store)
+    return result, there
+
+
+def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
+    from jaxform.core.formatting import format_place
+
+    wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
+    say(
+        f"{summary['scene']}: {summary['elements_final']} elements, {summary['steps']} steps in "
+        f"{summary['run_seconds']:.2f} s (compiled in {summary['compile_seconds']:.1f} s)"
+    )
+    say(
+        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, variation "
+        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
+        f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
+    )
+    say(_thinnest(summary["thinnest"]))
+    if summary["gap_max"] > summary["thickness"]["mean"]:
+        where = format_place(summary["gap_place"])
+        say(f"the mold is filled least at {where}: {1e3 * summary['gap_max']:.3g} mm are left")
+    say(f"status: {summary['status']}; results in {folder}")
+
+
+def _thinnest(found: dict[str, Any]) -> str:
+    """The thinnest recovered wall in words, with its scatter."""
+    from jaxform.core.formatting import format_place
+
+    where, around = (
+        format_place(found["recovered_place"]),
+        "around its ring" if found["scatter_of"] == "ring" else "there",
+    )
+    return (
+        f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm at {where}; scatter "
+        f"{100 * found['scatter']:.2g} % {around}"
+    )

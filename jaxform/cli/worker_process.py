@@ -1,0 +1,124 @@
+"""A second process, in which a command has its pictures drawn while it does something else itself.
+
+Python runs one thread at a time, and to import what a picture needs takes as long as to load the programs of a run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import multiprocessing
+import os
+import pickle
+import signal
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
+
+_NO_ANSWER = (OSError, EOFError)  # where the other process is no more
+
+
+class PendingCall(NamedTuple):
+    """A call that may be done elsewhere: what waits for it, and whether it is."""
+
+    wait: Callable[[], object]
+    elsewhere: bool
+
+
+class DirectCaller:
+    """Calls are done in this process, when they are waited for."""
+
+    def start_call(self, function: Callable[..., object], *arguments: Any) -> PendingCall:
+        """What waits for the call of a function."""
+        return PendingCall(lambda: function(*arguments), elsewhere=False)
+
+
+class WorkerCaller(DirectCaller):
+    """Another process that gets ready for calls, then does them one after the other.
+
+    What it cannot do, for whatever reason, is done here in the end: errors are those of this process.
+
+    Args:
+        module: A module that it imports.
+        ready: The function of that which it calls, so that all is there that will be needed.
+    """
+
+    def __init__(self, module: str, ready: str) -> None:
+        """See the class."""
+        context = multiprocessing.get_context("spawn")
+        self._here, there = context.Pipe()
+        self._process = context.Process(target=_serve, args=(there, module, ready), daemon=True)
+        with _no_interrupts():
+            self._process.start()
+        there.close()
+
+    def start_call(self, function: Callable[..., object], *arguments: Any) -> PendingCall:
+        """Has a function of a module called there; one call after the other, each waited for before the next."""
+        sent = False
+        with contextlib.suppress(*_NO_ANSWER, pickle.PicklingError, AttributeError, TypeError):
+            self._here.send((function, arguments))
+            sent = True
+
+        def wait() -> None:
+            done = False
+            with contextlib.suppress(*_NO_ANSWER):
+                done = sent and self._here.recv()
+            if not done:
+                function(*arguments)
+
+        return PendingCall(wait, elsewhere=True)
+
+    def end(self) -> None:
+        """Ends the process, whatever it does."""
+        self._process.kill()
+        self._process.join()
+        self._here.close()
+
+
+@contextlib.contextmanager
+def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]:
+    """What begins calls of functions of a module: in another process, where one is wanted and can be had."""
+    other = None
+    if wanted and _cores() > 1:
+        with contextlib.suppress(OSError):
+            other = WorkerCaller(module, ready)
+    try:
+        yield other or DirectCaller()
+    finally:
+        if other is not None:
+            other.end()
+
+
+def _cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Ctrl-C is not for a process that is started meanwhile: what was computed is drawn all the same."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(asked: Connection, module: str, ready: str) -> None:
+    """What the other process does, until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.disable()
+    with contextlib.suppress(*_NO_ANSWER):
+        getattr(importlib.import_module(module), ready)()
+        while True:
+            function, arguments = asked.recv()
+            try:
+                function(*arguments)
+                done = True
+            except Exception:
+                done = False  # it is tried again by who asked, and tells why
+            asked.send(done)

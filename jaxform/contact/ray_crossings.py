@@ -1,0 +1,129 @@
+"""Lines of sight: whether the mold is between two places. No derivative is taken.
+
+A place is on the sheet's side of the mold where the way to it, from a node that is, crosses the mold an even number of
+times. Nothing else is asked of the mold: it may be open, in pieces, and its triangles may turn either way.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.contact import cells
+from jaxform.kernels.blocks import compact_indices, cut, materialize
+from jaxform.mechanics.membrane import dot
+from jaxform.tools.search import SearchGrid
+
+_LANES = 64  # ways that are looked along together
+_APART = 16  # times the distance at which a node touches: crossings that are nearer to each other are one
+
+
+class Crossings(NamedTuple):
+    """What is seen along ways.
+
+    How many times each (n,) crosses the mold, the triangle that it crosses last, -1 where none, and 1 or -1 where it
+    comes to that from the side of its normal or from the other.
+    """
+
+    count: jax.Array
+    triangle: jax.Array
+    side: jax.Array
+
+
+class _SearchProgress(NamedTuple):
+    """Where the looks along ways (lanes,) are: searched so far [m], and what was found."""
+
+    way: jax.Array
+    found: Crossings
+
+
+def ray_crossings(begin: jax.Array, end: jax.Array, wanted: jax.Array, grid: SearchGrid) -> Crossings:
+    """What is between places, along straight ways.
+
+    Args:
+        begin: Where ways begin (3, n) [m]; a crossing there does not count.
+        end: Where they end (3, n) [m]; the same.
+        wanted: The ways (n,) to be looked along.
+        grid: The mold's search structure.
+    """
+    count = begin.shape[1]
+    node, total = compact_indices(wanted, -(-count // _LANES) * _LANES)
+
+    def more(carry: tuple[jax.Array, Crossings]) -> jax.Array:
+        return carry[0] < total
+
+    def search_ways(carry: tuple[jax.Array, Crossings]) -> tuple[jax.Array, Crossings]:
+        first, all_found = carry
+        lane = cut(node, first, _LANES)
+        used = first + jnp.arange(_LANES) < total
+        found = _trace_ways(begin[:, lane], end[:, lane], used, grid)
+        mine = jnp.where(used, lane, count)
+        new = (old.at[mine].set(value, mode="drop") for old, value in zip(all_found, found, strict=True))
+        return first + _LANES, Crossings(*new)
+
+    return jax.lax.while_loop(more, search_ways, (jnp.int32(0), _no_crossings(count)))[1]
+
+
+def _no_crossings(count: int) -> Crossings:
+    none = jnp.zeros(count, jnp.int32)
+    return Crossings(none, none - 1, none)
+
+
+def _trace_ways(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchGrid) -> Crossings:
+    """What is seen along a few ways (3, lanes), side by side."""
+    path = end - begin
+    length = jnp.sqrt(dot(path, path))
+    unit = path / jnp.maximum(length, jnp.finfo(length.dtype).tiny)[None]
+    apart = _APART * cells.touch_distance(grid)
+    last = length - apart
+
+    def more(look: _SearchProgress) -> jax.Array:
+        return jnp.any(used & (look.way < last))
+
+    def step(look: _SearchProgress) -> _SearchProgress:
+        cell, bound = cells.cell_bounds(begin + look.way[None] * unit, grid)
+        # All that is within reach of its cell is listed there, and nothing is nearer than the bound.
+        till = jnp.minimum(look.way + jnp.maximum(bound, grid.reach), last)
+        met, triangle, side = _first_crossing(begin, unit, look.way, till, cell, grid)
+        hit = used & (met < jnp.inf)
+        count, triangles, sides = look.found
+        found = Crossings(count + hit, jnp.where(hit, triangle, triangles), jnp.where(hit, side, sides))
+        # Behind a crossing the rest is searched.
+        return _SearchProgress(jnp.where(hit, met + apart, till), found)
+
+    start = _SearchProgress(jnp.full_like(length, apart), _no_crossings(length.size))
+    return jax.lax.while_loop(more, step, start).found
+
+
+def _first_crossing(
+    begin: jax.Array, unit: jax.Array, low: jax.Array, high: jax.Array, cell: jax.Array, grid: SearchGrid
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Where each way (lanes,) first crosses a triangle of its cell between two distances [m], which, and from where."""
+    first, end = grid.start[cell], grid.start[cell + 1]
+    tolerance = 1e3 * jnp.finfo(unit.dtype).eps
+
+    def more(carry: tuple[jax.Array, tuple[jax.Array, ...]]) -> jax.Array:
+        return carry[0] < jnp.max(end - first)
+
+    def compare(carry: tuple[jax.Array, tuple[jax.Array, ...]]) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+        k, (best, chosen, side) = carry
+        row = grid.listed[jnp.where(first + k < end, first + k, 0)]
+        d, normal, dual1, dual2 = grid.frames[row, :12].T.reshape(4, 3, -1)
+        slope = dot(unit, normal)
+        level = slope == 0.0
+        met = -dot(begin - d, normal) / jnp.where(level, 1.0, slope)
+        away = begin + met[None] * unit - d
+        gamma, delta = dot(away, dual1), dot(away, dual2)
+        inside = (gamma >= -tolerance) & (delta >= -tolerance) & (gamma + delta <= 1.0 + tolerance)
+        closer = (first + k < end) & ~level & inside & (met > low) & (met <= high) & (met < best)
+        # All three hear the same, also where rounding decides.
+        closer = materialize(closer)
+        new = met, grid.number[row], jnp.where(slope < 0.0, 1, -1)
+        return k + 1, tuple(jnp.where(closer, a, b) for a, b in zip(new, (best, chosen, side), strict=True))
+
+    none = jnp.zeros(unit.shape[1], jnp.int32)
+    start = jnp.full(unit.shape[1], jnp.inf, unit.dtype), none, none
+    met, triangle, side = jax.lax.while_loop(more, compare, (jnp.int32(0), start))[1]
+    return met, triangle, side

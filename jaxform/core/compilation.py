@@ -1,0 +1,174 @@
+"""What XLA is asked for when it compiles a program, and where JAX keeps the program."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import functools
+import gc
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
+
+from jaxform.core import cachefolder, disk
+from jaxform.core.errors import InputError
+from jaxform.core.promotion import with_standard_promotion
+
+_LEVEL = 2  # of optimization, of the 3 that XLA's CPU compiler has
+_CROWDED = 0.5  # of the mappings that Linux lets a process have
+
+
+def compiler_options() -> dict[str, int | str]:
+    """For `jax.jit` around `simulate`, or `compile` of what it lowers: programs then take up to a quarter less time.
+
+    On the CPU the widest vectors it has, 512 bits: LLVM takes half of them by itself. Where there are none so wide it
+    changes nothing. And not the highest level of optimization: it unrolls short loops before it looks whether they can
+    be done in vectors, and then they cannot. Long work on whole arrays beside the simulation may want that level: give
+    it a `jit` of its own. And, where it knows of that, no sharing out of sums and products of whole arrays over
+    threads: the arrays are so short that this takes longer than they do. On other devices there is nothing to ask for.
+    `run`, `simulate_batch` and designs use it.
+    """
+    if jax.default_backend() != "cpu":
+        return {}
+    return {"xla_cpu_prefer_vector_width": 512, "xla_backend_optimization_level": _LEVEL, **_optional_flags()}
+
+
+@functools.cache
+def _optional_flags() -> dict[str, int | str]:
+    """An option that may come and go with XLA's versions, where the present one knows it."""
+    option: dict[str, int | str] = {"xla_cpu_experimental_ynn_fusion_type": ""}
+    try:
+        jax.jit(lambda x: x).lower(np.float32(0.0)).compile(option)
+    except RuntimeError:
+        return {}
+    return option
+
+
+def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
+    """Has JAX keep what it compiles for the next process, and returns the folder; a script then starts in seconds.
+
+    Args:
+        folder: Where. By default where JAX keeps programs already (`JAX_COMPILATION_CACHE_DIR`), else in the user's
+            cache folder, as the command does. Programs from it are run: let nobody else write to it.
+
+    Returns:
+        The folder; None where the user has no cache folder that is theirs alone: then nothing is kept.
+
+    Raises:
+        InputError: If the folder cannot be made.
+    """
+    known = jax.config.jax_compilation_cache_dir
+    if folder is None and known:
+        _cache_every_program()
+        return Path(known)
+    if folder is None:
+        own = cachefolder.user_cache_folder()
+        if own is None:
+            return None
+        chosen = own / cachefolder.COMPILED
+        keep_programs_in(chosen, _exit_stack())
+        return chosen
+    chosen = Path(folder).absolute()
+    try:
+        chosen.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        problem = f"cannot be written ({disk.error_reason(error)})"
+        raise InputError(problem, "choose another folder", "folder", str(folder)) from None
+    keep_programs_in(chosen, _exit_stack())
+    return chosen
+
+
+def keep_programs_in(folder: Path, guard: contextlib.ExitStack) -> None:
+    """Keeps compiled programs between processes in a folder, which is looked over now and when the guard is closed."""
+    guard.enter_context(cachefolder.guard_folder(folder))
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    # Else what was compiled before would have settled for this process that nothing is kept.
+    compilation_cache.reset_cache()
+    _cache_every_program()
+
+
+def _cache_every_program() -> None:
+    # Many small programs together take longer than one large one.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+@functools.cache
+def _exit_stack() -> contextlib.ExitStack:
+    guard = contextlib.ExitStack()
+    atexit.register(guard.close)
+    return guard
+
+
+def compile_function(function: Any, *arguments: Any) -> Any:
+    """A jitted function, compiled ahead for arguments like these."""
+    return start_compiling(function, *arguments)[1].result()
+
+
+@with_standard_promotion
+def compile_on_thread(function: Any, *arguments: Any) -> Any:
+    """The same, on this thread."""
+    return function.lower(*arguments).compile(compiler_options())
+
+
+def start_compiling(
+    function: Any, *arguments: Any, done: Callable[[Any, Any], None] | None = None
+) -> tuple[Any, Future[Any]]:
+    """The shapes of a jitted function's results, and the function, which is being compiled for arguments like these.
+
+    XLA holds no lock of the interpreter: others are traced and compiled meanwhile. When it is compiled, `done` is
+    called with both.
+    """
+    if exceeds_program_limit():
+        jax.clear_caches()
+    with _pause_garbage_collection():
+        lowered = function.lower(*arguments)
+
+    def compile_program() -> Any:
+        program = lowered.compile(compiler_options())
+        if done is not None:
+            done(lowered.out_info, program)
+        return program
+
+    return lowered.out_info, submit_compilation(compile_program)
+
+
+def submit_compilation[T](work: Callable[[], T]) -> Future[T]:
+    """Work of a compiler or loader of programs, which is done on another thread while others are compiled."""
+    return _compilers().submit(work)
+
+
+@functools.cache
+def _compilers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count())
+
+
+@contextlib.contextmanager
+def _pause_garbage_collection() -> Iterator[None]:
+    """Tracing makes many objects that live on: to look for garbage among them takes a tenth of its time."""
+    used = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if used:
+            gc.enable()
+
+
+def exceeds_program_limit() -> bool:
+    """Whether this process has so many programs that some must go before others are compiled.
+
+    On Linux each takes some hundred mappings of memory, of 65 530 as a rule; where there are none left the compiler
+    ends the process. Elsewhere nothing is known of such a limit.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        with Path("/proc/self/maps").open("rb") as mappings:
+            used = sum(1 for _ in mappings)
+        return used > _CROWDED * int(Path("/proc/sys/vm/max_map_count").read_text())
+    return False

@@ -1,0 +1,213 @@
+"""The end of a window: its account of energy, whether it is taken or rejected, and how long the next one is."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.dynamics.contact_step import FAR
+from jaxform.dynamics.window_state import ContactSearch, WindowData, WindowState
+from jaxform.kernels.blocks import lax_cond_once, over_blocks
+from jaxform.mechanics import membrane
+from jaxform.mechanics.constitutive import present_memory
+from jaxform.mechanics.corners import Load, corner_forces
+from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+from jaxform.sheet.active_set import ActiveSet
+from jaxform.sheet.energy_balance import element_energy, energy_rounding, last_work, pressure_at
+from jaxform.sheet.scheme import apply_tool_velocity, update_velocity
+from jaxform.sheet.state import PackedState, Replay, State, Status
+
+_MOST_RETRIES = 12
+SLACK = 1e-3  # of a step: less is rounding
+_ENERGY_TOLERANCE = 0.2  # of the largest work done so far; a blow-up passes it within a window
+_FEW_PAIRS = 0.25  # of the nodes' number, near the mold: with no more, windows become longer
+_STEADY = 0.05  # of the bound on the step: where it changes by more in a window, they become shorter
+_QUIET = 1e-2  # of the largest work: where a window misses more energy, they become shorter
+_JUMP_TOLERANCE, _RETRIES_FOR_ENERGY = 0.02, 4  # the same of one window, which is then retried at most so often
+
+
+def end_window(
+    state: PackedState,
+    moving: WindowState,
+    end: WindowEnd,
+    searched: ContactSearch | None,
+    scene: Scene,
+    now: WindowData,
+) -> PackedState:
+    """The state at the window's end, with its health checked; a state that is not finite is not taken."""
+    work = jax.lax.stop_gradient(moving.account.work)
+    new = dataclasses.replace(
+        state,
+        nodes=dataclasses.replace(moving.nodes, mode=state.nodes.mode, fields=moving.fields),
+        memory=moving.memory,
+        account=dataclasses.replace(
+            moving.account,
+            peak_work=jnp.maximum(state.account.peak_work, jnp.abs(work)),
+            kinetic_peak=jnp.maximum(state.account.kinetic_peak, end.kinetic),
+            kinetic_excess=end.behind - end.kinetic,
+            tool_last=end.tool,
+        ),
+        control=dataclasses.replace(state.control, step_length=now.length, bound=now.bound),
+        time=state.time + moving.count * now.length,
+        steps=state.steps + moving.count,
+        windows=state.windows + 1,
+    )
+    rounding = energy_rounding(scene, now.active.substance)
+    status, imbalance = _health(new, end, rounding, scene, now.active)
+    new = dataclasses.replace(new, account=dataclasses.replace(new.account, imbalance=imbalance))
+    # Of a window that turns over more energy than it says, a shorter one is tried: a few times.
+    jump = jnp.abs(imbalance - state.account.imbalance) - rounding
+    unsure = (jump > _JUMP_TOLERANCE * new.account.peak_work) & (state.control.retries < _RETRIES_FOR_ENERGY)
+    # What blew up, and what may have missed the mold since a node flew out of its sphere or faster than it looked, is
+    # retried with half the step: the sheet may have stiffened within the window.
+    if searched is not None:
+        status = jnp.where(searched.missed, Status.CONTACT_MISSED, status)
+    bad = (status != 0) | unsure
+    status = state.status | jnp.where(state.control.retries >= _MOST_RETRIES, status, 0)
+    if searched is not None:
+        # Pairs were lost: the state is left as it was, for a run with more room.
+        bad |= searched.overflow
+        status |= jnp.where(searched.overflow, Status.CONTACT_OVERFLOW, 0)
+    box = scene.tables.box
+    if box is None:
+        status |= jnp.where((end.largest > FAR * scene.tables.size) & ~bad, Status.RUNAWAY, 0)
+    else:
+        status |= jnp.where((end.largest > box.reach) & ~bad, Status.ESCAPED, 0)
+    retries = jnp.where(bad, state.control.retries + 1, jnp.maximum(state.control.retries - 1, 0))
+    if now.row is not None:
+        spent = moving.count * now.length
+        whole = now.row.left - spent <= SLACK * now.length
+        row_time = jnp.where(whole, 0.0, state.replay.row_time + spent)
+        new = dataclasses.replace(new, replay=Replay(now.row.number + whole, row_time))
+    # Chosen as a whole: leaf by leaf it would be a kernel for each.
+    kept = lax_cond_once(bad, lambda _: state, new, differentiable=moving.room is None)
+    return dataclasses.replace(
+        kept,
+        status=status.astype(jnp.int32),
+        control=dataclasses.replace(
+            kept.control,
+            span=_next_span(state, bad, jump <= _QUIET * new.account.peak_work, searched, scene, now, new.time),
+            retries=retries,
+            last_length=now.length,
+            last_count=jnp.where(bad, 0, moving.count),
+        ),
+        windows=new.windows,
+        shortened=state.shortened + bad,
+    )
+
+
+def _next_span(
+    state: State,
+    rejected: jax.Array,
+    quiet: jax.Array,
+    searched: ContactSearch | None,
+    scene: Scene,
+    now: WindowData,
+    time: jax.Array,
+) -> jax.Array:
+    """Steps of the next window: more while the account is quiet, the stiffness steady, and little is near the mold.
+
+    A border costs as much as ten steps; but at a border elements that stick leave the list, and the step follows the
+    stiffness. Where short windows would not do with those that were planned for the `time` that is left, they are as
+    long as they can be.
+    """
+    if scene.tables.window_room <= SHORT_WINDOW:
+        return state.control.span
+    longer = quiet & (jnp.abs(now.bound - state.control.bound) <= _STEADY * state.control.bound)
+    if searched is not None:
+        counts = scene.tables.counts
+        nodes = scene.tables.mobility.shape[1] if counts is None else counts.nodes
+        longer &= searched.pairs <= _FEW_PAIRS * nodes
+    longest = jnp.int32(scene.tables.longest_window)
+    twice, half = (
+        jnp.minimum(2 * state.control.span, longest),
+        jnp.maximum(state.control.span // 2, jnp.minimum(SHORT_WINDOW, longest)),
+    )
+    span = jnp.where(longer, twice, half)
+    windows = (scene.solver.end_time - time) / (SHORT_WINDOW * now.length)
+    span = jnp.where(windows > scene.tables.planned - state.windows, longest, span)
+    return jnp.where(rejected, jnp.minimum(SHORT_WINDOW, longest), span)
+
+
+class WindowEnd(NamedTuple):
+    """What a window's end comes to.
+
+    Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted
+    from the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool
+    with the force of now [J]; None where it rests.
+    """
+
+    kinetic: jax.Array
+    behind: jax.Array
+    largest: jax.Array
+    tool: jax.Array | None
+
+
+def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> tuple[WindowEnd, Corners]:
+    """In one pass over the elements and one over the nodes; no derivative is taken of it. With the corners' room.
+
+    Velocities are half a step behind, which shows at the begin and in fast modes: the half step that follows counts as
+    well. The product of both is what a linear mode keeps.
+    """
+    moving, scene, now = jax.lax.stop_gradient((moving, scene, now))
+    active, elements = now.active, now.active.packed.elements
+    positions = moving.nodes.positions
+    time = now.begin + moving.count * now.length
+    volume = None if moving.account.load_state is None else active.volume(positions)
+    pressure = pressure_at(moving.account, scene, time, now.length, volume).pressure
+    modes = scene.material.viscous
+    memory = None if modes is None or moving.memory is None else present_memory(moving.memory, modes)
+    load = Load(positions, active.thickness, pressure, *active.response(scene.material, memory))
+    room = allocate_corner_forces(positions, elements) if moving.room is None else moving.room
+    corners, _ = corner_forces(load, elements, room)
+
+    frame = None if scene.motion is None else scene.motion.frame(time, time + now.length)
+    middle = None if scene.tables.box is None else scene.tables.box.middle
+
+    def work(own: Any, nodes: Any, positions: Any, velocities: Any, wall: Any) -> Any:
+        nodal, done = gather_shares(corners, own), []
+        ahead, _ = update_velocity(nodal, velocities, nodes, now.length, scene.solver.damping)
+        if frame is not None:
+            # Half of what it does from now to the next force, at the velocity that it has had.
+            ahead, held, _ = apply_tool_velocity(nodal, (velocities, ahead), nodes, wall, now.length, frame.velocity)
+            triples = zip(nodal, velocities, ahead, strict=True)
+            pulls = [(nodes[1] * (new - old) - now.length * own) * old for own, old, new in triples]
+            done = [jnp.where(held, 0.5 * sum(pulls), 0.0)]
+        half = 0.5 * nodes[1]
+        energies = [half * membrane.dot(velocities, ahead), half * membrane.dot(velocities, velocities)]
+        away = positions if middle is None else [x - middle[k] for k, x in enumerate(positions)]
+        size = functools.reduce(jnp.maximum, [jnp.abs(x) for x in away])
+        if middle is not None:
+            # What cannot move is where it was; room for nodes lies anywhere.
+            size = jnp.where(sum(nodes[2]) > 0.0, size, 0.0)
+        return [], [*energies, *done, size]
+
+    nodes = moving.nodes.stuck, active.mass, active.compliance
+    wall = None if frame is None else moving.nodes.wall
+    inputs = gather_table(elements), nodes, positions, moving.nodes.velocities, wall
+    sums = 2 if frame is None else 3
+    _, (kinetic, behind, *tool, largest) = over_blocks(work, elements.node_block_count, inputs, [], sums=sums, most=1)
+    return WindowEnd(kinetic, behind, largest, tool[0] if tool else None), corners
+
+
+def _health(
+    state: PackedState, end: WindowEnd, rounding: jax.Array, scene: Scene, active: ActiveSet
+) -> tuple[jax.Array, jax.Array]:
+    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
+    state, scene, active = jax.lax.stop_gradient((state, scene, active))
+    law = active.law(scene.material)
+    inside = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)
+    strain, volume = inside.energy + active.idle_energy, inside.volume + active.idle_volume
+    held = strain + end.kinetic + sum(state.account.losses().values())
+    excess = held - state.account.work - last_work(state, scene, volume)
+    # Not a number, where what is held overflows, is no balance either; nor is energy that vanished.
+    balanced = jnp.abs(excess) <= _ENERGY_TOLERANCE * state.account.peak_work + rounding
+    finite = jnp.isfinite(end.largest + end.kinetic)
+    status = jnp.where(finite, jnp.where(balanced, 0, Status.UNSTABLE), Status.NON_FINITE)
+    return status, excess

@@ -1,0 +1,169 @@
+"""A folder of results, read back: what the report shows is what the files say."""
+
+from __future__ import annotations
+
+import csv
+import io
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core import disk
+from jaxform.core.errors import InputError
+from jaxform.io.previous_results import AGAIN
+from jaxform.io.report.facts import read_summary
+from jaxform.mesh import meshes
+
+if TYPE_CHECKING:
+    from jaxform.tools.motion import Motion
+
+Array = NDArray[np.float64]
+
+_NODAL = (*meshes.REFERENCE, "thickness", "initial_thickness", "contact_time")
+_OF_ELEMENTS = ("thickness", "stretch_1", "stretch_2", "level")
+_MOST_FRAMES, _MOST_FRAME_ELEMENTS = 60, 300_000  # that are shown, and their elements together
+
+
+class StoredPart(NamedTuple):
+    """A part as a VTU file has it.
+
+    Attributes:
+        positions, reference: Of the nodes (n_node, 3) [m], at that time and in the initial sheet.
+        triangles: Node numbers of the elements (n_element, 3).
+        nodal: Values at the nodes (n_node,), by name.
+        cells: Values of the elements (n_element,), by name.
+    """
+
+    positions: Array
+    reference: Array
+    triangles: NDArray[np.int32]
+    nodal: dict[str, Array]
+    cells: dict[str, Array]
+
+    @property
+    def part_mask(self) -> Array | None:
+        """Which elements (n_element,) are not 0 and so of the part, as the scene's [part] says; None without one."""
+        return self.cells.get("part")
+
+
+@dataclass(frozen=True)
+class Results:
+    """Results that a command left in a folder.
+
+    Attributes:
+        summary: Of summary.json.
+        part: Of final.vtu.
+        start: Of start.vtu, the part that a search began with; None of a simulation.
+        frames: Times [s] and parts before the end; only so many as a page can hold.
+        frame_count: How many there are in the folder.
+        mold: Of mold.vtu, where it is in the end; None without a mold.
+        motion: How the mold moves; None where it rests.
+        scene: The scene file, its name and its text; None where there is none.
+        history: Rows of history.csv; empty for a simulation.
+    """
+
+    summary: dict[str, Any]
+    part: StoredPart
+    start: StoredPart | None = None
+    frames: list[tuple[float, StoredPart]] = field(default_factory=list)
+    frame_count: int = 0
+    mold: meshes.Mesh | None = None
+    motion: Motion | None = None
+    scene: tuple[str, str] | None = None
+    history: list[dict[str, str]] = field(default_factory=list)
+
+
+def read_results(folder: Path) -> Results:
+    """The results in a folder.
+
+    Raises:
+        InputError: It holds none, or a file there is damaged or of another version.
+    """
+    for name in ("summary.json", "final.vtu"):
+        if not disk.is_file(folder / name):
+            raise InputError(f"holds no {name}", AGAIN, "DIR", str(folder))
+    summary = read_summary(folder)
+    part = _part(folder / "final.vtu")
+    # A folder may hold more than the last command wrote there.
+    is_search = summary.get("design") is not None
+    scene = folder / ("best.toml" if is_search else "simulated.toml")
+    frames, count = ([], 0) if is_search else _frames(folder, part, float(summary.get("time") or 0.0))
+    text = disk.read_text(scene) if disk.is_file(scene) else None
+    return Results(
+        summary=summary,
+        part=part,
+        start=_part(folder / "start.vtu") if is_search and disk.is_file(folder / "start.vtu") else None,
+        frames=frames,
+        frame_count=count,
+        mold=_mesh(folder / "mold.vtu") if disk.is_file(folder / "mold.vtu") else None,
+        motion=None if text is None else _motion(text),
+        scene=None if text is None else (scene.name, text),
+        history=_rows(folder / "history.csv") if is_search else [],
+    )
+
+
+def _motion(scene: str) -> Motion | None:
+    """The motion of the mold of a scene file; None where it has none, or none that can be read."""
+    try:
+        table = tomllib.loads(scene).get("mold", {}).get("motion")
+        if table is None:
+            return None
+        from jaxform.tools.motion import make_motion  # with JAX, which takes a second to import
+
+        return make_motion(**table)
+    except (tomllib.TOMLDecodeError, InputError, AttributeError, TypeError):
+        return None
+
+
+def _mesh(path: Path) -> meshes.Mesh:
+    try:
+        return meshes.read_mesh(path)
+    except InputError as error:
+        raise InputError(error.problem, AGAIN, file=str(path)) from None
+
+
+def _part(path: Path) -> StoredPart:
+    mesh = _mesh(path)
+    for names, found in ((_NODAL, mesh.fields), (_OF_ELEMENTS, mesh.cell_fields)):
+        missing = [name for name in names if name not in found]
+        if missing:
+            raise InputError("is missing, the file is of another version", AGAIN, missing[0], file=str(path))
+    reference = np.stack([mesh.fields[name] for name in meshes.REFERENCE], axis=1)
+    for name, values in (("reference", reference), ("thickness", mesh.cell_fields["thickness"])):
+        # NaN is not below it either.
+        if not np.abs(values).max() <= meshes.LARGEST:
+            raise InputError("has numbers that are not finite, or too large", AGAIN, name, file=str(path))
+    nodal = {name: values for name, values in mesh.fields.items() if name not in meshes.REFERENCE}
+    return StoredPart(mesh.positions, reference, mesh.triangles, nodal, mesh.cell_fields)
+
+
+def _frames(folder: Path, last: StoredPart, end: float) -> tuple[list[tuple[float, StoredPart]], int]:
+    """Times [s] and parts before the end, evenly chosen where there are many; and how many there are."""
+    listed = folder / "frames.pvd"
+    if not disk.is_file(listed):
+        return [], 0
+    try:
+        entries = [item.attrib for item in ElementTree.fromstring(disk.read_text(listed)).iter("DataSet")]
+        named = [(float(item["timestep"]), item["file"]) for item in entries if item.get("part", "0") == "0"]
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("is no list of frames", AGAIN, file=str(listed)) from None
+    earlier = [(time, name) for time, name in named if time < end]
+    room = min(_MOST_FRAMES, max(_MOST_FRAME_ELEMENTS // len(last.triangles), 1))
+    chosen = np.unique(np.linspace(0, len(earlier) - 1, min(room, len(earlier))).round().astype(int))
+    return [(earlier[k][0], _part(disk.expand_path(earlier[k][1], folder))) for k in chosen], len(named)
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not disk.is_file(path):
+        return []
+    try:
+        return list(csv.DictReader(io.StringIO(disk.read_text(path), newline="")))
+    except csv.Error:
+        raise InputError("is not a table", AGAIN, file=str(path)) from None

@@ -1,0 +1,349 @@
+"""What a scene looks like before it runs, and what in it is hardly meant: units, sides, overlap, loads. On the host."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import warn_of
+from jaxform.core.formatting import format_extent, format_place
+from jaxform.core.pytree import as_real, memoize
+from jaxform.io.mold_approach import warn_of_motion
+from jaxform.io.unit_checks import warn_of_units
+from jaxform.mechanics.membrane import equibiaxial_energy
+from jaxform.mesh import masks, raster
+from jaxform.model.mesh_connectivity import warn_of_connectivity
+from jaxform.model.scene import Scene
+from jaxform.results import sections
+
+Array = NDArray[np.float64]
+
+_ALIKE = 15.0  # times as large as the sheet, or as small, a mold may be
+_GUESS = 5.0  # by which a mold in other units than m may be larger or smaller than the sheet
+_SAMPLES = 10_000  # points on the mold, of which each is on one side of the sheet
+_FLAT = 1e-3  # of the sheet's size: as near as that to its surface a mold lies on it
+_HARDLY = 0.01  # of the mold's area, or of the sheet's
+_BARE, _HOLE = 0.05, 0.025  # of the sheet, with no mold before it, and of its size, the radius of such a place
+_EXPOSED = 0.2  # of the sheet, with mold only behind it
+_MOST_STRETCHED = 6.0  # times, to which a law is looked at
+_FACING = 0.5  # length of the mean normal, from which a sheet can be looked at from one side
+_PIXELS = 200  # of the longer side of the sheet, for the overlap
+_THIN, _THICK = 1.5e-5, 0.2  # of a sheet's size, its thickness
+_LARGE = 20.0  # m
+_LIGHT, _HEAVY = 10.0, 3e4  # kg/m^3
+_WEAK, _STRONG = 1e-3, 1e5  # pressure, in units of stiffness times thickness over half the size
+
+
+class BoundingBox(NamedTuple):
+    """The least and the largest coordinates (3,) [m]."""
+
+    low: Array
+    high: Array
+
+    @property
+    def size(self) -> float:
+        """The longest side [m]."""
+        return float((self.high - self.low).max())
+
+    def __str__(self) -> str:
+        """The box in words."""
+        return format_extent(*self)
+
+
+class Spot(NamedTuple):
+    """A round spot of a sheet: its middle (3,) and radius [m]."""
+
+    middle: Array
+    radius: float
+
+
+class Survey(NamedTuple):
+    """What a scene looks like before it runs.
+
+    Attributes:
+        sheet: Box of the whole sheet, images in symmetry planes included.
+        mold: Box of the mold; None without one.
+        thinness: Mean thickness over the sheet's size.
+        push: Unit vector (3,) in which the pressure pushes the sheet as a whole; shorter where the sheet is curved.
+        outwards: Whether a curved sheet is pushed away from its middle.
+        changes_sign: Whether the pressure pushes both ways in turn.
+        ahead: Share of the mold's area on the side that the sheet is pushed to; 0 where it lies on the sheet.
+        behind: Share on the other side.
+        overlap: Share of the sheet that has mold before it, in the direction of the push; None where it is curved.
+        exposed: Share of the sheet that has mold only behind it.
+        bare: The widest round spot of the sheet that has no mold before it; None where the sheet is curved.
+    """
+
+    sheet: BoundingBox
+    mold: BoundingBox | None
+    thinness: float
+    push: Array
+    outwards: bool
+    changes_sign: bool
+    ahead: float
+    behind: float
+    overlap: float | None
+    exposed: float
+    bare: Spot | None
+
+    @property
+    def faces(self) -> bool:
+        """Whether the sheet can be looked at from one side."""
+        return bool(np.linalg.norm(self.push) >= _FACING)
+
+    @property
+    def direction(self) -> str:
+        """Where the pressure pushes the sheet, in words."""
+        if not self.faces:
+            return "outwards" if self.outwards else "inwards"
+        axis = int(np.argmax(np.abs(self.push)))
+        if abs(self.push[axis]) > 0.97 * np.linalg.norm(self.push):
+            return f"towards {'-+'[int(self.push[axis] > 0)]}{'xyz'[axis]}"
+        return f"along {format_place(self.push / np.linalg.norm(self.push)).removesuffix(' m')}"
+
+
+@memoize
+def survey(scene: Scene) -> Survey:
+    """Looks at a scene."""
+    positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
+    planes = sections.symmetry_planes(scene)
+    used = positions[np.unique(triangles)]
+    box = _box(used)
+    for axis, level in planes.items():
+        reach = np.abs(used[:, axis] - level).max()
+        box.low[axis], box.high[axis] = level - reach, level + reach
+    corners = positions[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    sign = _sign(scene)
+    facing = sign * normal.sum(0) / area.sum()
+    facing[list(planes)] = 0.0
+    middle = corners.mean(1)
+    center = 0.5 * (box.low + box.high)
+    outwards = float(np.einsum("ij,ij->", sign * normal, middle - center)) > 0
+    knots = scene.pushes()
+    both = bool(knots.min() < -0.05 * np.abs(knots).max() and knots.max() > 0.05 * np.abs(knots).max())
+    thinness = float(np.asarray(scene.parison.thickness, float).mean()) / (box.size or 1.0)
+    ahead = behind = exposed = 0.0
+    overlap = mold = bare = None
+    if scene.mold is not None:
+        walls = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
+        mold = _box(walls.reshape(-1, 3))
+        points = _reflect_into_part(_sample_triangles(walls), planes, used)
+        height = _heights(points, middle, sign * normal / area[:, None])
+        ahead, behind = (float((side * height > _FLAT * box.size).mean()) for side in (1, -1))
+        if np.linalg.norm(facing) >= _FACING:
+            overlap, exposed, bare = _overlap(corners, walls, facing)
+    return Survey(box, mold, thinness, facing, outwards, both, ahead, behind, overlap, exposed, bare)
+
+
+def _box(points: Array) -> BoundingBox:
+    return BoundingBox(points.min(0), points.max(0))
+
+
+def _sign(scene: Scene) -> float:
+    """1 where the largest pressure pushes along the elements' normals, else -1."""
+    return -1.0 if scene.strongest_push() < 0 else 1.0
+
+
+def _sample_triangles(walls: Array) -> Array:
+    """Points (n, 3) [m] all over triangles (m, 3, 3), each for as much area as another."""
+    area = np.linalg.norm(np.cross(walls[:, 1] - walls[:, 0], walls[:, 2] - walls[:, 0]), axis=1)
+    total = np.cumsum(area)
+    k = np.arange(_SAMPLES)
+    owner = np.minimum(np.searchsorted(total, (k + 0.5) / _SAMPLES * total[-1]), len(walls) - 1)
+    # Two irrational steps spread the points of one triangle evenly.
+    u, v = (k * 0.7548776662466927) % 1.0, (k * 0.5698402909980532) % 1.0
+    root = np.sqrt(u)
+    weight = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+    return np.einsum("nc,nck->nk", weight, walls[owner])
+
+
+def _reflect_into_part(points: Array, planes: dict[int, float], used: Array) -> Array:
+    """The points, or their images in the symmetry planes that lie on the side of the modelled part."""
+    points = points.copy()
+    for axis, level in planes.items():
+        side = np.sign(used[:, axis].mean() - level)
+        points[:, axis] = level + side * np.abs(points[:, axis] - level)
+    return points
+
+
+def _heights(points: Array, middle: Array, unit: Array) -> Array:
+    """How far points (n, 3) [m] are in front of the nearest elements with these middles and normals."""
+    from scipy.spatial import KDTree  # takes a tenth of a second to import
+
+    nearest = KDTree(middle).query(points, workers=-1)[1]
+    return np.einsum("ij,ij->i", points - middle[nearest], unit[nearest])
+
+
+def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Spot]:
+    """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind.
+
+    And the widest round spot of it that has none before it.
+    """
+    axis = facing / np.linalg.norm(facing)
+    across = np.linalg.svd(axis[None])[2][1:]
+    flat, wall = sheet @ across.T, walls @ across.T
+    low, high = flat.min((0, 1)), flat.max((0, 1))
+    pixel = float((high - low).max()) / _PIXELS
+    width, height = (max(1, round(float(extent) / pixel)) for extent in high - low)
+    level, rise = np.full(width * height, -np.inf), sheet @ axis
+    for found in raster.rasterize((flat - low) / pixel, width, height):
+        np.maximum.at(level, found.pixel, found.interpolate(rise))
+    seen, near, along = np.isfinite(level), _FLAT * pixel * _PIXELS, walls @ axis
+    before, behind = np.zeros_like(seen), np.zeros_like(seen)
+    for found in raster.rasterize((wall - low) / pixel, width, height):
+        away = found.interpolate(along) - level[found.pixel]
+        before[found.pixel[away >= -near]] = True
+        behind[found.pixel[away < -near]] = True
+    whole = max(1, int(seen.sum()))
+    open_there = np.pad((seen & ~before).reshape(height, width), 1)
+    away = masks.distance(open_there)[1:-1, 1:-1].ravel()
+    widest = int(np.argmax(away))
+    row, column = divmod(widest, width)
+    middle = (low + (np.array([column, row]) + 0.5) * pixel) @ across
+    middle += (level[widest] if seen[widest] else 0.0) * axis
+    bare = Spot(middle, max(0.0, float(away[widest]) - 0.5) * pixel)
+    return float((seen & before).sum() / whole), float((seen & behind & ~before).sum() / whole), bare
+
+
+def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
+    """Warns of what can be simulated but is hardly meant: joints, units, sides, loads.
+
+    Args:
+        scene: The scene.
+        file: The file that it was read from.
+        tables: What that file says, as its schema has it.
+    """
+    sheet = getattr(tables, "parison", None)
+    path = getattr(sheet, "path", None)
+    if path is not None:
+        warn_of_connectivity(scene.parison, file, "parison.path", path)
+    seen = survey(scene)
+    _warn_of_sheet(scene, seen, file)
+    _warn_of_law(scene, file)
+    _warn_of_load(scene, seen, file)
+    warn_of_units(scene, file)
+    if seen.mold is not None:
+        _warn_of_mold(seen, file, getattr(tables, "mold", None), sheet, moves=scene.motion is not None)
+        warn_of_motion(scene, file)
+
+
+def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
+    size = seen.sheet.size
+    if size > _LARGE:
+        remedy = "give metres (parison.scale of a file, or its lengths)"
+        warn_of(f"the sheet is {size:.4g} m wide: are its lengths in mm?", remedy, key="parison", file=file)
+    if not _THIN <= seen.thinness <= _THICK:
+        guess = " is it in mm?" if seen.thinness > _THICK else ""
+        many = f"{seen.thinness:.3g} times the sheet's size of {size:.4g} m"
+        remedy = "give thickness and sizes in m"
+        mean = float(np.asarray(scene.parison.thickness, float).mean())
+        warn_of(
+            f"the thickness is {many}:{guess or ' a film?'}", remedy, key="parison.thickness", value=mean, file=file
+        )
+    lightest, heaviest = float(scene.material.density.min()), float(scene.material.density.max())
+    density = heaviest if lightest >= _LIGHT else lightest
+    if not _LIGHT <= density <= _HEAVY:
+        remedy = "give kg/m^3" + (f": {1e3 * density:.4g} where it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
+        warn_of("no plastic or rubber has such a density", remedy, key="material.density", value=density, file=file)
+
+
+def _warn_of_law(scene: Scene, file: str) -> None:
+    """Of a law whose energy falls where a sheet is stretched more, equally both ways: it does not pull back there."""
+    stretch = np.linspace(1.0, _MOST_STRETCHED, 501)
+    energy = np.asarray(equibiaxial_energy(scene.law.elastic, as_real(np.square(stretch))), float)
+    falls = np.flatnonzero(np.diff(energy) < 0.0)
+    if len(falls):
+        what = f"the law lets go of a sheet that is stretched {stretch[falls[0]]:.3g} times both ways: its energy falls"
+        warn_of(what, "change its numbers, or keep the sheet from such stretches", key="material", file=file)
+
+
+def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
+    stiffness = float(scene.law.stiffness_at_once().mean())
+    largest = float(np.abs(scene.pushes()).max())
+    load = largest / (2 * stiffness * seen.thinness)
+    if load < _WEAK:
+        if scene.motion is not None:
+            return
+        what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
+        remedy = f"a sheet as stiff as this wants {stiffness * seen.thinness:.1g} Pa and more; give Pa"
+    elif load > _STRONG:
+        what = f"the pressure is {load:.1g} times what the sheet bears, as an explosion's"
+        remedy = "give pressure and stiffness in Pa"
+    else:
+        return
+    warn_of(what, remedy, key="pressure.value", value=scene.pushes().tolist(), file=file)
+
+
+def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, moves: bool) -> None:
+    """One warning, for a mold in other units lies elsewhere too; one that moves may lie anywhere at first."""
+    assert seen.mold is not None
+    ratio = seen.mold.size / (seen.sheet.size or 1.0)
+    boxes = f"mold {seen.mold}, sheet {seen.sheet}"
+    if not 1 / _ALIKE <= ratio <= _ALIKE:
+        scale = getattr(table, "scale", None)
+        guess, remedy = _units(ratio, scale, getattr(sheet_table, "scale", None))
+        times = f"{ratio:.3g} times the sheet" if ratio > 1 else f"{1 / ratio:.3g} times smaller than the sheet"
+        key = "mold" if scale is None else "mold.scale"
+        warn_of(f"the mold is {times}{guess} ({boxes})", remedy, key=key, value=scale, file=file)
+    elif moves:
+        return
+    elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
+        _warn_of_side(seen, boxes, file)
+    elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:
+        what = f"seen along the pressure ({seen.direction}), the mold is beside the sheet ({boxes})"
+        warn_of(what, "move the mold (mold.translate)", key="mold", file=file)
+    elif not seen.changes_sign and seen.overlap is not None and seen.bare is not None:
+        _warn_of_bare(seen, seen.overlap, seen.bare, file)
+
+
+def _warn_of_bare(seen: Survey, overlap: float, bare: Spot, file: str) -> None:
+    """Of what the pressure would blow past the mold, or through it."""
+    if 1 - overlap < _BARE and bare.radius < _HOLE * seen.sheet.size:
+        return
+    share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold before it"
+    where = f"within {bare.radius:.2g} m of {format_place(bare.middle)} there is none at all"
+    remedy = (
+        "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
+        "mold, give parison.symmetry"
+    )
+    warn_of(f"{share}, {seen.direction}: {where}, so that nothing stops it there", remedy, key="mold", file=file)
+
+
+def _warn_of_side(seen: Survey, boxes: str, file: str) -> None:
+    what = f"the pressure pushes the sheet {seen.direction}, away from the mold"
+    share = f"{100 * seen.ahead:.2g} % of its area lies on that side, {100 * seen.behind:.2g} % on the other"
+    remedy = "turn the sign of pressure.value, turn the sheet (parison.flip), or move or turn the mold"
+    warn_of(f"{what}: {share} ({boxes})", remedy, key="mold", file=file)
+
+
+def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tuple[str, str]:
+    """What the units may be, and what to do, where a mold is so many times as large as the sheet."""
+
+    def fits(factor: float) -> bool:
+        return 1 / _GUESS <= ratio * factor <= _GUESS
+
+    known = {"millimetres": 1e-3, "inches": 0.0254, "centimetres": 0.01}
+    for back in (False, True):
+        factors = {units: 1 / factor if back else factor for units, factor in known.items()}
+        fitting = sorted(
+            filter(lambda units: fits(factors[units]), known), key=lambda units: _unit_mismatch(ratio, factors, units)
+        )
+        if back and scale is not None and scale != 1.0 and fits(1 / scale):
+            return ": is its file in metres already?", "scale = 1"
+        if back and scale is not None and fits(25.4):
+            return ": inches?", f"scale = {25.4 * scale:.4g}"
+        if fitting:
+            units = fitting[0]
+            given, whose = (sheet_scale, "parison.scale") if back else (scale, "scale")
+            how = "give its lengths in metres" if given is None else f"{whose} = {given * known[units]:.4g}"
+            return (f": is the sheet in {units}?" if back else f": {units}?"), how
+    return "", "check the units of both: all lengths are in m"
+
+
+def _unit_mismatch(ratio: float, factors: dict[str, float], units: str) -> float:
+    """How badly units fit; millimetres, which most files have, come first."""
+    return 0.0 if units == "millimetres" else abs(float(np.log(ratio * factors[units]))) + 1e-9

@@ -1,0 +1,328 @@
+"""The files of a first scene: scene.toml with a comment on each choice, study.toml, the mold and its covers."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.atomic_write import atomic_path
+from jaxform.core.errors import InputError
+from jaxform.io.scene_choices import ALPHA, DENSITY, STIFFNESS, Draft
+from jaxform.io.scene_rewriting import inline
+from jaxform.mesh import meshes
+from jaxform.mesh.contours import Circle, OrientedRectangle
+from jaxform.mesh.meshes import Mesh
+from jaxform.tools.halves import MoldCompletion
+
+COVERS, IMAGES, PLATEN = "covers.stl", "images.stl", "platen.stl"
+"""The files of what closes a mold, of what completes one that is cut, and of the platen on which a buck stands."""
+
+_CONTENT = {
+    COVERS: "the covers of the mold's holes",
+    IMAGES: "the images that complete the mold",
+    PLATEN: "the platen on which the mold stands",
+}
+
+
+def write(folder: Path, paths: Sequence[Path], made: Draft) -> list[Path]:
+    """Writes a first scene into a folder that is there; returns its files, scene.toml first.
+
+    The mold is copied beside the scene: the folder then runs wherever it is put, and a part that is exported again
+    does not change a scene whose numbers were made for the one before.
+
+    Raises:
+        InputError: A file cannot be written, or a file of the mold would be overwritten.
+    """
+    names, added = _names(folder, paths), _added_meshes(made)
+    for name in added:
+        if _is_one_of(folder / name, paths):
+            problem = f"would be overwritten by {_CONTENT[name]}"
+            raise InputError(problem, "give it another name", "--mold", str(folder / name))
+    for path, name in zip(paths, names, strict=True):
+        if not _is_one_of(folder / name, [path]):
+            with atomic_path(folder / name) as fresh:
+                shutil.copyfile(path, fresh)
+    for name, mesh in added.items():
+        with atomic_path(folder / name) as fresh:
+            meshes.write_stl(fresh, mesh.positions / made.scale, mesh.triangles)
+    files = {"scene.toml": scene_text(made, names), "study.toml": study_text(made)}
+    for name, text in files.items():
+        with atomic_path(folder / name) as fresh:
+            fresh.write_text(text, encoding="utf-8")
+    return [folder / name for name in [*files, *names, *added]]
+
+
+def _added_meshes(made: Draft) -> dict[str, Mesh]:
+    """Meshes beside the mold's own, by the names of their files."""
+    closing = COVERS if made.drape is None else PLATEN
+    meshes_of = {IMAGES: None if made.rest is None else made.rest.mesh, closing: made.covers.mesh}
+    return {name: mesh for name, mesh in meshes_of.items() if mesh is not None}
+
+
+def cut_planes_text(rest: MoldCompletion, scale: float) -> str:
+    """The planes in which a mold is cut, as its file has them, in words."""
+    return " and ".join(f"{'xyz'[plane.axis]} = {_number(plane.level / scale, 4)}" for plane in rest.planes)
+
+
+def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
+    """File names for the copies in a folder, each once, and none by which a copy overwrites another file's original."""
+    names: list[str] = []
+    for path in paths:
+        # A name on disk may be no text.
+        plain, count = Path(path.name.encode("utf-8", "replace").decode()), 1
+        name, others = plain.name, [other for other in paths if not other.samefile(path)]
+        while name in names or name in _CONTENT or _is_one_of(folder / name, others):
+            count += 1
+            name = f"{plain.stem}-{count}{plain.suffix}"
+        names.append(name)
+    return names
+
+
+def _is_one_of(file: Path, paths: Sequence[Path]) -> bool:
+    """Whether a file is there and is one of others, by whatever name."""
+    return file.exists() and any(path.samefile(file) for path in paths)
+
+
+def scene_text(made: Draft, names: Sequence[str]) -> str:
+    """The scene file, for molds of these names beside it."""
+    return "\n".join(
+        [
+            "# Written by `jaxform new`. SI units everywhere: m, s, kg, Pa.",
+            f"name = {inline(Path(names[0]).stem)}",
+            *_parison(made),
+            *_material(),
+            *_pressure(made),
+            *_mold(made, names),
+            *_refinement(made),
+            *_part(made, names),
+            *_solver(made),
+            "",
+        ]
+    )
+
+
+def _parison(made: Draft) -> list[str]:
+    shape = made.planform.shape
+    where = "on the flange" if made.planform.flange else "along the rim"
+    if made.drape is not None:
+        where = f"in a frame {_number(1e3 * made.drape.site.margin, 3)} mm around the buck, which is behind it"
+    if isinstance(shape, Circle):
+        own = ['shape = "disc"', f"radius = {_number(shape.radius)}"]
+    elif isinstance(shape, OrientedRectangle):
+        own = ['shape = "rectangle"', f"size = [{', '.join(map(_number, shape.sides))}]"]
+    else:
+        own = ['shape = "outline"', "polygon = [", *_corners(made.polygon), "]"]
+    return [
+        "",
+        f"# The sheet lies in z = 0, clamped {where}.",
+        "[parison]",
+        *own,
+        f"element_size = {_number(made.element_size)}",
+        f"thickness = {_number(made.thickness)}  # a guess from the width of the sheet: give yours",
+    ]
+
+
+def _corners(polygon: NDArray[np.float64]) -> list[str]:
+    pairs = [f"[{_number(x)}, {_number(y)}]" for x, y in polygon]
+    return [f"    {', '.join(pairs[k : k + 5])}," for k in range(0, len(pairs), 5)]
+
+
+def _material() -> list[str]:
+    return [
+        "",
+        "# A placeholder, some hot thermoplastic: give the law and numbers of your material. In a slow process the",
+        "# wall depends on alpha, hardly on c.",
+        "[material]",
+        'model = "mooney-rivlin"',
+        f"c = {_number(STIFFNESS)}",
+        f"alpha = {_number(ALPHA)}",
+        f"density = {_number(DENSITY)}",
+    ]
+
+
+def _pressure(made: Draft) -> list[str]:
+    begin = made.stroke_time
+    knots = [0.0, begin, begin + made.ramp] if begin else [0.0, made.ramp]
+    values = [0.0] * (len(knots) - 1) + [made.pressure]
+    return [
+        "",
+        *_filling_comments(made),
+        "# It rises so slowly that inertia hardly shows, and pushes towards +z, into the mold.",
+        "[pressure]",
+        f"time = [{', '.join(map(_number, knots))}]",
+        f"value = [{', '.join(map(_number, values))}]",
+        'interpolation = "cubic-ramp"',
+    ]
+
+
+def _filling_comments(made: Draft) -> list[str]:
+    """What the pressure fills, as comments."""
+    if made.limited:
+        return [f"# {vacuum_text(made).capitalize()}.", "# --process pressure has no such limit."]
+    if made.slit is not None:
+        return [
+            f"# Not enough to blow the sheet into {slits_text(made.slit)}: change it in proportion to c and thickness.",
+        ]
+    return ["# Enough to fill corners down to an element: change it in proportion to c and thickness."]
+
+
+def vacuum_text(made: Draft) -> str:
+    """What a vacuum fills, in words."""
+    radius, bar = 1e3 * made.corner(made.pressure), 1e-5 * made.pressure
+    fills = f"a vacuum of {bar:.2g} bar fills corners down to a radius of about {radius:.2g} mm"
+    return f"{fills}; down to an element takes {1e-5 * made.filling:.2g} bar"
+
+
+def _mold(made: Draft, names: Sequence[str]) -> list[str]:
+    files, lines = [*names, *_added_meshes(made)], []
+    if made.rest is not None:
+        lines += [f"# The mold is cut in {cut_planes_text(made.rest, made.scale)} of its file: {IMAGES} completes it."]
+    if made.drape is not None and made.covers.mesh is not None:
+        holes = f" and closes {covers_text(made)}" if made.covers.holes else ""
+        lines += [f"# {PLATEN} is the platen on which the buck stands, with vacuum at its surface{holes}."]
+    elif made.covers.mesh is not None:
+        lines += [
+            f"# {COVERS} closes what the sheet would be blown through ({covers_text(made)}).",
+            "# Leave it out if it should be.",
+        ]
+    path = inline(files if len(files) > 1 else files[0])
+    box = " x ".join(_number(side, 4) for side in made.size)
+    return [
+        "",
+        f"# The file's box is {box}: taken for {made.units.name}. {_pose(made)}",
+        *lines,
+        "[mold]",
+        'shape = "file"',
+        f"path = {path}",
+        f"scale = {_number(made.scale)}",
+        f"rotate = [{', '.join(_number(angle, 12) for angle in made.rotate)}]",
+        f"translate = [{', '.join(_number(shift, 10) for shift in made.translate)}]",
+        *_motion(made),
+    ]
+
+
+def _pose(made: Draft) -> str:
+    if made.drape is None:
+        return "Turned and moved so that the opening is in z = 0."
+    return "Turned and moved so that the top of the buck is behind z = 0."
+
+
+def _motion(made: Draft) -> list[str]:
+    """How a buck moves into the sheet; nothing for a cavity."""
+    if made.drape is None:
+        return []
+    return [
+        "",
+        "# Buck and platen move into the sheet until the platen is at the frame. Then the pressure rises.",
+        "[mold.motion]",
+        "direction = [0.0, 0.0, -1.0]",
+        f"time = [0.0, {_number(made.stroke_time)}]",
+        f"displacement = [0.0, {_number(made.drape.stroke(made.thickness), 6)}]",
+    ]
+
+
+def slits_text(half: float) -> str:
+    """Slits of half a width [m], in words."""
+    return f"slits about {2e3 * half:.2g} mm wide"
+
+
+def shape_text(made: Draft) -> str:
+    """The shape of the sheet, in words."""
+    if isinstance(made.planform.shape, Circle):
+        return "a disc"
+    return "a rectangle" if isinstance(made.planform.shape, OrientedRectangle) else "an outline"
+
+
+def covers_text(made: Draft) -> str:
+    """What the covers close, in words."""
+    holes, gaps = made.covers.holes, made.covers.gaps
+    some = [f"{holes} hole{'s' if holes > 1 else ''}{_wall_holes_text(made)}"] if holes else []
+    if gaps:
+        some.append(f"{_number(1e3 * gaps, 3)} mm of the sheet's edge with no rim under it")
+    return " and ".join(some)
+
+
+def _wall_holes_text(made: Draft) -> str:
+    holes, sides = made.covers.holes, made.covers.sides
+    if not sides:
+        return ""
+    return (
+        f", {sides} of them in side walls" if sides < holes else f" in {'side walls' if sides > 1 else 'a side wall'}"
+    )
+
+
+def _part(made: Draft, names: Sequence[str]) -> list[str]:
+    """Which of the sheet is the part: not what lies on flange, platen and covers."""
+    near = min(made.thickness, 0.1 * made.found.depth)
+    on, at, side = "the platen", -near, "below"
+    if made.drape is None:
+        on, at, side = "the flange", made.found.base - made.found.level + near, "above"
+    covered = made.drape is None and made.covers.mesh is not None
+    files = [*names, *([] if made.rest is None else [IMAGES])]
+    return [
+        "",
+        f"# What is not on {on}{' or the covers' if covered else ''}: of it are the statistics and the objective.",
+        "[part]",
+        f'trim = {{ axis = "z", at = {_number(at, 4)}, keep = "{side}" }}',
+        *([f"molds = {inline(files)}"] if covered else []),
+    ]
+
+
+def _refinement(made: Draft) -> list[str]:
+    if not made.levels:
+        return []
+    return [
+        "",
+        "# Some pockets are small beside the sheet: elements near the mold's edges are halved before they touch.",
+        "[refinement]",
+        f"max_level = {made.levels}",
+        f"base_level = {made.levels}",
+    ]
+
+
+def _solver(made: Draft) -> list[str]:
+    return [
+        "",
+        "[solver]",
+        f"end_time = {_number(made.stroke_time + 1.2 * made.ramp, 3)}",
+        f"damping = {_number(made.damping)}",
+        "quasi_static = true  # the run says so if inertia or damping shows in the wall",
+    ]
+
+
+def study_text(made: Draft) -> str:
+    """A study of the scene: the sheet that makes an even wall."""
+    if isinstance(made.planform.shape, Circle):
+        kind = ['kind = "thickness-profile"', 'along = "radius"', "knots = 8"]
+    else:
+        kind = ['kind = "thickness-field"', f"smoothness = {_number(0.15 * made.width, 2)}  # m"]
+    low, high = 0.5 * made.thickness, 2.5 * made.thickness
+    return "\n".join(
+        [
+            "# Written by `jaxform new`: how thick the sheet has to be where, for a wall that is as even as it can be.",
+            'scene = "scene.toml"',
+            "",
+            "[[variable]]",
+            *kind,
+            f"bounds = [{_number(low, 3)}, {_number(high, 3)}]  # m",
+            "",
+            "[objective]",
+            'kind = "uniform"',
+            "",
+            "[solver]",
+            'method = "lbfgs"',
+            "warm_start = 3",
+            "iterations = 10",
+            "",
+        ]
+    )
+
+
+def _number(value: float, digits: int = 7) -> str:
+    """The number as TOML's float, in few digits."""
+    text = f"{float(value) + 0.0:.{digits}g}"
+    return text if any(mark in text for mark in ".en") else f"{text}.0"

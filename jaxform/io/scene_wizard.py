@@ -1,0 +1,204 @@
+"""A first scene for a mold: its units, where the sheet lies, how fine and thick it is, what fills it slowly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.io import drape_setup
+from jaxform.io.scene_choices import Draft, UserChoices, round_digits
+from jaxform.io.units import Units, guess_units
+from jaxform.mesh import contours, masks, meshes
+from jaxform.mesh.contours import Circle, OrientedRectangle
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.resolution import triangle_side
+from jaxform.tools import chambers, covers, footprint, halves, kinds, molds, opening, rims, tubes
+from jaxform.tools.covers import Covers
+from jaxform.tools.footprint import Planform
+from jaxform.tools.halves import MoldCompletion
+from jaxform.tools.opening import Opening
+
+Array = NDArray[np.float64]
+
+_THICKNESS = 0.008  # of the sheet's width
+_ELEMENTS, _MOST = 8000, 16000  # about how many, and where pockets are small
+_DRAPED = 12000  # the same over a buck, at whose foot they are stretched
+_ACROSS = 16  # elements across the smallest pocket
+_SPECK = 0.02  # of the cavity's area: the smallest parts that are less together are no pockets
+_LEVEL = 0.01  # of the cavity's depth: what is at one height, but for rounding
+_RESOLVED = 2.0  # pixels: half the width below which a part of the cavity is not seen as it is
+_SLIT, _SLIT_AREA = 4.0, 0.25  # a slit's depth in half widths at least, and at most of the cavity's area
+
+
+def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
+    """A first scene for a mold.
+
+    Args:
+        paths: The mesh files that are the mold.
+        wishes: What the user says.
+
+    Raises:
+        InputError: A file cannot be read, or the mold has no opening and nothing stands out of it.
+    """
+    wishes = wishes or UserChoices()
+    parts = [meshes.read_mesh(path) for path in paths]
+    raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
+    extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
+    units = guess_units(extent, wishes.scale)
+    read = _WeldedMold(rims.weld_mold(raw.positions * units.scale, raw.triangles), extent, units, wishes)
+    verdict = _verdict(read.mold, wishes)
+    if verdict.drape:
+        return replace(_draft_buck(read), doubt=verdict.doubt)
+    return replace(_draft_cavity(read, verdict.rest), doubt=verdict.doubt)
+
+
+class _WeldedMold(NamedTuple):
+    """A mold, welded [m], its box as the file has it, and what is said of it."""
+
+    mold: Mesh
+    extent: Array
+    units: Units
+    wishes: UserChoices
+
+
+def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
+    if wishes.drape is not None:
+        rest = None if wishes.drape or wishes.direction is not None else halves.find_completion(mold)
+        return kinds.Verdict(wishes.drape, rest=rest)
+    chambers.refuse_bottles(mold)
+    tubes.refuse_tubes(mold)
+    return kinds.classify(mold)
+
+
+def _draft_cavity(read: _WeldedMold, rest: MoldCompletion | None) -> Draft:
+    """A first scene in which a sheet is formed into a cavity."""
+    mold, wishes = read.mold, read.wishes
+    if rest is not None:
+        whole = meshes.merge([mold, rest.mesh])
+        mold = rims.weld_mold(whole.positions, whole.triangles)
+    found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=wishes.direction)
+    planform = footprint.fit_planform(found, mold.positions, mold.triangles)
+    place = _place(found, planform)
+    area = abs(contours.outlines.area(place.polygon))
+    width = _width(place.polygon, area)
+    pockets = _pockets(found)
+    pocket = min(pockets.half, 0.5 * width)
+    return Draft(
+        **_sheet_in_place(read, found, planform, place),
+        rest=rest,
+        covers=covers.cover(found, planform.polygon, mold),
+        width=width,
+        pocket=pocket,
+        slit=pockets.slit,
+        thickness=wishes.thickness or round_digits(_THICKNESS * width),
+        element_size=_element_size(pocket, area, _ELEMENTS),
+    )
+
+
+def _draft_buck(read: _WeldedMold) -> Draft:
+    """A first scene in which a sheet is draped over a buck."""
+    wishes = read.wishes
+    made = drape_setup.drape(read.mold, wishes.direction)
+    planform = made.site.planform
+    area = abs(contours.outlines.area(planform.polygon))
+    width = _width(planform.polygon, area)
+    thickness = wishes.thickness or round_digits(_THICKNESS * width)
+    found = made.opening(thickness)
+    place = _place(found, planform)
+    return Draft(
+        **_sheet_in_place(read, found, planform, place),
+        rest=None,
+        covers=Covers(made.added, made.holes, 0.0),
+        width=width,
+        pocket=made.narrowest,
+        slit=None,
+        thickness=thickness,
+        element_size=_element_size(made.narrowest, area, _DRAPED),
+        drape=made,
+    )
+
+
+def _element_size(pocket: float, area: float, elements: float) -> float:
+    """[m], by half the width of what is narrowest [m] and the sheet's area [m^2], of about so many elements."""
+    fine = max(2 * pocket / _ACROSS, triangle_side(area, _MOST))
+    return round_digits(min(fine, triangle_side(area, elements)))
+
+
+class _Place(NamedTuple):
+    """The mold's rotation [degrees] and translation [m], and the sheet's polygon (k, 2) [m] where it then is."""
+
+    rotate: Array
+    translate: Array
+    polygon: Array
+
+
+def _sheet_in_place(read: _WeldedMold, found: Opening, planform: Planform, place: _Place) -> dict[str, Any]:
+    """The fields of a `Draft` that a cavity and a buck have in common."""
+    return {
+        **place._asdict(),
+        "scale": read.units.scale,
+        "units": read.units,
+        "guessed": read.wishes.scale is None,
+        "size": read.extent,
+        "found": found,
+        "planform": planform,
+        "process": read.wishes.process,
+    }
+
+
+def _place(found: Opening, planform: Planform) -> _Place:
+    """Where the mold goes so that the sheet lies in the plane of zero height."""
+    shape = planform.shape
+    axes = shape.axes if isinstance(shape, OrientedRectangle) else np.eye(2)
+    turn = np.eye(3)
+    turn[:2, :2] = axes
+    rotate = np.round(molds.angles(turn @ found.view.turn), 9) + 0.0
+    exact = molds.rotation(rotate)
+    # In the plane of the view, then as the mold is turned in the scene.
+    if isinstance(shape, Circle):
+        origin = shape.center
+    elif isinstance(shape, OrientedRectangle):
+        origin = shape.corner
+    else:
+        origin = 0.5 * (shape.min(0) + shape.max(0))
+    at = exact @ found.view.turn.T @ np.append(origin, found.level)
+    polygon = (planform.polygon - origin) @ axes.T
+    return _Place(rotate, np.round(-at, 9) + 0.0, polygon)
+
+
+def _width(polygon: Array, area: float) -> float:
+    """Of a planform [m]: the shorter side of the rectangle round it, less where it fills that badly."""
+    sides = contours.smallest_rectangle(contours.hull(polygon)).sides
+    return float(min(sides.min(), area / sides.max() * 1.2))
+
+
+class _Pockets(NamedTuple):
+    """Half the widths [m] of the narrowest pockets, and of the widest slits, None where there are none."""
+
+    half: float
+    slit: float | None
+
+
+def _pockets(found: Opening) -> _Pockets:
+    """At the clamp plane and half way down."""
+    view = found.view
+    halves, slits = [0.5 * view.pixel * min(view.inside.shape)], []
+    for share in () if found.male else (0.0, 0.5):
+        level = found.level + (share + _LEVEL) * found.depth
+        deep = found.cavity & ~(view.height <= level)
+        part, count = masks.label_parts(deep)
+        area, half, bottom = np.bincount(part.ravel()), np.zeros(count + 1), np.full(count + 1, level)
+        np.maximum.at(half, part, masks.distance(deep))
+        np.maximum.at(bottom, part, np.minimum(view.height, found.level + found.depth))
+        smallest = 1 + np.argsort(half[1:])
+        seen = (np.cumsum(area[smallest]) > _SPECK * deep.sum()) & (half[smallest] >= _RESOLVED)
+        wide = view.pixel * half
+        slit = (bottom - level > _SLIT * wide) & (area < _SLIT_AREA * found.cavity.sum())
+        halves += wide[smallest][seen & ~slit[smallest]].tolist()
+        slits += wide[smallest][seen & slit[smallest]].tolist()
+    return _Pockets(min(halves), max(slits, default=None))

@@ -1,0 +1,126 @@
+"""The ladder of sizes: how long arrays are for which compiled programs are made.
+
+A program is compiled for the lengths of its arrays. Scenes whose arrays are as long as the same rungs share all their
+programs, whatever their meshes and molds are; what is beyond a mesh is not active. A rung is twice the one
+below, or half as long again where room that is not used takes some time all the same, or four times as long.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+from jaxform.kernels.blocks import BLOCK
+
+_RATIO = 1.5
+_ELEMENTS = 11 * BLOCK  # the first rung: meshes of fewer elements take hardly any time
+_ROOTS, _ADDED = 24, 14 * BLOCK  # of a mesh that is refined: elements at first, and room for those there will be
+_RIM = 1.5  # of the root of the elements' number: half the nodes at the rim of a sheet about as wide as it is long
+_PAIRS = 9 / 16  # of the elements: few are left over
+_SPILL, _KNOTS, _WINDOWS, _RECORDED = BLOCK, 16, 256, 512
+_RIM_EDGES = 64
+_ROWS = 4, 6, 16  # of an assembly's table
+# What is only looked up takes memory, but no time: few rungs, far apart.
+_MOLD, _CELLS, _LISTED, _BEND, _FAR_APART = 4096, 49_152, 196_608, 500_000, 4.0
+_HALF_EDGES = 17 / 8  # of all triangles of a forest
+
+
+def bucket_size(count: int, first: int, ratio: float = 2.0) -> int:
+    """The first of the lengths `first`, `first` times the ratio, and so on, that is not below `count`."""
+    return next(length for k in itertools.count() if (length := round(first * ratio**k)) >= count)
+
+
+def staggered_capacity(room: int, block: int = BLOCK) -> int:
+    """Room for as much or somewhat more, in so many blocks that rows of numbers do not share the cache's sets.
+
+    Rows that are a multiple of 4096 bytes apart do: an odd number of eighths of that keeps them apart.
+    """
+    return room + block if (room // block + 1) % 8 == 0 else room
+
+
+def element_capacity(count: int) -> int:
+    """Room for the elements of a mesh that stays as it is, and for one more, which the pairs that are none are of."""
+    return _block_multiple(count + 1, _ELEMENTS)
+
+
+def root_capacity(count: int) -> int:
+    """Room for the elements of a mesh that is refined, before it is."""
+    return bucket_size(count, _ROOTS)
+
+
+def refined_capacity(count: int) -> int:
+    """Room for the elements of a mesh that is refined."""
+    return _block_multiple(count, _ADDED)
+
+
+def _block_multiple(count: int, first: int) -> int:
+    return staggered_capacity(
+        next(room for k in itertools.count() if (room := BLOCK * round(first * _RATIO**k / BLOCK)) >= count)
+    )
+
+
+def node_capacity(count: int, room: int) -> int:
+    """Room for the nodes of a mesh with room for so many elements, and for one more.
+
+    A sheet has half as many nodes as elements, and half as many more as its rim has.
+    """
+    return staggered_capacity(bucket_size(count + 1, int(0.5 * room + _RIM * room**0.5) + 8, _RATIO))
+
+
+def pair_capacity(count: int, room: int) -> int:
+    """Room for the pairs of elements of a mesh with room for so many elements, and for one more."""
+    return staggered_capacity(bucket_size(count + 1, int(_PAIRS * room)), BLOCK // 2)
+
+
+def half_edge_capacity(count: int, triangles: int) -> int:
+    """Room for half edges of a forest of so many triangles, and for one edge more; even."""
+    return 2 * (bucket_size(count + 2, int(_HALF_EDGES * triangles)) // 2 + 1)
+
+
+def table_row_capacity(count: int) -> int:
+    """Rows of an assembly's table."""
+    return next(room for room in _ROWS if room >= count)
+
+
+def valence_capacity(count: int) -> int:
+    """How many triangles of a forest can meet at a node."""
+    return bucket_size(count, 16, 1.5)
+
+
+def overflow_capacity(count: int) -> int:
+    """Room for shares beyond an assembly's table."""
+    return bucket_size(count, _SPILL, _FAR_APART)
+
+
+def knot_capacity(count: int) -> int:
+    """Room for the knots of a pressure history."""
+    return bucket_size(count, _KNOTS, _FAR_APART)
+
+
+def window_capacity(count: int, *, recorded: bool = False) -> int:
+    """How many windows are planned for; where they are only recorded, room for more takes nothing."""
+    return bucket_size(count, _RECORDED if recorded else _WINDOWS)
+
+
+def rim_edge_capacity(count: int) -> int:
+    """Room for the edges of rims that move."""
+    return bucket_size(count, _RIM_EDGES)
+
+
+def mold_triangle_capacity(count: int) -> int:
+    """Room for the triangles of a mold."""
+    return bucket_size(count, _MOLD, _FAR_APART)
+
+
+def cell_capacity(count: int) -> int:
+    """Room for the cells of a mold's search grid, and for the wider ones."""
+    return bucket_size(count, _CELLS, _FAR_APART)
+
+
+def cell_list_capacity(count: int) -> int:
+    """Room for what the cells list."""
+    return bucket_size(count, _LISTED, _FAR_APART)
+
+
+def bend_part_capacity(count: int) -> int:
+    """Room for the parts of cells that know how far a bend of the mold is."""
+    return bucket_size(count, _BEND)

@@ -1,0 +1,219 @@
+"""`replace`, which puts other numbers into a scene, and what becomes of those that only a trace can tell are wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from numpy.typing import ArrayLike
+
+from jaxform.core.errors import InputError
+from jaxform.core.parameters import parameter_ranges
+from jaxform.core.promotion import with_standard_promotion
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import BITS, DESIGNABLE, RANGES, WORDS, Range, as_numbers, check, declared_ranges
+from jaxform.loads import Loading
+from jaxform.materials import Law, Modes, Shift
+from jaxform.model.field import Field
+from jaxform.model.scene import Scene
+from jaxform.model.tables import SHORT_WINDOW
+
+
+@with_standard_promotion
+def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
+    """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
+
+    A number takes its old shape, or may be broadcast to it; one of the law may take a value at each node of the parison
+    instead, (..., n_node). Meshes are not replaced but built anew. Of values that are
+    traced it is not known here whether they are in their range: `simulate` then simulates nothing and its status says
+    so.
+
+    Raises:
+        InputError: If a path does not exist or does not fit the scene, or a value is no real number, has another shape
+            or, where it is known (not traced), is not finite or out of its range.
+    """
+    check_scene(scene)
+    before = scene
+    if not isinstance(changes, Mapping):
+        raise InputError("is no mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
+    for path, value in changes.items():
+        old = _designable(scene, str(path))
+        scene = _replace_at(scene, str(path), _convert_value(str(path), value, old, scene))
+    return _keep_window_count(scene, before) if "solver.end_time" in changes else scene
+
+
+def _keep_window_count(scene: Scene, before: Scene) -> Scene:
+    """Of a run that ends sooner windows are shorter: at their ends it is looked at, say for its kinetic energy."""
+    longest, ends = scene.tables.longest_window, (before.solver.end_time, scene.solver.end_time)
+    if any(isinstance(number, Tracer) or np.ndim(number) for number in (longest, *ends)):
+        return scene
+    shorter, most = int(longest), int(longest) * float(ends[1]) / float(ends[0])
+    while shorter > max(most, SHORT_WINDOW):
+        shorter //= 2
+    return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, longest_window=np.int32(shorter)))
+
+
+def check_scene(scene: Any) -> None:
+    """Raises InputError unless it is a scene of the precision that JAX computes in."""
+    if not isinstance(scene, Scene):
+        raise InputError("is no scene", "use jaxform.load or jaxform.build_scene", "scene", scene)
+    own, now = scene.parison.positions.dtype, jnp.result_type(float)
+    if own != now:
+        problem = f"was built in {own}, and JAX computes in {now}: x64 was switched since"
+        raise InputError(problem, "load or build the scene anew, or switch jax_enable_x64 back", "scene")
+
+
+def _replace_at(scene: Scene, path: str, values: Any) -> Scene:
+    """A scene with other values at a path."""
+    part, _, name = path.rpartition(".")
+    owner: Any = dataclasses.replace(_owner(scene, part), **{name: values})
+    if part.startswith("fields."):
+        return dataclasses.replace(scene, fields={**scene.fields, part.removeprefix("fields."): owner})
+    return _replace_at(scene, part, owner) if "." in part else dataclasses.replace(scene, **{part: owner})
+
+
+def _owner(scene: Scene, part: str) -> Any:
+    """The part of a scene that paths such as "material.viscous" and "fields.hot" name; None where there is none."""
+    if part.startswith("fields."):
+        return scene.fields.get(part.removeprefix("fields."))
+    owner: Any = scene
+    for name in part.split("."):
+        owner = getattr(owner, name, None)
+    return owner
+
+
+def check_numbers(scene: Scene) -> None:
+    """Raises InputError unless every number of a scene, none of them traced, is in its range."""
+    for path, values in _designable_numbers(scene).items():
+        check(path, values, _range(path, scene))
+
+
+def sanitize_parameters(scene: Scene) -> tuple[Scene, jax.Array]:
+    """A scene that can be simulated whatever its numbers are, and which of `DESIGNABLE` are out of range, as bits.
+
+    Where any is, there is no pressure, and a sheet at rest stays so: under `vmap`, where its windows are worked out
+    beside others', nothing in them overflows, nor in their derivatives.
+    """
+    found, bits = {}, jnp.zeros(WORDS, jnp.int32)
+    for path, values in _designable_numbers(scene).items():
+        allowed = _range(path, scene)
+        good = allowed.contains(jax.lax.stop_gradient(values))
+        if allowed.increasing:
+            good = jnp.broadcast_to(jnp.all(good) & jnp.all(jnp.diff(values) > 0), values.shape)
+        bits |= jnp.where(jnp.all(good), 0, _bit(DESIGNABLE.index(_key(path))))
+        found[path] = jnp.where(good, values, _substitute(path, values, good, scene))
+    if "pressure.value" in found:
+        found["pressure.value"] = jnp.where(jnp.all(bits == 0), found["pressure.value"], 0.0)
+    for path, values in found.items():
+        scene = _replace_at(scene, path, values)
+    return scene, bits
+
+
+def _bit(place: int) -> np.ndarray:
+    """One of `DESIGNABLE`, as bits (WORDS,)."""
+    bits = np.zeros(WORDS, np.int32)
+    bits[place // BITS] = 1 << place % BITS
+    return bits
+
+
+def describe_out_of_range(bits: np.ndarray) -> str:
+    """Which numbers are out of range, and what is asked of them."""
+    paths = [path for k, path in enumerate(DESIGNABLE) if np.any(bits & _bit(k))]
+    return ", ".join(f"{path} {' or '.join(map(_rule, declared_ranges(path)))}" for path in paths)
+
+
+def _rule(allowed: Range) -> str:
+    rule, unit = allowed.rule, f"[{allowed.unit}] " if allowed.unit else ""
+    whole = rule if "finite" in rule else f"must be finite and {rule.removeprefix('must ').removeprefix('be ')}"
+    return f"{unit}{whole}"
+
+
+def _substitute(path: str, values: jax.Array, good: jax.Array, scene: Scene) -> jax.Array | float:
+    if path == "parison.thickness":
+        count, usual = jnp.sum(good), 0.01 * scene.tables.size
+        mean = jnp.sum(jnp.where(good, jax.lax.stop_gradient(values), 0.0)) / jnp.maximum(count, 1)
+        return jnp.where(count > 0, mean, usual)
+    if path == "parison.temperature":
+        shift = scene.material.shift
+        return 20.0 if shift is None else jax.lax.stop_gradient(shift.reference)
+    if path in ("pressure.time", "mold.motion.time"):
+        return jnp.arange(values.size, dtype=values.dtype)
+    allowed = _range(path, scene)
+    if allowed.above is None:
+        return allowed.least or 0.0
+    return 1.0 + allowed.above if allowed.most is None else 0.5 * (allowed.above + allowed.most)
+
+
+def _range(path: str, scene: Scene) -> Range:
+    part, _, name = path.rpartition(".")
+    owner = _owner(scene, part)
+    return parameter_ranges(owner)[name] if isinstance(owner, Law | Modes | Shift | Loading | Field) else RANGES[path]
+
+
+def _key(path: str) -> str:
+    """A path as `DESIGNABLE` has it: fields' numbers without the field's name."""
+    return f"fields.{path.rpartition('.')[2]}" if path.startswith("fields.") else path
+
+
+def _designable_numbers(scene: Scene) -> dict[str, jax.Array]:
+    """Those of `DESIGNABLE` that the scene has."""
+    own = [f"fields.{name}.{key}" for name, field in scene.fields.items() for key in parameter_ranges(field)]
+    found = {path: number_at(scene, path) for path in (*DESIGNABLE, *own)}
+    return {path: values for path, values in found.items() if values is not None}
+
+
+def number_at(scene: Scene, path: str) -> Any:
+    """The number of a scene at a path, or whatever else is there; None where nothing is."""
+    part, _, name = path.rpartition(".")
+    return getattr(_owner(scene, part), name, None)
+
+
+def _designable(scene: Scene, path: str) -> jax.Array:
+    old = number_at(scene, path)
+    if _key(path) in DESIGNABLE and old is not None:
+        return old
+    if old is not None:
+        raise InputError("the scene's tables depend on it", "build a new scene with `build_scene` or `load`", path)
+    known = list(_designable_numbers(scene))
+    close = difflib.get_close_matches(path, known, n=1)
+    remedy = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
+    raise InputError("this scene has no such number", remedy, path)
+
+
+def _convert_value(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Array:
+    arrays = [leaf for leaf in jax.tree.leaves(value) if isinstance(leaf, jax.Array)]
+    new = _as_array(path, value) if arrays else as_real(as_numbers(path, value))
+    shapes = _shapes(path, old, scene)
+    if new.shape not in shapes:
+        try:
+            new = jnp.broadcast_to(new, old.shape)
+        except ValueError:
+            raise InputError(f"has shape {new.shape}", f"give shape {' or '.join(map(str, shapes))}", path) from None
+    if not isinstance(new, Tracer):
+        check(path, new, _range(path, scene))
+    return new
+
+
+def _shapes(path: str, old: jax.Array, scene: Scene) -> list[tuple[int, ...]]:
+    """What shapes a number may have: of the law's also that of zones."""
+    part, _, name = path.rpartition(".")
+    if part != "material":
+        return [old.shape]
+    own = old.shape[:-1] if name in scene.material.zones else old.shape
+    return [own, (*own, len(scene.parison.thickness))]
+
+
+def _as_array(path: str, value: Any) -> jax.Array:
+    try:
+        new = jnp.asarray(value)
+    except (ValueError, TypeError):
+        raise InputError("is no array of numbers", "give real numbers", path) from None
+    if not (jnp.issubdtype(new.dtype, jnp.floating) or jnp.issubdtype(new.dtype, jnp.integer)):
+        raise InputError(f"has the type {new.dtype}", "give real numbers", path)
+    return as_real(new)

@@ -1,0 +1,250 @@
+"""Parts of a scene that a user may have written, checked and with arrays for numbers: laws, loadings and fields."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.errors import InputError, warn_of
+from jaxform.core.parameters import is_registered, list_parameter_names, nodal_parameter_names, parameter_ranges
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import as_numbers, check, check_one
+from jaxform.loads import Interval, Loading, first_pressure, next_pressure
+from jaxform.materials import Cooling, Law, Modes, Shift
+from jaxform.mesh import bisection
+from jaxform.model.field import Field
+from jaxform.model.scene import Parison, Solver
+from jaxform.tools.mold import Mold
+
+_RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
+
+
+def law(material: Law, count: int, forest: bisection.TriangleForest | None) -> Law:
+    """The law of a scene with so many nodes, its zones with values at all nodes of its forest.
+
+    Raises:
+        InputError: It is none, or a number is not one number in its range, nor one at each node.
+    """
+    if not is_registered(material, Law):
+        raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
+    made = _replace_values(material, {"viscous": _modes(material.viscous), "shift": _shift(material.shift)})
+    made = _convert_numbers(made, "material", nodes={count} if forest is None else {count, len(forest.positions)})
+    made.verify()
+    if made.tension_field and made.viscous is not None:
+        problem, remedy = "is not possible with viscous modes, whose stress may push", "leave one of the two out"
+        raise InputError(problem, remedy, "material.tension_field", True)
+    if forest is None:
+        return made
+    ends, depth = forest.ends, forest.depth
+    return made.with_zones(
+        {
+            name: as_real(bisection.extend_values(np.asarray(own).T, ends, depth).T)
+            for name, own in made.zones.items()
+            if own.shape[-1] < len(forest.positions)
+        }
+    )
+
+
+def _modes(modes: Modes | None) -> Modes | None:
+    if modes is None:
+        return None
+    key = "material.viscous"
+    if not is_registered(modes, Modes):
+        raise InputError("are no viscous modes", "use jaxform.Christensen or jaxform.Maxwell", key)
+    made = _convert_numbers(modes, key)
+    if made.modulus.shape != made.time.shape:
+        problem = f"has {made.time.size} numbers, modulus has {made.modulus.size}"
+        raise InputError(problem, "give one for each mode", f"{key}.time")
+    return made
+
+
+def _shift(shift: Shift | None) -> Shift | None:
+    if shift is not None and not is_registered(shift, Shift):
+        raise InputError("is no shift", "use jaxform.Wlf, Arrhenius or ArrheniusStiffness", "material.shift")
+    return None if shift is None else _convert_numbers(shift, "material.shift", nodes=set())
+
+
+_LEAST_WALL = 0.3  # of the initial thickness, of a wall that windows are planned for
+_ON_MOLD = 2 / 3  # of an element, that touches the mold while it still moves
+
+
+def cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
+    """How a scene cools, with arrays for numbers.
+
+    Raises:
+        InputError: It is none, a number is out of its range, or a field has the name of the temperature.
+    """
+    if given is None:
+        return None
+    if not isinstance(given, Cooling):
+        raise InputError("says not how the sheet cools", "use jaxform.Cooling", "cooling")
+    names = [name for name in parameter_ranges(given) if getattr(given, name) is not None]
+    for name in names:
+        check_one(f"cooling.{name}", getattr(given, name))
+    if "temperature" in fields:
+        problem = "has the name of the temperature of a sheet that cools"
+        raise InputError(problem, "give it another name", "fields.temperature")
+    if float(given.mold) > 0.0 and mold is None:
+        warn_of("there is no mold that could cool the sheet", "give [mold], or leave it out", key="cooling.mold")
+    return _replace_values(given, {name: as_real(getattr(given, name)) for name in names})
+
+
+def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) -> None:
+    """Raises InputError where a shift and the temperature do not go together; warns where that changes nothing."""
+    shift, temperature = material.shift, parison.temperature
+    if shift is None and cooling is None:
+        if temperature is not None:
+            remedy = "give [material.shift], or leave the temperature out"
+            warn_of("the temperature changes nothing: the law says not how", remedy, key="parison.temperature")
+        return
+    if temperature is None:
+        asking = "[material.shift]" if cooling is None else "[cooling]"
+        raise InputError("is missing", f"give the sheet's temperature, which {asking} needs", "parison.temperature")
+    if shift is None:
+        return
+    lowest, coldest = float(np.min(np.asarray(temperature))), float(shift.coldest())
+    for name in ("air", "mold") if cooling is not None else ():
+        # It is glass there, as `Shift.factor` has it.
+        value = float(getattr(cooling, f"{name}_temperature"))
+        if float(getattr(cooling, name)) > 0.0 and value <= coldest < lowest:
+            problem = f"is below {coldest:g} degC, where the shift has no value: what cools so far no longer relaxes"
+            warn_of(problem, "see that the sheet is formed before", key=f"cooling.{name}_temperature", value=value)
+    if lowest <= coldest:
+        problem = f"is not above {coldest:g} degC, where the shift has no value"
+        raise InputError(problem, "check material.shift and the units", "parison.temperature", lowest)
+    if material.viscous is None and not shift.stiffens:
+        problem = "changes nothing: it shifts the times of viscous modes, of which there are none"
+        warn_of(problem, "give [material.viscous], or leave it out", key="material.shift")
+
+
+def coldest_temperature(
+    parison: Parison, cooling: Cooling | None, solver: Solver, material: Law
+) -> tuple[jax.Array | None, float]:
+    """The temperature (n_node,) [degC] that windows are planned for, and by how much the sheet cools at most [K].
+
+    Of a thin wall at the end, in the air and beside the mold.
+    """
+    temperature = parison.temperature
+    if cooling is None or temperature is None:
+        return temperature, 0.0
+    thin = temperature, _LEAST_WALL * parison.thickness
+    free, beside = (
+        cooling.cooled(*thin, as_real(share), material.density, solver.end_time) for share in (0.0, _ON_MOLD)
+    )
+    most = max(float(np.abs(np.asarray(temperature - each)).max()) for each in (free, beside))
+    return jnp.minimum(temperature, free), most
+
+
+def check_motion(mold: Mold, parison: Parison) -> None:
+    """Refuses a mold that moves through a symmetry plane of the parison.
+
+    Raises:
+        InputError: If it does.
+    """
+    if mold.motion is None:
+        return
+    planes = np.any(np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None], axis=0)
+    direction = np.asarray(mold.motion.direction, float)
+    if np.any(planes & (direction != 0.0)):
+        names = ", ".join(axis for axis, plane in zip("xyz", planes, strict=True) if plane)
+        remedy = "move it along the planes, or give the whole parison"
+        raise InputError(
+            f"the mold moves across a symmetry plane (normal to {names})",
+            remedy,
+            "mold.motion.direction",
+            direction.tolist(),
+        )
+
+
+def loading(pressure: Loading) -> Loading:
+    """The loading of a scene.
+
+    Raises:
+        InputError: It is none, a number is out of its range, or the pressure of a moment is not one number.
+    """
+    if not is_registered(pressure, Loading):
+        remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
+        raise InputError("is no loading", remedy, "pressure")
+    made = _convert_numbers(pressure, "pressure")
+    none = as_real(0.0)
+    first = _shapes("pressure", first_pressure, made, none)
+    if first.pressure.shape != ():
+        raise InputError(f"gives pressures of shape {first.pressure.shape}", "let `at` give one number", "pressure")
+    later = _shapes("pressure", next_pressure, made, first, Interval(none, none, none, none))
+    if _kinds(later) != _kinds(first):
+        problem = f"has another state of its own after a step, {_words(later.own)}, than at first, {_words(first.own)}"
+        raise InputError(problem, "let `after` give arrays of the same shapes as `start`", "pressure")
+    return made
+
+
+def _kinds(tree: Any) -> Any:
+    return jax.tree.structure(tree), [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)]
+
+
+def _words(own: Any) -> str:
+    kinds = [f"{leaf.dtype}{list(leaf.shape)}" for leaf in jax.tree.leaves(own)]
+    return ", ".join(kinds) or "none"
+
+
+def field(name: str, given: Field, count: int, forest: bisection.TriangleForest | None) -> Field:
+    """A field of a parison with so many nodes, with values at all nodes of its forest.
+
+    Raises:
+        InputError: It is none, cannot have that name, or its numbers or first values do not fit the mesh.
+    """
+    key = f"fields.{name}"
+    if not is_registered(given, Field):
+        raise InputError("is no field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
+    if name in _RESERVED or not name.isidentifier():
+        raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
+    made, new = _convert_numbers(given, key), {}
+    whole = count if forest is None else len(forest.positions)
+    for part in nodal_parameter_names(made):
+        values = np.asarray(getattr(made, part))
+        if values.ndim and values.shape != (count,):
+            problem = f"needs one number, or one at each node: {count}, not {values.shape}"
+            raise InputError(problem, "match the mesh", f"{key}.{part}")
+        if forest is not None and values.ndim and len(values) < whole:
+            values = bisection.extend_values(values, forest.ends, forest.depth)
+        new[part] = as_real(np.broadcast_to(values, (whole,)))
+    made = _replace_values(made, new)
+    shape = _shapes(key, made.start, as_real(np.zeros((whole, 3)))).shape
+    if shape != (whole,):
+        raise InputError(f"starts with values of shape {shape}", f"let `start` give ({whole},)", key)
+    return made
+
+
+def _convert_numbers[T](part: T, section: str, nodes: set[int] | None = None) -> T:
+    """A part whose numbers are arrays, each in its range: where `nodes` are given one number, or so many."""
+    lists = list_parameter_names(part)
+    for name, allowed in parameter_ranges(part).items():
+        key, given = f"{section}.{name}", getattr(part, name)
+        check(key, given, allowed)
+        shape, listed = as_numbers(key, given).shape, name in lists
+        if listed and (len(shape) == 0 or shape[0] == 0 or len(shape) > 1 + (nodes is not None)):
+            raise InputError("is no list of numbers", "give one for each term", key, given)
+        if nodes is not None and len(shape) > int(listed) and (len(shape) > 1 + listed or shape[-1] not in nodes):
+            many = " or ".join(map(str, sorted(nodes)))
+            problem = f"has shape {shape}, is not one number, nor one at each node ({many})"
+            raise InputError(problem, allowed.remedy, key)
+    return _replace_values(
+        part, {name: as_real(as_numbers(name, getattr(part, name))) for name in parameter_ranges(part)}
+    )
+
+
+def _replace_values[T](part: T, values: dict[str, Any]) -> T:
+    return dataclasses.replace(part, **values)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+
+def _shapes(key: str, function: Any, *arguments: Any) -> Any:
+    """The shapes of what a user's function gives; it is not worked out."""
+    try:
+        return jax.eval_shape(function, *arguments)
+    except (TypeError, ValueError, AttributeError) as error:
+        reason = str(error).strip().split("\n")[0]
+        raise InputError(f"cannot be traced by JAX ({reason})", "use jax.numpy, and return one array", key) from error

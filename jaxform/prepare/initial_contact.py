@@ -1,0 +1,224 @@
+"""How a run begins at the mold: what of the sheet lies on it, what is through it, and where the mesh is fine at once.
+
+Molds from CAD have a flange in the sheet's plane, to the rounding of the file. What lies on it at the start sticks
+there from the start on; at the edge of an opening the sheet is held within an element, so the mesh is refined there
+before it moves. On the host.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.errors import InputError
+from jaxform.mesh import bisection, topology
+from jaxform.model.scene import Parison, Refinement
+from jaxform.model.tables import Bend
+from jaxform.tools.crossings import proper_crossings
+from jaxform.tools.distances import nearest_places, point_triangle_distance
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid
+
+Array = NDArray[np.float64]
+
+_ON = 0.01  # of the sheet's thickness: a node that is nearer to the mold lies on it
+_FACING = 0.1  # cosine between the sheet's normal and a triangle's, below which pressure does not tell the side
+_CHUNK = 2_000_000  # pairs of node and triangle looked at together
+
+
+class InitialContact(NamedTuple):
+    """What of a sheet lies on the mold.
+
+    Signed numbers (n_node,) as `State.wall`, 0 where a node does not lie on it; and the nodes' places (n_node, 3) [m],
+    of those that do on the mold.
+    """
+
+    wall: NDArray[np.int32]
+    positions: Array
+
+
+def find_initial_contact(
+    parison: Parison, triangles: NDArray[np.integer], pushes: np.ndarray, mold: Mold, grid: SearchGrid
+) -> InitialContact:
+    """Which nodes lie on the mold, to a hundredth of the sheet's thickness.
+
+    Args:
+        parison: The sheet; of a refined one, all its nodes.
+        triangles: Those that the nodes belong to (n_triangle, 3); of a refined sheet, of all levels.
+        pushes: Pressures, of which the first that is not 0 tells which way the sheet is pushed.
+        mold: The mold.
+        grid: Its search structure.
+    """
+    positions = np.asarray(parison.positions, float)
+    node, triangle, gap = _contact_pairs(positions, tolerance(parison, grid), grid)
+    corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    pushed = np.sign(pushes[np.flatnonzero(pushes)[:1]]).sum() or 1.0
+    facing = np.einsum("ij,ij->i", pushed * _normals(positions, triangles)[node], normal[triangle])
+    inward = np.einsum("ij,ij->i", _inward_directions(positions, triangles)[node], normal[triangle])
+    # What pressure pushes against comes first; where the mold stands across the sheet, the sheet is where its own
+    # elements are.
+    square = np.abs(facing) >= _FACING
+    order = np.lexsort((-gap, np.round(np.abs(facing), 6), node))
+    last = order[np.flatnonzero(np.diff(node[order], append=-1))]
+    side = np.where(square, -np.sign(facing), np.where(inward < 0, -1, 1)).astype(np.int32)
+    wall = np.zeros(len(positions), np.int32)
+    wall[node[last]] = side[last] * (triangle[last] + 1)
+    moved = positions.copy()
+    # What is on the mold to rounding stays where it is.
+    last = last[gap[last] > np.finfo(float).eps * float(grid.size)]
+    moved[node[last]] = nearest_places(positions[node[last]], corners[triangle[last]])
+    return InitialContact(wall, np.where(np.asarray(parison.fixed), positions, moved))
+
+
+def tolerance(parison: Parison, grid: SearchGrid) -> float:
+    """Distance [m] within which a node lies on the mold.
+
+    It is small beside the thickness, but not below what single precision tells apart, in which files have numbers.
+    """
+    size = max(float(np.abs(np.asarray(parison.positions)).max()), float(grid.size))
+    return max(_ON * float(np.median(np.asarray(parison.thickness))), 4 * float(np.finfo(np.float32).eps) * size)
+
+
+def _contact_pairs(
+    positions: Array, near: float, grid: SearchGrid
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Nodes and the mold's triangles within a distance [m] of them, pair by pair, and how far they are apart [m]."""
+    shape, width = np.asarray(grid.shape), float(grid.width)
+    index = np.floor((positions - np.asarray(grid.corner, float)) / width).astype(int)
+    inside = np.all((index >= 0) & (index < shape), axis=1)
+    cell = np.asarray(np.ravel_multi_index(tuple(np.clip(index, 0, shape - 1).T), tuple(shape)))
+    node = np.flatnonzero(inside & (np.asarray(grid.bound)[cell] <= near))
+    start, listed = np.asarray(grid.start), np.asarray(grid.listed)
+    outlines, frames = np.asarray(grid.outlines, float), np.asarray(grid.frames, float)
+    found = [(node[:0], node[:0], np.zeros(0))]
+    count = (start[cell + 1] - start[cell])[node]
+    for part in np.split(node, np.flatnonzero(np.diff(np.cumsum(count) // _CHUNK)) + 1):
+        count = (start[cell + 1] - start[cell])[part]
+        rows = listed[np.repeat(start[cell[part]] - np.cumsum(count) + count, count) + np.arange(count.sum())]
+        own = np.repeat(part, count)
+        # The plane and the sphere round a triangle rule out nearly all.
+        height = np.einsum("ij,ij->i", outlines[rows, 4:7], positions[own]) - outlines[rows, 7]
+        keep = np.flatnonzero(np.abs(height) <= near)
+        away = positions[own[keep]] - outlines[rows[keep], :3]
+        keep = keep[np.einsum("ij,ij->i", away, away) <= np.square(outlines[rows[keep], 3] + near)]
+        frame = frames[rows[keep]]
+        corners = frame[:, None, :3] + np.stack([np.zeros_like(frame[:, :3]), frame[:, 12:15], frame[:, 15:]], 1)
+        gap = point_triangle_distance(positions[own[keep]], corners)
+        keep, gap = keep[gap <= near], gap[gap <= near]
+        found.append((own[keep], np.asarray(grid.number)[rows[keep]], gap))
+    node, triangle, gap = (np.concatenate(values) for values in zip(*found, strict=True))
+    return node, triangle, gap
+
+
+def _normals(positions: Array, triangles: NDArray[np.integer]) -> Array:
+    """Of the sheet at its nodes (n_node, 3), of length 1; 0 where there is no triangle."""
+    edge1, edge2 = (positions[triangles[:, k]] - positions[triangles[:, 0]] for k in (1, 2))
+    normal = _sum_to_nodes(np.cross(edge1, edge2), triangles, len(positions))
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+def _inward_directions(positions: Array, triangles: NDArray[np.integer]) -> Array:
+    """From each node to the middles of its triangles, added up (n_node, 3) [m]."""
+    count = _sum_to_nodes(np.ones((len(triangles), 1)), triangles, len(positions))
+    return _sum_to_nodes(positions[triangles].mean(1), triangles, len(positions)) - count * positions
+
+
+def _sum_to_nodes(values: Array, triangles: NDArray[np.integer], count: int) -> Array:
+    """Values of triangles (n_triangle, k) added up at their nodes (count, k)."""
+    node, each = triangles.ravel(), np.repeat(values, 3, axis=0)
+    return np.stack([np.bincount(node, column, count) for column in each.T], axis=1)
+
+
+def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, grid: SearchGrid) -> None:
+    """Refuses a sheet that is through the mold.
+
+    What touches it to the tolerance of `find_initial_contact` is not: what is through it still is when the sheet is
+    moved by as much to either side.
+
+    Raises:
+        InputError: If a side of an element crosses the mold.
+    """
+    positions = np.asarray(parison.positions, float)
+    sides, _ = topology.edges(triangles)
+    off = 2 * tolerance(parison, grid) * _normals(positions, triangles)
+    for shift in (np.zeros_like(off), off, -off):
+        places = positions + shift
+        through, triangle = proper_crossings(places[sides[:, 0]], places[sides[:, 1]], mold, grid)
+        sides = sides[through]
+        if not len(sides):
+            return
+    where = positions[sides[0]].mean(0)
+    place = ", ".join(f"{value:.4g}" for value in where)
+    raise InputError(
+        f"the parison starts through the mold, near ({place}) m, in mold triangle {triangle[0]}",
+        "move the mold (mold.translate), shrink the parison, or give a coarse mold of a round shape smaller triangles "
+        "(mold.element_size, mold.segments)",
+        "mold",
+    )
+
+
+def find_initial_bisections(
+    forest: bisection.TriangleForest,
+    lying: jax.Array | None,
+    refinement: Refinement,
+    bend: Bend | None,
+    grid: SearchGrid,
+) -> NDArray[np.int32]:
+    """Triangles of the forest that are bisected before the run begins, ascending: closed, so that no node hangs.
+
+    Those that lie on the mold in part, up to the deepest level; those near a bend of the mold up to the base level.
+
+    Args:
+        forest: The forest, with its nodes where they are when the run begins.
+        lying: Which nodes lie on the mold, as `Precomputed` has it (n_node,).
+        refinement: Its limits.
+        bend: Where it is bent, as `TriangleForest.bend` of the scene has it.
+        grid: The mold's search structure.
+    """
+    level, corners = forest.level(), forest.positions[forest.triangles]
+    side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    wanted = np.zeros(len(level), bool)
+    if lying is not None:
+        wanted = _partly_in_contact(forest, np.asarray(lying)) & (level < refinement.deepest)
+    if bend is not None:
+        wanted |= (_bend_distance(corners.mean(1), bend, grid) < float(refinement.base_reach) * side) & (
+            level < refinement.base_level
+        )
+    wanted &= 0.5 * area >= float(refinement.min_area)
+    return np.flatnonzero(bisection.closure(_reachable_triangles(wanted, forest), forest)).astype(np.int32)
+
+
+def _partly_in_contact(forest: bisection.TriangleForest, wall: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Triangles (n_triangle,) of which some nodes lie on the mold and others do not, those of their parts included."""
+    lies = wall != 0
+    some = (lies & ~forest.clamped)[forest.triangles].any(1)
+    each = (lies | forest.clamped)[forest.triangles].all(1)
+    for level in range(forest.depth - 1, -1, -1):
+        first, last = (forest.root_count * ((1 << k) - 1) for k in (level, level + 1))
+        end = forest.root_count * ((1 << (level + 2)) - 1)
+        some[first:last] |= some[last:end].reshape(-1, 2).any(1)
+        each[first:last] &= each[last:end].reshape(-1, 2).all(1)
+    return some & ~each
+
+
+def _reachable_triangles(wanted: NDArray[np.bool_], forest: bisection.TriangleForest) -> NDArray[np.bool_]:
+    """Those wanted whose parents are bisected, from level to level; without what only closure asks for."""
+    for level in range(1, forest.depth + 1):
+        first, last = (forest.root_count * ((1 << k) - 1) for k in (level, level + 1))
+        above = forest.root_count * ((1 << (level - 1)) - 1)
+        wanted[first:last] &= np.repeat(wanted[above:first], 2)
+    return wanted
+
+
+def _bend_distance(places: Array, bend: Bend, grid: SearchGrid) -> Array:
+    """Distance (n,) [m] from places (n, 3) to the mold's bends, as the run sees it."""
+    shape = int(bend.parts) * np.asarray(grid.shape)
+    width = float(grid.width) / int(bend.parts)
+    index = np.clip(np.floor((places - np.asarray(grid.corner, float)) / width).astype(int), 0, shape - 1)
+    return np.asarray(bend.distance, float)[np.ravel_multi_index(tuple(index.T), tuple(shape))]

@@ -1,0 +1,259 @@
+"""Building a scene on the host: validation, reference geometry, search structure, number of windows."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Mapping
+
+import jax
+import numpy as np
+
+from jaxform.contact.lists import PAIRS_PER_NODE
+from jaxform.core.errors import InputError
+from jaxform.core.promotion import with_standard_promotion
+from jaxform.core.pytree import as_index, as_real, cast_to_precision
+from jaxform.core.store import PACKAGE, Store
+from jaxform.loads import Loading
+from jaxform.materials import Cooling, Law
+from jaxform.mesh import bisection, reference
+from jaxform.model.field import Field
+from jaxform.model.part import Part, check_part
+from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, SceneBox
+from jaxform.prepare import component_validation, initial_contact
+from jaxform.prepare.refinement_setup import bends, build_hierarchy, check_capacity, pack_forest, reserve_capacity
+from jaxform.prepare.rims import moving_rim
+from jaxform.prepare.stretches import expected_stretch
+from jaxform.prepare.window_budget import longest_window, plan_windows, spare_windows, stiffens_steeply, tool_steps
+from jaxform.sheet.discretization import NEVER
+from jaxform.sheet.packing import make_assembly, make_paired_assembly
+from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid, build_grid
+
+_FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
+_MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
+
+
+@with_standard_promotion
+def build_scene(
+    *,
+    parison: Parison,
+    material: Law,
+    pressure: Loading,
+    solver: Solver,
+    mold: Mold | None = None,
+    refinement: Refinement | None = None,
+    forest: bisection.TriangleForest | None = None,
+    fields: Mapping[str, Field] | None = None,
+    cooling: Cooling | None = None,
+    fill: bool = True,
+    part: Part | None = None,
+    name: str = "scene",
+    frames: int = 0,
+    store: Store | None = None,
+) -> Scene:
+    """Builds a scene: validates it and does all host work.
+
+    Args:
+        parison: The sheet.
+        material: Its law; a number of it may have a value at each node of the parison (..., n_node).
+        pressure: The pressure history, or any other loading.
+        solver: Options of the time integration.
+        mold: The mold; None for free inflation.
+        refinement: Where the mesh becomes finer; None where it stays as it is.
+        forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
+            have the mean thickness of their edges' ends.
+        fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
+        cooling: How the sheet cools; None where it keeps its temperature.
+        fill: Whether the mold is to be filled: where a fifth of its depth is left open, the status of a run says so.
+        part: Which of the formed sheet is the part, from `make_part`: what statistics, objectives and pictures count;
+            all of it by default.
+        name: What the scene is called.
+        frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
+        store: Where the mold's search structure is kept between runs; nowhere by default.
+
+    Raises:
+        InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
+            the run would take more steps than anyone would wait for.
+    """
+    _warn_of_float32()
+    # Parts may have been made before x64 was switched.
+    parison, solver = cast_to_precision(parison), cast_to_precision(solver)
+    mold, refinement = cast_to_precision(mold), cast_to_precision(refinement)
+    check_part(part, None if mold is None else len(mold.triangles))
+    pressure, count = component_validation.loading(pressure), len(parison.positions)
+    if refinement is not None and forest is None:
+        forest, parison = build_hierarchy(parison, refinement)
+    material = component_validation.law(material, count, forest)
+    cooling = component_validation.cooling(cooling, fields or {}, mold)
+    component_validation.check_temperature(material, parison, cooling)
+    carried = {
+        str(key): component_validation.field(str(key), own, count, forest) for key, own in (fields or {}).items()
+    }
+    positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
+    _check_mesh(positions, triangles, parison)
+    grid = lying = None
+    if mold is not None:
+        component_validation.check_motion(mold, parison)
+        grid = _search_grid(mold, positions, triangles, store)
+        initial_contact.check_start(parison, triangles, mold, grid)
+        pushes = sample_pressures(pressure, solver, parison)
+        parison, lying = _place_on_mold(parison, triangles if forest is None else forest.triangles, pushes, mold, grid)
+        positions = np.asarray(parison.positions, float)
+        forest = None if forest is None else dataclasses.replace(forest, positions=positions)
+    sheet = _reference_sheet(parison, pressure)
+    bound = as_real(reference.shape_bound(positions, triangles))
+    held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
+    mobility, grown = as_real(~held.T), None
+    rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
+    if refinement is not None and forest is not None:
+        check_capacity(refinement, len(triangles))
+        bend = None if mold is None or grid is None or not refinement.base_level else bends(mold, grid, store)
+        fine = None if grid is None else initial_contact.find_initial_bisections(forest, lying, refinement, bend, grid)
+        refinement = reserve_capacity(refinement, forest, fine)
+        grown = pack_forest(forest, refinement, sheet, mobility, bend, fine)
+        bound = grown.bound
+    cold, change = component_validation.coldest_temperature(parison, cooling, solver, material)
+    law = material.at(cold)
+    steep = stiffens_steeply(law)
+    expected = expected_stretch(parison, law, sample_pressures(pressure, solver, parison), mold) if steep else None
+    planned = plan_windows(bound, law, solver, expected)
+    if steep and refinement is not None:
+        # Its windows do not become longer.
+        planned *= LONG_WINDOW // SHORT_WINDOW
+    moving = tool_steps(None if mold is None else mold.motion, grid, float(solver.end_time), np.inf)
+    window_count = planned + int(np.ceil(moving / SHORT_WINDOW)) + spare_windows(grid, change)
+    longest = longest_window(planned, frames, steep=steep)
+    tables = Precomputed(
+        sheet=sheet,
+        assembly=_assembly(positions, triangles, refinement),
+        bound=bound,
+        mobility=mobility,
+        size=as_real(np.abs(positions).max()),
+        box=None if mold is None else _box(mold, positions),
+        grid=grid,
+        forest=grown,
+        initial_contact=lying,
+        window_count=window_count,
+        planned=np.int32(window_count if steep else NEVER),
+        longest_window=np.int32(SHORT_WINDOW if refinement is not None else longest),
+        window_room=SHORT_WINDOW if refinement is not None else LONG_WINDOW,
+        pairs_per_node=_pairs_per_node(mold, grid),
+        rim=rim,
+    )
+    return Scene(
+        parison=parison,
+        material=material,
+        pressure=pressure,
+        solver=solver,
+        mold=mold,
+        refinement=refinement,
+        tables=tables,
+        name=name,
+        fields=carried,
+        cooling=cooling,
+        fill=bool(fill),
+        part=part,
+    )
+
+
+def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refinement | None) -> Assembly:
+    """In pairs, unless the elements will be others."""
+    if refinement is not None:
+        return make_assembly(triangles, len(positions))
+    return make_paired_assembly(positions, triangles)
+
+
+def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) -> None:
+    if len(triangles) == 0:
+        raise InputError("the parison has no triangles", "give a surface mesh of triangles", "parison")
+    bad = _degenerate(positions, triangles)
+    if len(bad):
+        raise InputError(
+            f"{len(bad)} of its triangles are degenerate, the first is number {bad[0]}",
+            "remesh the parison",
+            "parison",
+        )
+    held = np.asarray(parison.clamped)[:, None] | np.asarray(parison.fixed)
+    if np.all(held):
+        raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
+
+
+def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    edge1 = positions[triangles[:, 1]] - positions[triangles[:, 0]]
+    edge2 = positions[triangles[:, 2]] - positions[triangles[:, 0]]
+    area = 0.5 * np.linalg.norm(np.cross(edge1, edge2), axis=1)
+    longest = np.maximum(np.square(edge1).sum(1), np.square(edge2).sum(1))
+    return np.flatnonzero(~(area > 1e-9 * longest))
+
+
+def _place_on_mold(
+    parison: Parison, triangles: np.ndarray, pushes: np.ndarray, mold: Mold, grid: SearchGrid
+) -> tuple[Parison, jax.Array | None]:
+    """The parison with what lies on the mold exactly there; and which nodes (n_node,) those are, None where none."""
+    found = initial_contact.find_initial_contact(parison, triangles, pushes, mold, grid)
+    if not np.any(found.wall):
+        return parison, None
+    if len(bad := _degenerate(found.positions, triangles)):
+        raise InputError(
+            f"the parison cannot be laid onto it: {len(bad)} of its triangles would be degenerate",
+            "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
+            "mold",
+        )
+    return dataclasses.replace(parison, positions=as_real(found.positions)), as_index(found.wall)
+
+
+def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
+    triangles = np.asarray(parison.triangles)
+    inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
+    # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
+    on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
+    places = np.asarray(parison.positions)
+    origin = []
+    for k, axis in enumerate("xyz"):
+        there = places[on_plane[:, k], k] if on_plane[:, k].any() else np.zeros(1)
+        apart = np.ptp(there) > 1e-6 * np.ptp(places, axis=0).max()
+        if apart and pressure.follows_volume:
+            raise InputError(
+                "nodes are held on more than one plane, from which the enclosed volume cannot be counted",
+                f"keep one symmetry plane across {axis}",
+                "parison.fixed",
+                f"{axis} from {there.min():.4g} to {there.max():.4g} m",
+            )
+        origin.append(there[0] if apart else there.mean())
+    return ReferenceGeometry(as_index(triangles.T), as_real(inverse), as_real(area), as_real(origin))
+
+
+def _box(mold: Mold, positions: np.ndarray) -> SceneBox:
+    places = np.concatenate([positions, mold.where_it_turns()])
+    low, high = places.min(0), places.max(0)
+    return SceneBox(as_real(0.5 * (low + high)), as_real(1.5 * (high - low).max()))
+
+
+def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:
+    """Made for nodes that move a quarter of an element's side within a window: a tenth of the speed of sound."""
+    corners = positions[triangles]
+    side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+    return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side, store)
+
+
+def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
+    """Room for pairs: a node that moves far over a fine mold meets many of its triangles in a window."""
+    if mold is None or grid is None or grid.far is None:
+        return PAIRS_PER_NODE
+    corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    within = np.pi * float(grid.farthest) ** 2 / np.median(0.5 * np.linalg.norm(cross, axis=1))
+    rungs = round(np.log2(max(_FAR_NODES * within / PAIRS_PER_NODE, 1.0)))
+    return PAIRS_PER_NODE * 2 ** int(min(rungs, _MOST_PAIRS_RUNGS))
+
+
+def _warn_of_float32() -> None:
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "jaxform computes in float32 because JAX's x64 mode is off; "
+            'for full accuracy call jax.config.update("jax_enable_x64", True) first',
+            stacklevel=2,
+            skip_file_prefixes=(str(PACKAGE),),
+        )

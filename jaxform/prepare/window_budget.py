@@ -1,0 +1,128 @@
+"""How many windows a run may take, how long they are, and how long its first step is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform.core.errors import InputError
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import MOST_STEPS
+from jaxform.materials import Law, Modes
+from jaxform.mechanics import membrane, stiffness
+from jaxform.mechanics.constitutive import ViscousMemory, overstress, strain_state
+from jaxform.model.scene import Scene, Solver
+from jaxform.model.tables import LONG_WINDOW, MOST_COOLING, RANGE_PER_STEP, SHORT_WINDOW
+from jaxform.prepare.stretches import LARGEST_STRETCH
+from jaxform.tools.motion import FASTEST, Motion
+from jaxform.tools.search import SearchGrid
+
+_STEEP = 8.0  # times as many steps at the largest stretch as at first: such a law is planned for what it will meet
+_FEWEST_WINDOWS = 128  # for which such a plan is made
+_PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a run has at least
+
+
+def stiffens_steeply(material: Law) -> bool:
+    """Whether steps at the largest stretch are so much shorter than at first that no run is planned for it."""
+    first, last = (
+        float(_stiffest_step(as_real(1.0), material, as_real(stretch))) for stretch in (1.0, LARGEST_STRETCH)
+    )
+    return not last * _STEEP > first
+
+
+def plan_windows(bound: jax.Array, material: Law, solver: Solver, expected: float | None = None) -> int:
+    """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for.
+
+    Or up to the stretch that is expected, of a law that stiffens steeply: where it is stiffer, windows become longer
+    (`dynamics.window_end`). As many as there is always room for are planned in any case.
+    """
+    stretch = as_real(LARGEST_STRETCH if expected is None else expected)
+    step = float(solver.safety) * float(_stiffest_step(as_real(np.asarray(bound).max()), material, stretch))
+    steps = float(solver.end_time) / step if step > 0 else np.inf
+    steps = 1.3 * steps if expected is None else max(steps, _FEWEST_WINDOWS * SHORT_WINDOW)
+    if not steps < MOST_STEPS:
+        raise InputError(
+            f"the run would take {steps:.2g} steps of {step:.2g} s",
+            "shorten it, coarsen the smallest elements or soften the material",
+            "solver.end_time",
+            float(solver.end_time),
+        )
+    return int(np.ceil(steps / SHORT_WINDOW))
+
+
+def spare_windows(grid: SearchGrid | None, cooling: float = 0.0) -> int:
+    """For some that contact cuts short when nodes fly through the mold, some that are retried, and cooling [K]."""
+    spare = 32 + int(np.ceil(cooling / MOST_COOLING))
+    return spare if grid is None else spare + round(2 * float(grid.size) / float(grid.reach))
+
+
+def tool_steps(motion: Motion | None, grid: SearchGrid | None, end_time: float, step: float) -> float:
+    """How many steps of a run are due to a mold that moves, beyond those of a length [s] that it would take at rest."""
+    if motion is None or grid is None:
+        return 0.0
+    time = np.minimum(np.asarray(motion.time, float), end_time)
+    shortest = RANGE_PER_STEP * float(grid.farthest) / np.maximum(FASTEST * motion.mean_speeds(), 1e-300)
+    return float(np.sum(np.diff(time) * np.maximum(1.0 / shortest - 1.0 / step, 0.0)))
+
+
+def longest_window(planned: int, frames: int, *, steep: bool = False) -> int:
+    """Steps of the longest window, so that of so many planned short ones there are enough that are taken.
+
+    Where a steep law is planned for what is expected, windows can become longer whatever the plan.
+    """
+    planned *= LONG_WINDOW // SHORT_WINDOW if steep else 1
+    # Steps are not all alike, so there are twice as many windows as frames.
+    longest, enough = SHORT_WINDOW, _PLANNED_TO_TAKEN * max(_LEAST_WINDOWS, 2 * frames)
+    while longest < LONG_WINDOW and planned * SHORT_WINDOW >= 2 * longest * enough:
+        longest *= 2
+    return longest
+
+
+def first_step(scene: Scene) -> float:
+    """How long the first step is at least [s]: what the elements bound it to before they stretch.
+
+    What a run measures is up to twice as long. This needs no program of the mesh's size.
+    """
+    forest = scene.tables.forest
+    active = np.arange(len(scene.parison.triangles))
+    if forest is not None and forest.fine_at_once is not None:
+        bisected = np.asarray(forest.fine_at_once)
+        children = 2 * bisected + forest.root_count
+        active = np.setdiff1d(np.concatenate([active, children, children + 1]), bisected)
+    bound = as_real(np.max(np.asarray(scene.tables.bound)[active]))
+    return float(scene.solver.safety) * float(_stiffest_step(bound, scene.law, as_real(1.0)))
+
+
+def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
+    """What viscous modes add at most [Pa] where a sheet is stretched at once along both axes, with these squares."""
+    none, one = jnp.zeros_like(square), jnp.ones_like(square)
+    g = square, none, square
+    unit = jnp.stack([one, none, one])
+    memory = ViscousMemory(modes.initial_stress(unit), modes.recursion(none[0]).gain, modes.kind)
+    stresses = overstress(g, unit, memory).modes
+    return stiffness.viscous_stiffness(membrane.invariants(g, unit), strain_state(g, unit), stresses, modes)
+
+
+@jax.jit
+def _stiffest_step(bound: jax.Array, material: Law, largest: jax.Array) -> jax.Array:
+    """The step [s] for the largest bound [1/m^2] of the elements, up to a stretch."""
+    square = jnp.square(jnp.linspace(1.0, largest, 64))
+    unit = jnp.ones_like(square), jnp.zeros_like(square), jnp.ones_like(square)
+    strain = membrane.invariants((square, jnp.zeros_like(square), square), jnp.stack(unit))
+
+    def steps(zones: dict[str, jax.Array], modes: Modes | None) -> jax.Array:
+        own = dataclasses.replace(material.with_zones(zones), viscous=modes)
+        values = stiffness.tangent_stiffness(strain, own)
+        if own.viscous is not None:
+            values += _stiffness_at_once(square, own.viscous)
+        stiffest = jnp.max(jnp.where(jnp.isfinite(values), values, 0.0))  # beyond a limit stretch there is none
+        return stiffness.stable_step(stiffest * bound, own)
+
+    zones, modes = material.zones, material.viscous
+    shifted = modes is not None and modes.modulus.ndim == 2
+    if not zones and not shifted:
+        return steps(zones, modes)
+    return jnp.min(jax.vmap(steps, in_axes=(-1, -1 if shifted else None))(zones, modes))

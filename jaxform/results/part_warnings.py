@@ -1,0 +1,154 @@
+"""What in a formed part is hardly meant, and its thinnest place: found after the run, on the host."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxform.core.formatting import format_place
+from jaxform.model.scene import Scene
+from jaxform.results import sections
+from jaxform.sheet.state import Status
+from jaxform.tools import folding
+
+if TYPE_CHECKING:
+    from jaxform.results.result import Result
+
+Array = NDArray[np.float64]
+
+_OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
+_NEXT_TO = 1e-4  # of the sheet's size
+_MOST_ASKED = 3000  # elements, whether they pass through the sheet
+_TORN = 0.01  # of the initial thickness: less of a free wall is beyond any sense
+
+
+def thinnest_element(result: Result, scene: Scene) -> dict[str, Any]:
+    """The thickness [m] of the thinnest element, and where its middle is: `formed` and `initial` (3,) [m]."""
+    walls = np.where(np.asarray(result.used), np.asarray(result.element_thickness, float), np.inf)
+    nodes = np.asarray(result.triangles)[int(np.argmin(walls))]
+    return {
+        "thickness": float(np.min(walls)),
+        "formed": np.asarray(result.positions, float)[nodes].mean(0).tolist(),
+        "initial": np.asarray(scene.parison.positions, float)[nodes].mean(0).tolist(),
+    }
+
+
+def warnings_of_part(result: Result, scene: Scene) -> list[str]:
+    """A sentence for each thing in a part that is hardly meant, with the remedy."""
+    # Of a run that broke off, but for a sheet that ran away, the status says more.
+    told = Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED | Status.UNFILLED
+    broken = int(result.status) & ~told
+    if broken or not np.isfinite(np.asarray(result.positions)).all():
+        return []
+    return [
+        *_warnings_of_no_contact(result, scene),
+        *_warnings_of_escape(result, scene),
+        *_warnings_of_tearing(result),
+        *_warnings_of_crossing(result, scene),
+    ]
+
+
+def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
+    if scene.mold is None:
+        return []
+    initial, active = np.asarray(scene.parison.positions, float), np.asarray(result.active)
+    moved = np.linalg.norm(np.asarray(result.positions, float) - initial, axis=1)
+    # What lies on the mold, or next to it, sticks to it in the first step.
+    far = moved > _NEXT_TO * np.ptp(initial, axis=0).max()
+    if ((np.asarray(result.contact_time) > 0) & far & active).any() or np.asarray(result.stuck)[active].all():
+        return []
+    return [
+        "nothing touched the mold after the start; look at sheet and mold with `jaxform check` (units, sides), or "
+        "raise pressure.value or solver.end_time"
+    ]
+
+
+def _warnings_of_escape(result: Result, scene: Scene) -> list[str]:
+    """Where the sheet is out of the mold's box and of the one that it was in at first."""
+    if scene.mold is None:
+        return []
+    initial = np.asarray(scene.parison.positions, float)
+    active = np.flatnonzero(np.asarray(result.active))
+    now, walls = np.asarray(result.positions, float)[active], scene.mold.where_it_turns()
+    boxes = [*_images(scene, walls), initial]
+    low, high = np.min([box.min(0) for box in boxes], axis=0), np.max([box.max(0) for box in boxes], axis=0)
+    beyond = np.maximum(low - now, now - high).max(1)
+    farthest = int(np.argmax(beyond))
+    if not beyond[farthest] > _OUTSIDE * np.ptp(walls, axis=0).max():
+        return []
+    return [
+        f"the sheet left the mold's box, by {beyond[farthest]:.3g} m at {format_place(now[farthest])}; look at sheet "
+        "and mold with `jaxform check`: is the mold in front of the pressure, as wide as the sheet, and without a hole?"
+    ]
+
+
+def _images(scene: Scene, walls: Array) -> list[Array]:
+    """The mold's vertices and their images in the symmetry planes: a mold may be cut there or not."""
+    images = [walls]
+    for axis, level in sections.symmetry_planes(scene).items():
+        image = walls.copy()
+        image[:, axis] = 2 * level - image[:, axis]
+        images.append(image)
+    return images
+
+
+def has_burst(result: Result, scene: Scene) -> bool:
+    """Whether a part came to its end after its sheet was blown through itself.
+
+    A film is then stretched beyond any sense, and cuts what it left through.
+    """
+    if int(result.status) or scene.mold is None or not np.isfinite(np.asarray(result.positions)).all():
+        return False
+    return bool(len(_unreliable_elements(result, _ratio(result)))) and bool(len(_crossing_elements(result, scene)))
+
+
+def _ratio(result: Result) -> Array:
+    """Of the elements' thickness to the initial one (n_element,)."""
+    return 1.0 / np.maximum(np.prod(np.asarray(result.stretches, float), axis=1), 1e-300)
+
+
+def _unreliable_elements(result: Result, ratio: Array) -> NDArray[np.int64]:
+    triangles, used = np.asarray(result.triangles), np.asarray(result.used)
+    free = ~(np.asarray(result.wall) != 0)[triangles].any(1)
+    return np.flatnonzero(used & free & (ratio < _TORN))
+
+
+def _crossing_elements(result: Result, scene: Scene) -> NDArray[np.int64]:
+    """Elements with a free node that cut another part of a sheet in a mold; of very many the thinnest are asked."""
+    none = np.zeros(0, np.int64)
+    if scene.mold is None:
+        return none
+    used = np.flatnonzero(np.asarray(result.used))
+    triangles = np.asarray(result.triangles)[used]
+    free = np.flatnonzero(~np.asarray(result.stuck)[triangles].all(1))
+    asked = free[np.argsort(_ratio(result)[used[free]], kind="stable")[:_MOST_ASKED]]
+    return used[folding.self_intersecting_elements(np.asarray(result.positions, float), triangles, asked)]
+
+
+def _warnings_of_crossing(result: Result, scene: Scene) -> list[str]:
+    found = _crossing_elements(result, scene)
+    if not len(found):
+        return []
+    nodes = np.asarray(result.triangles)[found[np.argmin(_ratio(result)[found])]]
+    where = format_place(np.asarray(result.positions, float)[nodes].mean(0))
+    return [
+        f"the sheet passes through itself, {len(found)} elements of it, at {where}: it folds there, or two films meet, "
+        "and its contact with itself is not simulated; do not trust the wall there, lower pressure.value, or widen "
+        "what is narrow in the mold"
+    ]
+
+
+def _warnings_of_tearing(result: Result) -> list[str]:
+    triangles, ratio = np.asarray(result.triangles), _ratio(result)
+    torn = _unreliable_elements(result, ratio)
+    if not len(torn):
+        return []
+    worst = torn[np.argmin(ratio[torn])]
+    where = format_place(np.asarray(result.positions, float)[triangles[worst]].mean(0))
+    count = f"{len(torn)} elements that touch nothing are" if len(torn) > 1 else "an element that touches nothing is"
+    return [
+        f"{count} stretched beyond any sense: down to {100 * ratio[worst]:.2g} % of the initial thickness at {where}; "
+        "lower pressure.value or the end time, or put the mold where it stops the sheet"
+    ]

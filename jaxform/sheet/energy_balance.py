@@ -1,0 +1,155 @@
+"""Energies of the sheet, the work done on it, and the volume that it encloses."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxform.kernels.blocks import materialize, over_blocks
+from jaxform.loads import Interval, LoadState, next_pressure
+from jaxform.materials import Law, Modes
+from jaxform.mechanics import membrane
+from jaxform.mechanics.constitutive import split_modes, strain_state
+from jaxform.mechanics.elements import Elements, element_metrics
+from jaxform.model.scene import Scene
+from jaxform.model.tables import ReferenceGeometry
+from jaxform.sheet.discretization import Discretization
+from jaxform.sheet.state import EnergyBalance, State
+
+
+def kinetic_energy(state: State, mass: jax.Array) -> jax.Array:
+    """Kinetic energy [J]."""
+    return 0.5 * jnp.sum(mass * membrane.dot(state.nodes.velocities, state.nodes.velocities))
+
+
+def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.Array:
+    """Strain energy [J]."""
+    sheet, discrete = discrete.sheet, discrete.with_zones(state.heat, scene.material)
+    volume = sheet.area * discrete.thickness
+    material = scene.material.with_zones(discrete.zones)
+    energy = membrane.strain_energy(state.nodes.positions, sheet.triangles, sheet.inverse_metric, volume, material)
+    modes, whole = scene.material.viscous, discrete.whole
+    if modes is None or state.memory is None:
+        return energy
+    elements = whole.elements
+    now = strain_state(*element_metrics(whole.pack(state.nodes.positions), elements))
+    own = discrete.of_elements(whole.element)
+    found = (own.modes or modes).energy(split_modes(state.memory[:, whole.element]), now)
+    volume = elements.area * own.thickness
+    return energy + jnp.sum(jnp.where(elements.area > 0.0, volume * found, 0.0))
+
+
+class ElementTotals(NamedTuple):
+    """What elements hold: strain energy [J], with that of viscous modes, and the volume [m^3] that they enclose."""
+
+    energy: jax.Array
+    volume: jax.Array
+
+
+def element_energy(
+    positions: jax.Array,
+    elements: Elements,
+    thickness: jax.Array,
+    material: Law,
+    memory: jax.Array | None,
+    counted: jax.Array | None = None,
+) -> ElementTotals:
+    """What elements hold, in one pass; not differentiable.
+
+    Args:
+        positions: (3, place) [m].
+        elements: The elements, of nodes at these places.
+        thickness: Their initial thickness (room,) [m].
+        material: Their law, its zones (room,).
+        memory: The stress of its viscous modes (4 n_mode, room); None where it has none.
+        counted: Those that count (room,); all by default.
+    """
+    rows, viscous = membrane.unstack_rows(positions), material.viscous
+    varying = None if viscous is None or viscous.modulus.ndim == 1 else viscous
+
+    def work(own: Any, thickness: jax.Array, behaviour: Any, counted: Any, orientation: Any) -> Any:
+        zones, memory, modes = behaviour
+        modes = modes or viscous
+        triangles, inverse, area = own
+        first, edge1, edge2 = membrane.edges(rows, triangles)
+        edge1, edge2 = materialize((edge1, edge2))
+        g = membrane.metric(edge1, edge2)
+        energy = area * thickness * stored_energy(g, inverse, material.with_zones(zones), modes, memory)
+        share = membrane.dot(membrane.minus(first, elements.origin), membrane.cross(edge1, edge2))
+        share = share if orientation is None else orientation * share
+        used = area > 0.0 if counted is None else counted & (area > 0.0)
+        return [], [jnp.where(used, energy, 0.0), jnp.where(used, share, 0.0)]
+
+    own = elements.triangles, elements.inverse_metric, elements.area
+    inputs = own, thickness, (material.zones, memory, varying), counted, elements.orientation
+    _, (energy, volume) = over_blocks(work, elements.block_count, inputs, [], sums=2)
+    return ElementTotals(energy, volume / 6.0)
+
+
+def stored_energy(
+    g: membrane.Metric, inverse: Any, material: Law, modes: Modes | None, memory: jax.Array | None
+) -> jax.Array:
+    """Strain energy of elements (n,) per reference volume [J/m^3], with that of viscous modes.
+
+    Args:
+        g: Present metric (n,).
+        inverse: Of the initial one (3, n).
+        material: Their law, its zones (n,).
+        modes: Viscous modes; None without.
+        memory: The stress of these (4 n_mode, n); None without.
+    """
+    density = membrane.energy_density(membrane.invariants(g, inverse), material)
+    if modes is not None and memory is not None:
+        density += modes.energy(split_modes(memory), strain_state(g, inverse))
+    return density
+
+
+def pressure_at(
+    account: EnergyBalance, scene: Scene, time: jax.Array, length: jax.Array, volume: jax.Array | None
+) -> LoadState:
+    """How the loading presses at a time [s], so long after the begin of the last step [s], with the volume then [m^3].
+
+    The account is that of the last step; the volume is None where the pressure does not follow it.
+    """
+    if account.load_state is None or volume is None:
+        return LoadState(scene.pressure.at(time, None), None)
+    return next_pressure(scene.pressure, account.load_state, Interval(time, length, account.volume, volume))
+
+
+def present_pressure(state: State, scene: Scene, volume: jax.Array | None) -> LoadState:
+    """How the loading presses now, with the volume that is enclosed now [m^3], None where it does not follow it."""
+    return pressure_at(state.account, scene, state.time, state.control.step_length, volume)
+
+
+def last_pressure(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
+    """Mean pressure over the last step [Pa], with the volume that is enclosed now [m^3]."""
+    last = state.account.load_state
+    if last is None:
+        return jnp.mean(scene.pressure.at(jnp.stack([state.time - state.control.step_length, state.time]), None))
+    return 0.5 * (last.pressure + present_pressure(state, scene, volume).pressure)
+
+
+def last_work(state: State, scene: Scene, volume: jax.Array) -> jax.Array:
+    """External work of the last step [J], with the volume enclosed now [m^3]: the next force brings it."""
+    return last_pressure(state, scene, volume) * state.account.swept_volume(volume)
+
+
+def enclosed_volume(
+    positions: jax.Array, sheet: ReferenceGeometry | Elements, counted: jax.Array | float = 1.0
+) -> jax.Array:
+    """Volume [m^3] between the sheet, at positions (3, n_node) [m], and its origin; of the elements that count.
+
+    Each counts as often as `counted` says, and against its nodes' order where that is negative.
+    """
+    first, edge1, edge2 = membrane.edges(positions, sheet.triangles)
+    arm = membrane.minus(first, sheet.origin)
+    counted = jnp.where(sheet.area > 0.0, counted, 0.0)
+    return jnp.sum(counted * membrane.dot(arm, membrane.cross(edge1, edge2))) / 6.0
+
+
+def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
+    """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
+    scale = jax.lax.stop_gradient(jnp.max(scene.law.stiffness_at_once()) * volume)
+    return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

@@ -1,0 +1,99 @@
+"""Searches with limits: rounds, between which multipliers are brought up to date."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from optimize.designs import KEPT, Limits, Point, Study
+from optimize.search import Search
+from optimize.termination import NO_STEP, Ending
+from optimize.variables import SheetVariable
+
+_STEPS = 12  # of a round at most: to the end of a problem that is about to change, they would be wasted
+_IDLE_ROUNDS = 2  # that gain nothing; one alone may have had its multipliers changed for the next one
+_MOST_THICKENED = 0.5
+_LARGER_PENALTY = 4.0
+_ENOUGH = 0.25  # a round that leaves more of the violation than this makes the penalty larger
+_NO_PROGRESS = 0.9  # of the violation before: a limit that can be kept is nearer after a round than that
+
+Round = Callable[[Search, Study, Point], tuple[Point, Ending]]
+
+
+def rounds(search: Search, study: Study, point: Point, method: Round) -> Ending:
+    """Searches by a method until limits are kept and nothing is gained; why it ended."""
+    before, idle, hopeless = np.inf, 0, 0
+    ending = NO_STEP
+    for number in range(1, study.rounds + 1):
+        last, least = point.objective, _least_feasible(search)
+        search.pause = search.iteration + _STEPS
+        point, ending = method(search, study, point)
+        search.multiplier = point.row["multiplier"]
+        if ending.by in ("caller", "goal"):
+            return ending
+        if search.iteration >= study.iterations:
+            _thicken(search, point)
+            return Ending("iterations", f"{search.iteration} iterations done, the last in round {number}")
+        settled = point.violation <= KEPT and abs(point.objective - last) <= study.tolerance * abs(last)
+        _thicken(search, point)
+        idle = 0 if _gain(least, _least_feasible(search)) > study.tolerance else idle + 1
+        if number > 1 and (settled or (idle >= _IDLE_ROUNDS and np.isfinite(_least_feasible(search)))):
+            return Ending("tolerance", f"limits are kept and nothing more is gained, after {number} rounds")
+        hopeless = hopeless + 1 if point.violation > max(_NO_PROGRESS * before, KEPT) else 0
+        if hopeless >= _IDLE_ROUNDS and not np.isfinite(_least_feasible(search)):
+            return Ending("no-progress", f"the last {hopeless} of {number} rounds came no nearer to the limits")
+        _update_multipliers(search, point, before)
+        before = point.violation
+        point = search(point.free)
+    if ending == NO_STEP:
+        return ending
+    return Ending("rounds", f"{study.rounds} rounds done, the last ended since: {ending.words}")
+
+
+def _update_multipliers(search: Search, point: Point, before: float) -> None:
+    """Brings the multipliers up to date after a round of searching, and the penalty where it did too little."""
+    assert search.limits is not None
+    multipliers, penalty = search.limits
+    multipliers = jnp.maximum(multipliers + penalty * jnp.asarray(point.excess), 0.0)
+    if point.violation > max(_ENOUGH * before, KEPT):
+        penalty = _LARGER_PENALTY * penalty
+    search.limits = Limits(multipliers, penalty)
+
+
+def fall_back(search: Search) -> None:
+    """Makes the best design keep its limits, nearly, with the simulation that was put by for it."""
+    if search.best is not None and search.limits is not None and search.best.violation > KEPT:
+        search.last = True
+        _thicken(search, search.best)
+
+
+def _least_feasible(search: Search) -> float:
+    """The least objective so far of designs that keep their limits; infinite without one."""
+    best = search.best
+    return best.objective if best is not None and best.violation <= KEPT else np.inf
+
+
+def _gain(before: float, after: float) -> float:
+    """Relative to what there was before; infinite for the first design that keeps its limits, 0 where there is none."""
+    if not np.isfinite(before):
+        return np.inf if np.isfinite(after) else 0.0
+    return (before - after) / max(abs(before), 1e-300)
+
+
+def _thicken(search: Search, point: Point) -> None:
+    """Tries the design with so much thicker a sheet that the limit ought to be kept: a good design to fall back on.
+
+    The wall is proportional to the sheet, nearly. The search itself goes on from where it was.
+    """
+    sheets = [variable for variable in search.study.variables if isinstance(variable, SheetVariable)]
+    if not sheets or not search.study.objective.aims or not KEPT < point.violation < _MOST_THICKENED:
+        return
+    parts = []
+    for variable, own in search.parts(point.free):
+        if isinstance(variable, SheetVariable):
+            sheet = np.asarray(variable.changes(jnp.asarray(own))["parison.thickness"], float)
+            own = variable.nearest(sheet / (1.0 - point.violation))
+        parts.append(own)
+    search.evaluate_forward(np.concatenate(parts))

@@ -1,0 +1,16 @@
+"""What is waited for while a search compiles."""
+
+from __future__ import annotations
+
+from jaxform import Scene
+
+_PROGRAMS = {"gradient": "value and gradient", "columns": "all slopes of the deviations"}  # that take long
+_SECONDS = (20, 40)  # for one, uniform and refined, on two cores
+
+
+def waiting_message(program: str, scene: Scene) -> str | None:
+    """What to say before a program of the search is compiled; None where it takes no time to speak of."""
+    if program not in _PROGRAMS:
+        return None
+    seconds = _SECONDS[scene.refinement is not None]
+    return f"compiling {_PROGRAMS[program]}, about {seconds} s unless it was compiled before"

@@ -1,0 +1,90 @@
+"""Variables that do nothing: seen in the first gradient, and said before the search, with the reason.
+
+The wall of a slow process depends on neither pressure nor stiffness; a search over them alone goes nowhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxform import Result
+from jaxform.results.summary import SLOW_ENOUGH
+from optimize.designs import Point
+from optimize.pressures import PressureKnots
+from optimize.search import Search
+from optimize.variables import Scale, SheetVariable, Variable
+
+_IDLE = 0.01  # of the value: what changes it by less than this over its whole bounds does nothing
+_FARTHEST = 10.0  # of a number of the search: where a limit of neighbours leaves it no room, it does nothing
+_STEP = 0.5  # of all numbers at once, an eighth of the way between their bounds
+
+
+def warn_of_insensitive_variables(search: Search, point: Point, first: Result, warn: Callable[[str], object]) -> None:
+    """Warns of each variable that does next to nothing at the first design.
+
+    Args:
+        search: The search, before its first step.
+        point: The first design, with its gradient.
+        first: The part that the scene makes.
+        warn: Called with a sentence for each.
+    """
+    size = max(abs(point.value), abs(point.objective))
+    if not np.all(np.isfinite(point.gradient)) or not 0.0 < size < np.inf:
+        return
+    slow = float(first.energy.quasi_static_error) <= SLOW_ENOUGH
+    begin, found = 0, []
+    for index, (variable, own) in enumerate(search.parts(point.free)):
+        gradient = point.gradient[begin : begin + own.size]
+        change = float(np.abs(gradient) @ _spans(variable, own)) / size
+        known = slow and not isinstance(variable, SheetVariable)
+        if change < _IDLE and (known or _has_no_effect(search, point, slice(begin, begin + own.size), size)):
+            found.append((index, variable, change))
+        begin += own.size
+    for index, variable, change in found:
+        warn(_sentence(index, variable, change, first, everything=len(found) == len(search.study.variables)))
+
+
+def _spans(variable: Variable, free: np.ndarray) -> np.ndarray:
+    """How far each number of the search (n,) would go from one end of its bounds to the other, at its present slope.
+
+    No farther than a search would take it.
+    """
+    slopes = np.abs(np.asarray(jax.jacobian(variable.shares)(jnp.asarray(free)))).max(0)
+    return 1.0 / np.maximum(slopes, 1.0 / _FARTHEST)
+
+
+def _has_no_effect(search: Search, point: Point, own: slice, size: float) -> bool:
+    """Whether a step of a variable changes nothing either: at a best design the gradient vanishes too, but not this."""
+    step = np.zeros_like(point.free)
+    step[own] = -_STEP * np.where(point.gradient[own] < 0.0, -1.0, 1.0)
+    outside = np.abs(point.free + step) > search.reach
+    value = search.probe(search.inside(np.where(outside, point.free - step, point.free + step)))
+    return abs(value - point.value) < _IDLE * size
+
+
+def _sentence(index: int, variable: Variable, change: float, first: Result, everything: bool) -> str:
+    what = f"variable[{index}] ({_kind(variable)}) does next to nothing"
+    if everything:
+        what = f"this search can hardly gain anything: {what}"
+    error = float(first.energy.quasi_static_error)
+    remedy = "widen its bounds, or design something else"
+    if not isinstance(variable, SheetVariable) and error <= SLOW_ENOUGH:
+        remedy = (
+            f"the process is slow (energy.quasi_static_error is {100 * error:.2g} %), and the wall of a slow process "
+            "depends on neither pressure nor stiffness nor density: design the sheet's thickness "
+            "(thickness-profile), or make the "
+            "process faster (a steeper pressure, a shorter solver.end_time)"
+        )
+    return f"{what}: by the first gradient a search over it changes the objective by {100 * change:.2g} %; {remedy}"
+
+
+def _kind(variable: Variable) -> str:
+    if isinstance(variable, Scale):
+        return f"scale of {variable.of}"
+    if isinstance(variable, PressureKnots):
+        return "pressure"
+    return "thickness"

@@ -1,0 +1,102 @@
+"""Why searches end: what they reached, or what the study allows them to cost."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from optimize.designs import Point, Study
+
+_IDLE_STEPS = 5
+_ROOTS = 0.1  # of the tolerance: what the root of a sum of squares must gain, for below it the mesh decides
+_SMALL_STEP = 0.04  # of every number of the search, a hundredth of the way between its bounds
+_STEEP = 0.1  # of the value: where such a step promises more than this,
+_LEFT = 0.1  # and of the first slope more than this is left, a search that stands still is at no optimum
+
+
+class Ending(NamedTuple):
+    """Why a search ended.
+
+    Attributes:
+        by: What ended it, a word: the key of the study that did, or one of "no-step", "no-progress", "updates",
+            "target", "failure", "caller", "interrupted".
+        words: The same for people.
+    """
+
+    by: str
+    words: str
+
+
+NO_STEP = Ending("no-step", "no step along the search direction makes it better")
+STOPPED = Ending("caller", "stopped by the caller")
+GOAL = Ending("goal", "the goal is reached")
+
+
+class SpentError(Exception):
+    """A limit of the study on what the search may cost is reached; holds the `Ending`."""
+
+    def __init__(self, ending: Ending) -> None:
+        """See the class."""
+        super().__init__(ending.words)
+        self.ending = ending
+
+
+def check_convergence(
+    study: Study, point: Point, values: list[float], first: Point, steps: int = _IDLE_STEPS
+) -> Ending | None:
+    """Why a search ends at a point, after steps with these values; None where it goes on.
+
+    So many steps together must have brought something.
+    """
+    if reached := check_goal(study, point):
+        return reached
+    if float(np.linalg.norm(point.slope)) <= study.gradient_tolerance * float(np.linalg.norm(first.slope)):
+        return Ending("gradient_tolerance", "the gradient is small enough")
+    if len(values) > steps and is_negligible(study, values[-1 - steps], values[-1]):
+        return stagnation_ending(point, first)
+    return None
+
+
+def check_goal(study: Study, point: Point) -> Ending | None:
+    """Why a design needs no search: it reaches the goal, or its deviations are smaller than the tolerance."""
+    if study.goal is not None:
+        return GOAL if point.rank <= (0.0, study.goal) else None
+    objective = study.objective
+    if objective.squares and not objective.constrained and point.objective <= study.tolerance**2:
+        return Ending("target", f"the deviation is {study.tolerance:.2g} or less, finer than a mesh can tell")
+    return None
+
+
+def is_negligible(study: Study, before: float, after: float) -> bool:
+    """Whether steps from one value to another bring next to nothing."""
+    if before - after <= study.tolerance * abs(after):
+        return True
+    squares = study.objective.squares and not study.objective.constrained
+    return squares and before**0.5 - after**0.5 <= _ROOTS * study.tolerance
+
+
+def predicted_gain(point: Point) -> float:
+    """What a small step of all numbers, down the slope, would gain by it, relative to the value."""
+    return float(_SMALL_STEP * np.abs(point.slope).sum() / max(abs(point.value), 1e-300))
+
+
+def stagnation_ending(point: Point, first: Point) -> Ending:
+    """That steps brought nothing: an optimum only where the slope has gone, or promises nothing either."""
+    left = float(np.linalg.norm(point.slope)) / max(float(np.linalg.norm(first.slope)), 1e-300)
+    if left <= _LEFT or predicted_gain(point) <= _STEEP:
+        return Ending("tolerance", "the last steps brought next to nothing")
+    words = (
+        f"the last steps brought next to nothing, though the gradient is still {100 * left:.0f} % of the first one: "
+        "the objective is rough here, and this need not be the best design; try other starts (solver.starts)"
+    )
+    return Ending("no-progress", words)
+
+
+def budget_ending(study: Study, simulations: float, seconds: float) -> Ending | None:
+    """Why there is no more work, where it would cost so many simulations, or so many seconds have passed already."""
+    if study.max_simulations is not None and simulations > study.max_simulations:
+        return Ending("max_simulations", f"the time of {study.max_simulations:g} simulations is spent")
+    if study.minutes is not None and seconds >= 60.0 * study.minutes:
+        return Ending("minutes", f"{study.minutes:g} minutes are over")
+    return None

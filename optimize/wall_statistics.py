@@ -1,0 +1,57 @@
+"""What can be said of a formed wall, traced: areas, and what is reported of every design."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+import jaxform
+from jaxform import Result, Scene
+from jaxform.mechanics import membrane
+
+
+def formed_area(result: Result) -> jax.Array:
+    """Final area of the elements (n_element,) [m^2]: an element keeps its volume; 0 where it does not exist."""
+    return result.element_volume / jnp.where(result.used, result.element_thickness, 1.0)
+
+
+def nodal_area(result: Result) -> jax.Array:
+    """Final area that belongs to each node (n_node,) [m^2]: a third of that of its elements."""
+    return _to_nodes(result, formed_area(result))
+
+
+def nodal_volume(result: Result) -> jax.Array:
+    """Volume that belongs to each node (n_node,) [m^3]: a third of that of its elements."""
+    return _to_nodes(result, result.element_volume)
+
+
+def _to_nodes(result: Result, values: jax.Array) -> jax.Array:
+    return membrane.sum_to_nodes(values / 3.0, result.triangles.T, result.thickness.size)
+
+
+class WallStatistics(NamedTuple):
+    """What is reported of a part: least and mean wall [m], coefficient of variation, mass [kg], status bits."""
+
+    least: jax.Array
+    mean: jax.Array
+    variation: jax.Array
+    mass: jax.Array
+    status: jax.Array
+
+
+def wall(scene: Scene, result: Result) -> WallStatistics:
+    """Statistics of the wall over the formed area; traced."""
+    area, thickness = formed_area(result), result.element_thickness
+    mean = jnp.sum(area * thickness) / jnp.sum(area)
+    variance = jnp.sum(area * jnp.square(thickness - mean)) / jnp.sum(area)
+    return WallStatistics(
+        jnp.min(jnp.where(result.used, thickness, jnp.inf)), mean, jnp.sqrt(variance) / mean, result.mass, result.status
+    )
+
+
+def formed_part(scene: Scene) -> Result:
+    """The part of a scene, whether or not it fills the mold: on the way of a search that is no failure."""
+    return jaxform.run(dataclasses.replace(scene, fill=False))
