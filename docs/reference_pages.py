@@ -98,7 +98,7 @@ def _only(field: FieldInfo) -> str:
 
 
 def _form(model: type[Table]) -> str:
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", model.__name__).lower()
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", model.__name__.removesuffix("Table")).lower()
 
 
 def _first(model: type[Table]) -> str:

@@ -39,7 +39,7 @@ def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: f
             return last, ending
         if not np.isfinite(last.value):
             return last, Ending("failure", "an update fails")
-        new, ratio = search.evaluate_forward(_updated(search, last.free, ratio))
+        new, ratio = search.evaluate_forward(_update(search, last.free, ratio))
         if new.value > last.value and search.limits is None:
             return last, Ending("no-step", "an update makes it worse")
         gained, last = new.value <= worth * last.value, new
@@ -63,7 +63,7 @@ def warm_start(search: Search, study: Study, free: np.ndarray) -> tuple[Point, E
     return updates(search, study, free, WARM, worth=_WORTH)
 
 
-def _updated(search: Search, free: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+def _update(search: Search, free: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     factor = np.clip(ratio**_EXPONENT, 1.0 / _MOST, _MOST)
     parts = []
     for variable, own in search.parts(free):

@@ -86,9 +86,9 @@ class PressureKnots:
 
     def _free(self, present: np.ndarray, time: np.ndarray) -> np.ndarray:
         if self.rate is None and not self.increasing:
-            return invert_bounds(self._designed(present), self.bounds)
+            return invert_bounds(self._design_values(present), self.bounds)
         change = np.asarray(self._changes(jnp.asarray(time)))
-        return invert_step_limit(self._designed(present), self.bounds, change, self._first, self.increasing)
+        return invert_step_limit(self._design_values(present), self.bounds, change, self._first, self.increasing)
 
     def _changes(self, time: jax.Array) -> jax.Array:
         """By how much neighbours may differ (n_knot - 1,) [Pa]."""
@@ -96,7 +96,7 @@ class PressureKnots:
             return jnp.full(time.size - 1, self.bounds[1] - self.bounds[0])
         return self.rate / self._steepest * jnp.diff(time)
 
-    def _designed(self, values: np.ndarray) -> np.ndarray:
+    def _design_values(self, values: np.ndarray) -> np.ndarray:
         return values if self._first is None else values[1:]
 
     def _stretch(self, free: jax.Array) -> jax.Array:

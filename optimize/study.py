@@ -57,7 +57,7 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
             **options,
         )
     except InputError as error:
-        raise error.within(file=document.file) from None
+        raise error.with_context(file=document.file) from None
 
 
 def _digest(document: files.StudyDocument, scene: Scene) -> str:
@@ -123,7 +123,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
     try:
         other = files.build(files.read_scene(name, document.folder))
     except InputError as error:
-        raise error.within(key=key) from None
+        raise error.with_context(key=key) from None
     result = formed_part(other)
     if int(result.status):
         raise InputError(f"fails: {jaxform.explain(result)}", "remedy that scene first", key, name)
@@ -135,7 +135,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
             meshes.Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float)
         )
     except InputError as error:
-        raise error.within(key=key) from None
+        raise error.with_context(key=key) from None
 
 
 def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -184,11 +184,11 @@ def show_slow(
         for kind in ("cubic-ramp", "linear"):
             scene, damping = _ramp_scene(name, kind, longest)
             if slow is None:
-                slow = jaxform.run(_after(scene, longest, damping))
+                slow = jaxform.run(_end_values(scene, longest, damping))
             for ramp in ramps:
                 rows += [
                     {"kind": kind, "ramp": ramp, "damping": share}
-                    | measure_inertia(_after(scene, ramp, share * damping), slow)
+                    | measure_inertia(_end_values(scene, ramp, share * damping), slow)
                     for share in dampings
                 ]
         found[name] = {"rows": rows, "damping": damping, "longest": longest}
@@ -205,7 +205,7 @@ def _ramp_scene(name: str, kind: str, longest: float) -> tuple[Scene, float]:
     return refinement.build(name, elements, {}, pressure=shape, solver=solver), document.data["solver"]["damping"]
 
 
-def _after(scene: Scene, ramp: float, damping: float) -> Scene:
+def _end_values(scene: Scene, ramp: float, damping: float) -> Scene:
     times = {"pressure.time": [0.0, ramp], "solver.end_time": 1.15 * ramp}
     return jaxform.replace(scene, times | {"solver.damping": damping})
 

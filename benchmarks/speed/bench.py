@@ -204,7 +204,7 @@ SKIPS: dict[str, dict[str, bool]] = {
 }
 
 
-def without(scene: jaxform.Scene, **switches: bool) -> jaxform.Scene:
+def disable_skips(scene: jaxform.Scene, **switches: bool) -> jaxform.Scene:
     """The scene with some of what a window saves switched off."""
     return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, **switches))
 
@@ -213,7 +213,7 @@ def show_skips() -> Table:
     """What every switch saves."""
     table = []
     for name, scene in skip_scenes():
-        scenes = {switch: without(scene, **off) for switch, off in SKIPS.items()}
+        scenes = {switch: disable_skips(scene, **off) for switch, off in SKIPS.items()}
         ready = {switch: whole_loop(one) for switch, one in scenes.items()}
         seconds = best_in_turns(ready, _MANY)
         for switch, taken in seconds.items():

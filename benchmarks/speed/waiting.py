@@ -130,7 +130,7 @@ def show_sweep() -> None:
     )
 
 
-def _own(folder: Path, elements: int, triangles: int) -> str:
+def _scene_with_mold(folder: Path, elements: int, triangles: int) -> str:
     """A scene file with a mold of its own, in millimetres."""
     shape, mold = cup(triangles), folder / f"mold-{triangles}.stl"
     meshes.write_stl(mold, 1e3 * shape.vertices, shape.triangles)
@@ -155,16 +155,18 @@ def show_command() -> None:
     print("`jaxform simulate`, whole process less its steps [s]: cold, then the best of three warm", flush=True)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        known = [_own(folder, 900, 400), _own(folder, 900, 12_000)]
+        known = [_scene_with_mold(folder, 900, 400), _scene_with_mold(folder, 900, 12_000)]
         for source in (*_NAMES, *known):
             cold, summary = _command(source, folder / "cache", folder / "out")
-            warm = min(_beside(source, folder) for _ in range(3))
+            warm = min(_baseline_seconds(source, folder) for _ in range(3))
             print(f"  {Path(source).stem}: {cold - summary['run_seconds']:.1f}, {warm:.2f}", flush=True)
-        for source in (_own(folder, 1000, 700), _own(folder, 800, 9000)):
-            print(f"  {Path(source).stem}, seen for the first time: {_beside(source, folder):.2f}", flush=True)
+        for source in (_scene_with_mold(folder, 1000, 700), _scene_with_mold(folder, 800, 9000)):
+            print(
+                f"  {Path(source).stem}, seen for the first time: {_baseline_seconds(source, folder):.2f}", flush=True
+            )
 
 
-def _beside(source: str, folder: Path) -> float:
+def _baseline_seconds(source: str, folder: Path) -> float:
     seconds, summary = _command(source, folder / "cache", folder / "out")
     return seconds - summary["run_seconds"]
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxform.adapt.nearest_triangle import closest_place, nearest_triangle
 from jaxform.contact import cells
 from jaxform.contact.ray_crossings import Crossings, ray_crossings
-from jaxform.kernels.blocks import BLOCK, cut, lax_cond_once, put
+from jaxform.kernels.blocks import BLOCK, lax_cond_once, put, slice_at
 from jaxform.kernels.checkpoint_policy import save_decision
 from jaxform.mechanics.membrane import cross, dot
 from jaxform.mechanics.nodes import Nodes
@@ -48,7 +48,7 @@ class _Insertions(NamedTuple):
 
     def block_of(self, values: jax.Array) -> jax.Array:
         """The block of values (..., n_place)."""
-        return cut(values, self.begin, self.new.size)
+        return slice_at(values, self.begin, self.new.size)
 
     def put(self, values: jax.Array, own: jax.Array) -> jax.Array:
         """The values with others at the new nodes' places."""
@@ -123,7 +123,7 @@ def insert_nodes(
         begin = jnp.minimum(nominal, mesh.node.size - size)
         place = begin + jnp.arange(size)
         new = (place >= nominal) & (place < mesh.node_count)
-        node = cut(mesh.node, begin, size)
+        node = slice_at(mesh.node, begin, size)
         first, second = (jnp.where(new, mesh.place[end], place) for end in forest.ends[:, node])
         return _Insertions(begin, new, node, (first, second), differentiable)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jaxform.contact.cells import cell_of
 from jaxform.contact.cells import distance as distance_to
-from jaxform.kernels.blocks import compact_indices, cut
+from jaxform.kernels.blocks import compact_indices, slice_at
 from jaxform.mechanics.membrane import cross, dot
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid
@@ -38,7 +38,7 @@ def nearest_triangle(positions: jax.Array, wanted: jax.Array, grid: SearchGrid) 
 
     def search_nodes(carry: tuple[jax.Array, NearestTriangle]) -> tuple[jax.Array, NearestTriangle]:
         first, found = carry
-        lane = cut(node, first, _LANES)
+        lane = slice_at(node, first, _LANES)
         point, cell = positions[:, lane], cells[lane]
         begin = grid.start[cell]
         length = jnp.where(first + jnp.arange(_LANES) < total, grid.start[cell + 1] - begin, 0)

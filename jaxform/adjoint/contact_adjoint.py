@@ -36,10 +36,10 @@ def pull_back_landings(
     def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
         place = blocks.entry(places, k)
 
-        def own(values: jax.Array) -> jax.Array:
-            return blocks.cut(values, place, 1)
+        def read_node(values: jax.Array) -> jax.Array:
+            return blocks.slice_at(values, place, 1)
 
-        def put(values: jax.Array, new: jax.Array) -> jax.Array:
+        def write_node(values: jax.Array, new: jax.Array) -> jax.Array:
             return blocks.put(values, new, place)
 
         def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
@@ -54,23 +54,23 @@ def pull_back_landings(
             return there.nodes.positions, there.nodes.contact_time, there.loss
 
         # All is read before anything is written (docs/explanation/kernels.md).
-        old = materialize(jax.tree.map(own, nodes._replace(damping=None, vertices=None)))
-        begin = own(before)
-        triangle = mold.triangles[jnp.abs(own(wall)[0]) - 1]
+        old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, vertices=None)))
+        begin = read_node(before)
+        triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
         after = begin + turn.length * old.speeds
-        _, pull = jax.vjp(land, after, old.speeds, own(now.mass), mold.vertices[triangle])
+        _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle])
         position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
         velocity = velocity + turn.length * position
-        force = force_cotangent(unstack_rows(velocity), unstack_rows(own(now.compliance)), turn.kick, now)
+        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), turn.kick, now)
         return BackwardNodes(
-            at=put(nodes.at, begin),
+            at=write_node(nodes.at, begin),
             speeds=nodes.speeds,
-            positions=put(nodes.positions, position),
-            velocities=put(nodes.velocities, velocity),
-            force=put(nodes.force, jnp.stack(force)),
-            mass=put(nodes.mass, old.mass + mass),
+            positions=write_node(nodes.positions, position),
+            velocities=write_node(nodes.velocities, velocity),
+            force=write_node(nodes.force, jnp.stack(force)),
+            mass=write_node(nodes.mass, old.mass + mass),
             compliance=nodes.compliance,
-            contact_time=put(nodes.contact_time, jnp.zeros_like(old.contact_time)),
+            contact_time=write_node(nodes.contact_time, jnp.zeros_like(old.contact_time)),
             damping=nodes.damping,
             vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
         )

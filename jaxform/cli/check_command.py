@@ -49,7 +49,7 @@ def read_study(source: str, store: Store) -> tuple[SceneDocument, Scene, list[st
     try:
         optimize.check(built)
     except InputError as error:
-        raise error.within(file=study.file) from None
+        raise error.with_context(file=study.file) from None
     return study.scene, built.scene, [*lines, *(f"doubtful: {sentence}" for sentence in optimize.doubts(built))]
 
 

@@ -52,7 +52,7 @@ def start(arguments: argparse.Namespace) -> int:
     try:
         made = scene_wizard.draft(paths, wishes)
     except InputError as error:
-        raise error.within(key="--mold") from None
+        raise error.with_context(key="--mold") from None
     try:
         session.open_folder(arguments.folder, arguments.force)
     except InputError as error:

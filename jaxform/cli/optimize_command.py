@@ -58,7 +58,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
                     study, on_evaluation, on_check=on_check, on_warning=on_warning, on_wait=say, journal=journal
                 )
         except InputError as error:
-            raise error.within(file=study.file) from None
+            raise error.with_context(file=study.file) from None
     if journal.replayed:
         say(f"{journal.replayed} answers were known from before")
     _write_design(arguments, study, design, reference)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.lists import TEST_BLOCK, Candidates
-from jaxform.kernels.blocks import cut, over_blocks, put
+from jaxform.kernels.blocks import over_blocks, put, slice_at
 from jaxform.mechanics.membrane import dot, gather, minus
 
 LOOK_EVERY = 4  # steps
@@ -145,7 +145,7 @@ def find_active_pairs(
 
     def add(block: jax.Array, due: DueBlocks) -> DueBlocks:
         first = block * TEST_BLOCK
-        node = cut(candidates.lists.node, first, TEST_BLOCK)
+        node = slice_at(candidates.lists.node, first, TEST_BLOCK)
         used = first + jnp.arange(TEST_BLOCK) < candidates.count
         # What is not due is written over by the next one.
         blocks = put(due.block, block[None], due.count)

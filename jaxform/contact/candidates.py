@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxform.contact.cells import distance, distance_bound, rows_of_table, touch_distance
 from jaxform.contact.lists import DEPTH, LANES, TEST_BLOCK, CandidateLists, Candidates, allocate_lists
 from jaxform.contact.spheres import BoundingSpheres, ListHorizon, bounding_spheres, candidate_squares
-from jaxform.kernels.blocks import BLOCK, compact_indices, cut, lax_cond_once, materialize, put, scatter_min
+from jaxform.kernels.blocks import BLOCK, compact_indices, lax_cond_once, materialize, put, scatter_min, slice_at
 from jaxform.mechanics.membrane import gather
 from jaxform.mechanics.nodes import highest_speed
 from jaxform.tools.search import SearchGrid
@@ -166,7 +166,7 @@ def _coarse_pairs(
 
     def list_nodes(carry: tuple[jax.Array, _CandidatePairs]) -> tuple[jax.Array, _CandidatePairs]:
         first, found = carry
-        node = cut(member, first, LANES)
+        node = slice_at(member, first, LANES)
         center, radius = gather(spheres.center, node), spheres.radius[node]
         begin, end = spheres.begin[node], spheres.end[node]
         length = jnp.where(first + jnp.arange(LANES) < total, end - begin, 0)
@@ -212,7 +212,7 @@ def _filter_pairs(
         carry: tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]],
     ) -> tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]]:
         first, (kept, planes, clear) = carry
-        node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (coarse.node, coarse.triangle))
+        node, triangle = (slice_at(pairs, first, TEST_BLOCK) for pairs in (coarse.node, coarse.triangle))
         # The barriers keep things from being worked out, and fetched from afar, again for each use.
         frame = materialize(rows_of_table(grid.frames, triangle))
         used = first + jnp.arange(TEST_BLOCK) < last

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact import cells
-from jaxform.kernels.blocks import compact_indices, cut, materialize
+from jaxform.kernels.blocks import compact_indices, materialize, slice_at
 from jaxform.mechanics.membrane import dot
 from jaxform.tools.search import SearchGrid
 
@@ -56,7 +56,7 @@ def ray_crossings(begin: jax.Array, end: jax.Array, wanted: jax.Array, grid: Sea
 
     def search_ways(carry: tuple[jax.Array, Crossings]) -> tuple[jax.Array, Crossings]:
         first, all_found = carry
-        lane = cut(node, first, _LANES)
+        lane = slice_at(node, first, _LANES)
         used = first + jnp.arange(_LANES) < total
         found = _trace_ways(begin[:, lane], end[:, lane], used, grid)
         mine = jnp.where(used, lane, count)

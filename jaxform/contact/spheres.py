@@ -107,7 +107,7 @@ def bounding_spheres(
         own = scale * jnp.minimum(1.0, grid.farthest / radius)
         center, radius = positions + (0.5 * own)[None] * path, own * radius
         cell, bound = cell_bounds(center, grid)
-        begin, end = _listed_nearby(center, radius, cell, grid)
+        begin, end = _nearby_range(center, radius, cell, grid)
         near, (x, y, z) = free & (bound < radius), center
         looks = jnp.where(near, end - begin, 0)
         return [[x, y, z, radius, bound], [begin, end], [near], [jnp.full_like(x, jnp.inf)]], [looks]
@@ -117,19 +117,19 @@ def bounding_spheres(
     return (real, places, near), clear[0], looks
 
 
-def _listed_nearby(
+def _nearby_range(
     center: jax.Array, radius: jax.Array, cell: jax.Array, grid: SearchGrid
 ) -> tuple[jax.Array, jax.Array]:
     """Where the triangles that spheres (n,) may meet begin in the lists, and where they end."""
 
-    def within(level: SearchGrid | FarCells, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def range_in(level: SearchGrid | FarCells, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
         kind = jnp.clip(jnp.ceil(CLASSES * radius / level.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
         return level.start[cell], level.ends[CLASSES * cell + kind]
 
-    begin, end = within(grid, cell)
+    begin, end = range_in(grid, cell)
     if grid.far is None:
         return begin, end
-    beyond, (far_begin, far_end) = radius > grid.reach, within(grid.far, cell_of(center, grid.far))
+    beyond, (far_begin, far_end) = radius > grid.reach, range_in(grid.far, cell_of(center, grid.far))
     return jnp.where(beyond, far_begin, begin), jnp.where(beyond, far_end, end)
 
 

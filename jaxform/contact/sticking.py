@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxform.contact.broad_phase import DueBlocks
 from jaxform.contact.cells import touch_distance
 from jaxform.contact.lists import TEST_BLOCK, Candidates
-from jaxform.kernels.blocks import cut, entry, lax_cond_once, materialize, put, read_rows
+from jaxform.kernels.blocks import entry, lax_cond_once, materialize, put, read_rows, slice_at
 from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows
 from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Tool
@@ -142,7 +142,9 @@ def _block(
     # Once: else every loop over the block looks the number up for every entry.
     first = materialize(number * TEST_BLOCK)
 
-    node, triangle = (cut(pairs, first, TEST_BLOCK) for pairs in (candidates.lists.node, candidates.lists.triangle))
+    node, triangle = (
+        slice_at(pairs, first, TEST_BLOCK) for pairs in (candidates.lists.node, candidates.lists.triangle)
+    )
     planes = read_rows(candidates.lists.planes.reshape(-1), len(candidates.lists.planes), first, TEST_BLOCK)
     beta, meets = _paths_meet(*paths.path_ends(node), planes, touch)
     used = first + jnp.arange(TEST_BLOCK) < candidates.count
@@ -235,17 +237,17 @@ def _place_hit_nodes(
         landing, beta, chosen = carry
         node = entry(met.listed, k)
 
-        def own(values: jax.Array) -> jax.Array:
-            return values if values.ndim == 0 else cut(values, node, 1)
+        def read_node(values: jax.Array) -> jax.Array:
+            return values if values.ndim == 0 else slice_at(values, node, 1)
 
-        def put_back(values: jax.Array, new: jax.Array) -> jax.Array:
+        def write_node(values: jax.Array, new: jax.Array) -> jax.Array:
             return new if values.ndim == 0 else put(values, new, node)
 
         # All is read before anything is written (docs/explanation/kernels.md).
-        old, triangle = materialize((jax.tree.map(own, landing), own(chosen)))
-        new = place_on_mold(old, now, own(mass), mold, triangle)
+        old, triangle = materialize((jax.tree.map(read_node, landing), read_node(chosen)))
+        new = place_on_mold(old, now, read_node(mass), mold, triangle)
         nodes = dataclasses.replace(new.nodes, positions=unstack_rows(new.nodes.positions))
-        landing = jax.tree.map(put_back, landing, new._replace(nodes=nodes))
+        landing = jax.tree.map(write_node, landing, new._replace(nodes=nodes))
         beta, chosen = put(beta, jnp.full_like(beta[:1], jnp.inf), node), put(chosen, jnp.full_like(triangle, -1), node)
         return landing, beta, chosen
 

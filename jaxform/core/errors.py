@@ -33,7 +33,7 @@ class InputError(ValueError):
     value: Any = None
     file: str = ""
 
-    def within(self, *, file: str = "", key: str = "") -> InputError:
+    def with_context(self, *, file: str = "", key: str = "") -> InputError:
         """The same error told from outside: fills in the file and the key where they are not known yet."""
         return replace(self, file=self.file or file, key=self.key or key)
 

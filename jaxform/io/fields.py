@@ -45,7 +45,7 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
         values = _values(mesh, name, f"{key}.field" if key else "field")
         return transfer_values(_at_initial_positions(mesh, positions), values, positions)
     except InputError as error:
-        raise error.within(key=f"{key}.file" if key else "file") from None
+        raise error.with_context(key=f"{key}.file" if key else "file") from None
 
 
 def _at_initial_positions(mesh: Mesh, positions: Array) -> Mesh:

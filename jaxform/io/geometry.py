@@ -31,7 +31,7 @@ def error_context(file: str, key: str = "") -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise error.within(file=file, key=key) from None
+        raise error.with_context(file=file, key=key) from None
 
 
 def build_sheet(

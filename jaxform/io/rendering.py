@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from jaxform.core.atomic_write import atomic_path
 from jaxform.core.errors import InputError
 from jaxform.io import previous_results
-from jaxform.io.report.contents import formed_areas
+from jaxform.io.report.contents import formed_element_areas
 from jaxform.io.report.stored_results import Results, StoredPart, read_results
 from jaxform.io.scales import color_range
 
@@ -94,7 +94,7 @@ def _part(pyvista: Any, results: Results) -> Any:
 
 def _range(part: StoredPart) -> tuple[float, float]:
     """Of the colours [mm]."""
-    area, formed = formed_areas(part)
+    area, formed = formed_element_areas(part)
     low, high = color_range(part.cells["thickness"][formed], area)
     return 1e3 * low, 1e3 * high
 

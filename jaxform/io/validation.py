@@ -156,7 +156,7 @@ def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
         return model.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-    raise _input_error(first).within(file=file)
+    raise _input_error(first).with_context(file=file)
 
 
 def _input_error(error: ErrorDetails) -> InputError:

@@ -98,7 +98,7 @@ def over_blocks(
         rows, terms = function(*([list(into[:update])] if update else []), *_read_whole(inputs))
         new = [jnp.stack([row.concatenate() if isinstance(row, Halves) else row for row in each]) for each in rows]
         found = [jnp.sum(term) for term in terms[:sums]] + [jnp.max(term, initial=0.0) for term in terms[sums:]]
-        return [_put(old, row) for old, row in zip(into, new, strict=True)], found
+        return [_write_back(old, row) for old, row in zip(into, new, strict=True)], found
 
     def apply(flat: Sequence[jax.Array], i: jax.Array) -> tuple[Sequence[Rows], Sequence[jax.Array]]:
         if not update:
@@ -132,10 +132,10 @@ def over_blocks(
 def read_rows(flat: jax.Array, count: int, first: jax.Array, size: int) -> list[jax.Array]:
     """Entries (size,) from `first` on of each of the `count` rows that lie one after the other in `flat`."""
     room = flat.size // count
-    return [cut(flat, k * room + first, size) for k in range(count)]
+    return [slice_at(flat, k * room + first, size) for k in range(count)]
 
 
-def cut(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
+def slice_at(array: jax.Array, begin: jax.Array | int, size: int) -> jax.Array:
     """Entries (..., size) of an array (..., n) from `begin` on, which is not looked at for being negative."""
     return jax.lax.dynamic_slice_in_dim(array, begin, size, axis=array.ndim - 1, allow_negative_indices=False)
 
@@ -194,7 +194,7 @@ def _read_whole(inputs: Any) -> Any:
     def read_all(value: Any) -> jax.Array:
         if isinstance(value, PerBlock):
             return jnp.max(value.array)
-        return cut(*value) if isinstance(value, ArraySlice) else value
+        return slice_at(*value) if isinstance(value, ArraySlice) else value
 
     return jax.tree.map(read_all, inputs, is_leaf=_is_special)
 
@@ -204,7 +204,7 @@ def _read_block(inputs: Any, i: jax.Array) -> Any:
         if isinstance(value, PerBlock):
             return entry(value.array, i)
         array, begin = (value.array, value.begin) if isinstance(value, ArraySlice) else (value, 0)
-        return cut(array, begin + i * BLOCK, BLOCK)
+        return slice_at(array, begin + i * BLOCK, BLOCK)
 
     return jax.tree.map(read_one, inputs, is_leaf=_is_special)
 
@@ -213,7 +213,7 @@ def _is_special(value: Any) -> bool:
     return isinstance(value, ArraySlice | PerBlock)
 
 
-def _put(into: jax.Array | ArraySlice, new: jax.Array) -> jax.Array:
+def _write_back(into: jax.Array | ArraySlice, new: jax.Array) -> jax.Array:
     if isinstance(into, ArraySlice):
         return put(into.array, new, into.begin)
     return new

@@ -15,7 +15,7 @@ _NAME = "decided"
 
 
 def save_decision[T](found: T) -> T:
-    """A decision, or what was searched for (any tree of arrays), as it is: `checkpoint` keeps it."""
+    """A decision, or what was searched for (any tree of arrays), unchanged; `checkpoint` keeps it."""
     return jax.tree.map(lambda values: checkpoint_name(values, _NAME), found)
 
 

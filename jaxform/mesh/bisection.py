@@ -272,7 +272,7 @@ def rim_sides(forest: TriangleForest) -> NDArray[np.bool_]:
 
 
 def closure(split: NDArray[np.bool_], forest: TriangleForest) -> NDArray[np.bool_]:
-    """What is bisected (n_triangle,) when those split are, so that no node hangs; as `remeshing.closed` in a run."""
+    """What is bisected (n_triangle,) when those split are, so that no node hangs; `remeshing.close_queue` in a run."""
     split, new = split.copy(), np.flatnonzero(split)
     while len(new):
         inner = new[new >= forest.root_count]

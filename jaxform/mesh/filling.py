@@ -126,7 +126,7 @@ def fill_polygon(
         graded = ElementSize(_simplify(curve, flat * size, forced), size)
         arc_length = _rim(curve, graded, flat, forced)
         loop = curve.at(arc_length)
-        narrow = outlines.crossing(loop) if outlines.area(loop) > 0 else loop[0]
+        narrow = outlines.crossing_point(loop) if outlines.area(loop) > 0 else loop[0]
         if narrow is None:
             return _check_quality(*_split_chords(*_triangulate_to_rim(curve, arc_length, graded)), size)
     assert narrow is not None
@@ -137,7 +137,7 @@ def _simplify(curve: PolygonCurve, tolerance: float, forced: NDArray[np.bool_]) 
     """The curve with fewer corners, where it then does not cross itself."""
     kept = outlines.essential_corners(curve.corners, np.full(len(curve.corners), tolerance), forced)
     corners = curve.corners[kept]
-    return curve if outlines.crossing(corners) is not None else PolygonCurve.through_corners(corners)
+    return curve if outlines.crossing_point(corners) is not None else PolygonCurve.through_corners(corners)
 
 
 def _check_quality(points: Array, triangles: NDArray[np.int32], size: float) -> tuple[Array, NDArray[np.int32]]:

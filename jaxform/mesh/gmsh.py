@@ -160,7 +160,7 @@ def _count(numbers: Any, read: _MshContent) -> int:
 
 def _nodes(numbers: Any, read: _MshContent) -> None:
     if read.version < 4.0:
-        _interleaved(numbers, _count(numbers, read), 3, read)
+        _numbered_nodes(numbers, _count(numbers, read), 3, read)
         return
     old = read.version < 4.1
     blocks = int(numbers.take(2 if old else 4, "size")[0])
@@ -170,13 +170,13 @@ def _nodes(numbers: Any, read: _MshContent) -> None:
         count = int(numbers.take(1, "size")[0])
         width = 3 + (max(dimension, 0) if parametric else 0)
         if old:
-            _interleaved(numbers, count, width, read)
+            _numbered_nodes(numbers, count, width, read)
             continue
         read.numbers.append(numbers.take(count, "size"))
         read.points.append(numbers.take(count * width, "f8").reshape(count, width)[:, :3])
 
 
-def _interleaved(numbers: Any, count: int, width: int, read: _MshContent) -> None:
+def _numbered_nodes(numbers: Any, count: int, width: int, read: _MshContent) -> None:
     """Nodes that are a number and coordinates each, of which the first three are those in space."""
     if isinstance(numbers, _BinarySection):
         item = np.dtype([("number", numbers.order + "i4"), ("place", numbers.order + "f8", (width,))])

@@ -51,7 +51,7 @@ def clean(polygon: Any, key: str = "parison.polygon") -> Array:
     middle = corners.mean(0) if len(corners) else 0.0
     if len(corners) < 3 or np.linalg.svd(corners - middle, compute_uv=False)[1] <= _SAME * size:
         raise InputError("encloses no area", "give three corners or more, not on one line", key, polygon)
-    place = crossing(corners)
+    place = crossing_point(corners)
     if place is not None:
         where = f"({place[0]:.6g}, {place[1]:.6g}) m"
         raise InputError(f"crosses or touches itself at {where}", "move the corners apart there", key)
@@ -67,7 +67,7 @@ def _drop_collinear(corners: Array) -> Array:
     return corners[~flat]
 
 
-def crossing(corners: Array) -> Array | None:
+def crossing_point(corners: Array) -> Array | None:
     """A place (2,) [m] where two sides that are not neighbours meet, or neighbours lie on each other; None if none."""
     begin, end, count = corners, np.roll(corners, -1, axis=0), len(corners)
     low, high = np.minimum(begin, end), np.maximum(begin, end)

@@ -24,7 +24,7 @@ from jaxform.tools.mold import Mold
 _RESERVED = ("reference", "thickness", "initial_thickness", "contact_time")  # in final.vtu
 
 
-def law(material: Law, count: int, forest: bisection.TriangleForest | None) -> Law:
+def validate_law(material: Law, count: int, forest: bisection.TriangleForest | None) -> Law:
     """The law of a scene with so many nodes, its zones with values at all nodes of its forest.
 
     Raises:
@@ -73,7 +73,7 @@ _LEAST_WALL = 0.3  # of the initial thickness, of a wall that windows are planne
 _ON_MOLD = 2 / 3  # of an element, that touches the mold while it still moves
 
 
-def cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
+def validate_cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
     """How a scene cools, with arrays for numbers.
 
     Raises:
@@ -161,7 +161,7 @@ def check_motion(mold: Mold, parison: Parison) -> None:
         )
 
 
-def loading(pressure: Loading) -> Loading:
+def validate_loading(pressure: Loading) -> Loading:
     """The loading of a scene.
 
     Raises:
@@ -191,7 +191,7 @@ def _words(own: Any) -> str:
     return ", ".join(kinds) or "none"
 
 
-def field(name: str, given: Field, count: int, forest: bisection.TriangleForest | None) -> Field:
+def validate_field(name: str, given: Field, count: int, forest: bisection.TriangleForest | None) -> Field:
     """A field of a parison with so many nodes, with values at all nodes of its forest.
 
     Raises:

@@ -82,14 +82,15 @@ def build_scene(
     parison, solver = cast_to_precision(parison), cast_to_precision(solver)
     mold, refinement = cast_to_precision(mold), cast_to_precision(refinement)
     check_part(part, None if mold is None else len(mold.triangles))
-    pressure, count = component_validation.loading(pressure), len(parison.positions)
+    pressure, count = component_validation.validate_loading(pressure), len(parison.positions)
     if refinement is not None and forest is None:
         forest, parison = build_hierarchy(parison, refinement)
-    material = component_validation.law(material, count, forest)
-    cooling = component_validation.cooling(cooling, fields or {}, mold)
+    material = component_validation.validate_law(material, count, forest)
+    cooling = component_validation.validate_cooling(cooling, fields or {}, mold)
     component_validation.check_temperature(material, parison, cooling)
     carried = {
-        str(key): component_validation.field(str(key), own, count, forest) for key, own in (fields or {}).items()
+        str(key): component_validation.validate_field(str(key), own, count, forest)
+        for key, own in (fields or {}).items()
     }
     positions, triangles = np.asarray(parison.positions, float), np.asarray(parison.triangles)
     _check_mesh(positions, triangles, parison)

@@ -117,7 +117,7 @@ def pack(
     """Packs the elements (n_element,) that can move, and their nodes.
 
     Where `moving` is None, all elements and nodes; in the mesh's own order where there are no pairs, or what is packed
-    is not `stepped`, only summed over, and needs to know no node's shares. There may be room for more of each than
+    does not advance, only summed over, and needs to know no node's shares. There may be room for more of each than
     `counts` says.
     """
     element_count, node_count, pairs = sheet.area.size, assembly.table.shape[1], assembly.pairs

@@ -89,7 +89,7 @@ def _vector_area(positions: Array, edges: Integers) -> Array:
     return normal * abs(areas @ normal).sum()
 
 
-def facing(mold: Mesh, direction: Array) -> float:
+def facing_fraction(mold: Mesh, direction: Array) -> float:
     """How much of a surface faces a direction (3,): from -1 to 1 of the area that it has across it.
 
     Parts whose triangles turn differently are made to turn as most of their area does.
@@ -118,7 +118,7 @@ def outward_direction(mold: Mesh, rims: Rims) -> Array:
 
 def faces_outward(mold: Mesh, direction: Array) -> bool | None:
     """Whether a surface that bulges to a direction (3,) faces it by how its triangles turn; None where they say not."""
-    share = facing(mold, direction)
+    share = facing_fraction(mold, direction)
     return None if abs(share) < _FACES else share > 0
 
 

@@ -28,7 +28,7 @@ _MOST, _ENOUGH = 40, 1e-11  # of Newton's steps; what is left of the forces, rel
 def plan(height: np.ndarray, time: np.ndarray | None) -> states.Path:
     """Steps to heights (n,) in radii, at times (n,) [s] from 0 or none at all, from a flat sheet on."""
     times = np.arange(1.0, len(height) + 1.0) if time is None else np.maximum(time, 1e-12)
-    return states.cut(height, times, 0.0, _LONGEST)
+    return states.split_path(height, times, 0.0, _LONGEST)
 
 
 def inflate_bubble(law: Law, plan: states.Path, scale: float, viscous: bool) -> tuple[jax.Array, jax.Array]:

@@ -106,12 +106,12 @@ class Numbers:
         values = units * jnp.where(logarithmic, jnp.exp(jnp.where(logarithmic, free, 0.0)), free)
         of_law, of_modes = (
             {name: jnp.stack(value) if isinstance(value, list) else value for name, value in part.items()}
-            for part in self.grouped(values)
+            for part in self.group(values)
         )
         law = self.law(**of_law, density=as_real(DENSITY))  # pyright: ignore[reportCallIssue]
         return law if self.modes is None else dataclasses.replace(law, viscous=self.modes(**of_modes))
 
-    def grouped(self, values: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    def group(self, values: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """The values (n,) of the law and those of its modes, by name; those of a list as a list."""
         of_law: dict[str, Any] = {}
         of_modes: dict[str, Any] = {}
@@ -123,7 +123,7 @@ class Numbers:
                 part.setdefault(name, []).append(value)
         return of_law, of_modes
 
-    def ordered(self, free: Array) -> Array:
+    def order(self, free: Array) -> Array:
         """The vector with the law's terms in order, the largest first, and its modes, the shortest first."""
         lists = {name: self._places(name) for name in dict.fromkeys(number.name for number in self.all)}
         terms = [places for name, places in lists.items() if len(places) > 1 and not name.startswith(VISCOUS)]
@@ -185,10 +185,10 @@ def _number(name: str, place: int | None, allowed: Range, stress: float) -> Numb
     if positive:
         first = -np.log(_LONGEST), np.log(_LONGEST)
         return Number(name, place, allowed, 1.0, True, np.log(max(low, LEAST)), np.log(min(high, MOST)), first)
-    return Number(name, place, allowed, 1.0, False, low, high, _between(low, high))
+    return Number(name, place, allowed, 1.0, False, low, high, _initial_range(low, high))
 
 
-def _between(lower: float, upper: float) -> tuple[float, float]:
+def _initial_range(lower: float, upper: float) -> tuple[float, float]:
     """Where numbers of no unit are looked for first: in the middle half, or near the one bound that there is."""
     if np.isfinite(lower) and np.isfinite(upper):
         return lower + 0.25 * (upper - lower), upper - 0.25 * (upper - lower)

@@ -72,7 +72,7 @@ class Fit:
     def table(self, density: float) -> dict[str, Any]:
         """The table `[material]` of a scene file, its modes as a table `viscous` in it."""
         numbers = self.solution.problem.numbers
-        of_law, of_modes = numbers.grouped(float(f"{value:.8g}") for value in numbers.values(self.solution.free))
+        of_law, of_modes = numbers.group(float(f"{value:.8g}") for value in numbers.values(self.solution.free))
         made: dict[str, Any] = {"model": self.model, **of_law, "density": density}
         if self.kind:
             made["viscous"] = {"kind": self.kind, **of_modes}
@@ -115,7 +115,7 @@ class Fit:
         """Stretches and nominal stresses (k,) [Pa] of a slow test, to draw a line through."""
         low, high = min(1.0, table.stretch.min()), max(1.0, table.stretch.max())
         stretch = np.linspace(low, high, _CURVE)
-        return stretch, np.asarray(states.along(self.law, table.state, jnp.asarray(stretch)))
+        return stretch, np.asarray(states.nominal_stress(self.law, table.state, jnp.asarray(stretch)))
 
 
 def _facts(match: Match) -> dict[str, Any]:

@@ -59,9 +59,9 @@ class Problem:
 
     def values(self, free: Array) -> Array:
         """What the law says (m,), in the units of what was measured."""
-        return self._at(free)[1]
+        return self._slopes_and_values_at(free)[1]
 
-    def _at(self, free: Array) -> tuple[Array, Array]:
+    def _slopes_and_values_at(self, free: Array) -> tuple[Array, Array]:
         """Slopes (m, n) and values (m,)."""
         if self._last is None or not np.array_equal(self._last[0], free):
             slopes, values = self._both(jnp.asarray(free))
@@ -75,7 +75,7 @@ class Problem:
 
     def slopes(self, free: Array) -> Array:
         """Derivatives of the differences (m, n)."""
-        found = self._at(free)[0] / self._scale[:, None]
+        found = self._slopes_and_values_at(free)[0] / self._scale[:, None]
         return np.where(self.used[:, None] & np.isfinite(found), found, 0.0)
 
 
@@ -112,7 +112,7 @@ def _model_values(law: Law, kind: str | _BubbleKind, data: tuple[Any, ...]) -> j
     """The law's values for the measured columns of a table, one after the other."""
     if isinstance(kind, str):
         stretch, pulled = data
-        return states.along(law, kind, jnp.asarray(stretch), pulled)
+        return states.nominal_stress(law, kind, jnp.asarray(stretch), pulled)
     over = kind.sheet / kind.radius
     (plan,) = data
     pressure, wall = bubble.inflate_bubble(law, plan, kind.pressure / over, law.viscous is not None)

@@ -54,7 +54,7 @@ def fit(
             badly.
     """
     _check(tables, model, terms, viscous, weights)
-    if viscous is not None and not modes and not _relaxing(tables):
+    if viscous is not None and not modes and not _relaxation_tests(tables):
         problem = "has no test to tell it: none is of kind relaxation, and no modes are asked for"
         raise InputError(problem, "give a relaxation test, or --modes, or leave it out", "--viscous", viscous)
     viscous = viscous or "christensen"
@@ -66,7 +66,7 @@ def fit(
         numbers = make_numbers(model, terms, viscous, modes, stress, times)
         return solving.solve(list(tables if modes else only_slow(tables)), numbers, weights, stress)
 
-    mode_counts = range(1, _MOST_TRIED_MODES + 1) if modes is None and _relaxing(tables) else (modes or 0,)
+    mode_counts = range(1, _MOST_TRIED_MODES + 1) if modes is None and _relaxation_tests(tables) else (modes or 0,)
     term_counts = (
         range(1, _MOST_TRIED_TERMS + 1) if terms is None and list_parameter_names(LAWS[model]) else (terms or 1,)
     )
@@ -138,11 +138,11 @@ def _check_modes(tables: Sequence[Table], modes: int | None, times: tuple[float,
         raise InputError("is out of range", f"give 0 to {MOST_MODES}", "--modes", modes)
     if modes and times is None:
         raise InputError("needs tests with a column time", "give a relaxation test", "--modes", modes)
-    if modes == 0 and _relaxing(tables):
+    if modes == 0 and _relaxation_tests(tables):
         raise InputError("leaves nothing that relaxes", "leave out the relaxation tests, or this option", "--modes", 0)
 
 
-def _relaxing(tables: Sequence[Table]) -> bool:
+def _relaxation_tests(tables: Sequence[Table]) -> bool:
     return any(table.kind == "relaxation" for table in tables)
 
 

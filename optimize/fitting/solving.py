@@ -84,7 +84,7 @@ class Stability:
         states_of = {state: np.array([own == state for own, _ in self.places]) for state in reach}
         self._both = functools.partial(_slopes_and_least, numbers, one=one, states_of=states_of, stress=stress)
 
-    def lacking(self, free: Array, margin: float = 0.0) -> Array:
+    def deficit(self, free: Array, margin: float = 0.0) -> Array:
         """By how much (n_place,) each place misses being stable, relative to the largest stress; 0 where it is."""
         least = np.asarray(self._both(jnp.asarray(free))[1])
         # Where the law has no finite stress, 1 keeps the search away.
@@ -97,7 +97,7 @@ class Stability:
 
     def first_unstable(self, free: Array) -> tuple[str, float] | None:
         """The place nearest to no strain that is unstable."""
-        lacking = self.lacking(free) > 1e-6
+        lacking = self.deficit(free) > 1e-6
         found = [place for place, bad in zip(self.places, lacking, strict=True) if bad]
         return min(found, key=lambda place: abs(np.log(place[1]))) if found else None
 
@@ -151,20 +151,20 @@ def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) ->
         rough = Problem(without_bubbles(tables), numbers, weights)
     stability = Stability(tables, numbers, stress)
     starts = _starts(rough)
-    found = [_searched(rough, free) for free in starts]
+    found = [_search(rough, free) for free in starts]
     if rough is not problem:
         # A rough law may have lost what the right one needs.
-        found = [_searched(problem, free) for free in (*_best(found, rough)[:_FEW], *starts[:_FEW])]
-    best = _verified(_best(found, problem), problem)
+        found = [_search(problem, free) for free in (*_best(found, rough)[:_FEW], *starts[:_FEW])]
+    best = _first_valid(_best(found, problem), problem)
     unstable = stability.first_unstable(best)
     if unstable is None:
-        return Solution(problem, numbers.ordered(best), None, False)
-    held = [_searched(problem, free, stability) for free in _best(found, problem)[:_BEST]]
+        return Solution(problem, numbers.order(best), None, False)
+    held = [_search(problem, free, stability) for free in _best(found, problem)[:_BEST]]
     laws = [free for free in _best(held, problem) if _is_law(free, problem)]
     stable = [free for free in laws if stability.first_unstable(free) is None]
     if not stable:
-        return Solution(problem, numbers.ordered(best), unstable, False)
-    return Solution(problem, numbers.ordered(stable[0]), None, True)
+        return Solution(problem, numbers.order(best), unstable, False)
+    return Solution(problem, numbers.order(stable[0]), None, True)
 
 
 def _starts(problem: Problem) -> list[Array]:
@@ -190,12 +190,12 @@ def _with_moduli(problem: Problem, free: Array) -> Array:
     return free
 
 
-def _searched(problem: Problem, begin: Array, stability: Stability | None = None) -> Array:
+def _search(problem: Problem, begin: Array, stability: Stability | None = None) -> Array:
     from scipy.optimize import least_squares
 
     def differences(free: Array) -> Array:
         own = problem.differences(free)
-        return own if stability is None else np.concatenate([own, _FORCE * stability.lacking(free, _MARGIN)])
+        return own if stability is None else np.concatenate([own, _FORCE * stability.deficit(free, _MARGIN)])
 
     def slopes(free: Array) -> Array:
         own = problem.slopes(free)
@@ -219,7 +219,7 @@ def _check_rows(problem: Problem) -> None:
         raise InputError(words, "give more rows, or fewer terms or modes")
 
 
-def _verified(found: list[Array], problem: Problem) -> Array:
+def _first_valid(found: list[Array], problem: Problem) -> Array:
     """The first that is a law."""
     for free in found:
         if _is_law(free, problem):
@@ -243,7 +243,7 @@ def confidence_of(problem: Problem, free: Array) -> Confidence:
     numbers, count = problem.numbers, len(free)
     slopes = problem.slopes(free)
     size = np.linalg.norm(slopes, axis=0) / np.sqrt(problem.used.sum())
-    at_bound, without_influence = _undetermined(numbers, free, size)
+    at_bound, without_influence = _find_undetermined(numbers, free, size)
     low, high, correlation = np.full(count, np.nan), np.full(count, np.nan), np.full((count, count), np.nan)
     inside = ~(at_bound | without_influence)
     size = np.linalg.norm(slopes[:, inside], axis=0)
@@ -263,7 +263,7 @@ def confidence_of(problem: Problem, free: Array) -> Confidence:
     return Confidence(low, high, correlation, at_bound, without_influence, condition)
 
 
-def _undetermined(numbers: Numbers, free: Array, size: Array) -> tuple[Array, Array]:
+def _find_undetermined(numbers: Numbers, free: Array, size: Array) -> tuple[Array, Array]:
     """Which (n,) are as good as at a bound, and which have no influence; `size` is what a change of one changes.
 
     A search stays a little inside of bounds: a number is at one if to go there changes nothing, but to go farther does.

@@ -82,7 +82,7 @@ class Path(NamedTuple):
     row: NDArray[np.int64]
 
 
-def cut(values: NDArray[np.float64], times: NDArray[np.float64], first: float, longest: float) -> Path:
+def split_path(values: NDArray[np.float64], times: NDArray[np.float64], first: float, longest: float) -> Path:
     """The way to the values (n,) of rows at times (n,) [s], from `first` at 0, linear between; no step is longer."""
     begin, since = np.concatenate([[first], values[:-1]]), np.concatenate([[0.0], times[:-1]])
     found, steps, rows = [], [], []
@@ -100,11 +100,11 @@ def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> Path:
     In steps over which it changes so little that the modes' recursions, which are made for small ones, are right to a
     few parts in ten thousand.
     """
-    after = cut(stretch, time, float(stretch[0]), _SMALL)
+    after = split_path(stretch, time, float(stretch[0]), _SMALL)
     return Path(np.append(stretch[:1], after.value), np.append(0.0, after.step), after.row + 1)
 
 
-def along(law: Law, state: str, stretch: jax.Array, pulled: Path | None = None) -> jax.Array:
+def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None = None) -> jax.Array:
     """Nominal stress (n,) [Pa] along the pull.
 
     Args:

@@ -111,13 +111,13 @@ def read_table(source: str) -> Table:
     # What no text file could have in it would stop the results later.
     name = " ".join(str(path).encode("utf-8", "backslashreplace").decode().split())
     try:
-        columns, settings = _parsed(disk.read_text(path), name)
+        columns, settings = _parse(disk.read_text(path), name)
         kind = kind or _kind(path, columns, settings)
         if kind == "bubble":
             return _bubble(name, columns, settings)
         return _pull(name, kind, columns, settings)
     except InputError as error:
-        raise error.within(file=name) from None
+        raise error.with_context(file=name) from None
 
 
 def _split(source: str) -> tuple[str, Path]:
@@ -151,7 +151,7 @@ def _kind(path: Path, columns: dict[str, Array], settings: dict[str, str]) -> st
     return found.pop()
 
 
-def _parsed(text: str, name: str) -> tuple[dict[str, Array], dict[str, str]]:
+def _parse(text: str, name: str) -> tuple[dict[str, Array], dict[str, str]]:
     """The columns of a table, (n,) each, and its settings, which stand in lines that begin with #."""
     settings: dict[str, str] = {}
     lines: list[tuple[int, str]] = []

@@ -147,7 +147,7 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
     )
 
 
-def looked_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, np.ndarray, np.ndarray]:
+def look_at(scene: Scene) -> tuple[discretization.Discretization, np.ndarray, np.ndarray, np.ndarray]:
     """After looks enough: the body, its elements' levels, their distance to a bend and their longest side [m]."""
     state, now = scenes.begin_run(scene)
     for _ in range(6):
@@ -174,12 +174,12 @@ def test_what_is_near_a_bend_becomes_as_fine_as_it_should_be(reach: float) -> No
     parts = int(scene.tables.forest.bend.parts)
     slack = 2 * float(scene.tables.grid.width) / parts
     assert slack < 0.02
-    _, level, distance, side = looked_at(scene)
+    _, level, distance, side = look_at(scene)
     near = distance + slack < reach * side
     assert np.all(level[near] >= 6) and np.sum(level >= 6) > 50
     # What is coarse still is far, and nothing is fine that is far from all bends.
     assert np.all(level[distance - slack > 0.3 * reach] == 0)
-    _, coarse, *_ = looked_at(over_a_block(reach, min_area=float(scene.tables.sheet.area[0]) / 9))
+    _, coarse, *_ = look_at(over_a_block(reach, min_area=float(scene.tables.sheet.area[0]) / 9))
     assert coarse.max() < level.max()
 
 
@@ -235,7 +235,7 @@ def test_a_sheet_that_lies_on_the_mold_is_refined_with_a_finite_gradient() -> No
 
 
 def test_a_larger_reach_takes_more_elements() -> None:
-    assert len(looked_at(over_a_block(1.0))[1]) < len(looked_at(over_a_block(2.0))[1])
+    assert len(look_at(over_a_block(1.0))[1]) < len(look_at(over_a_block(2.0))[1])
 
 
 def test_a_run_refines_balances_and_is_what_simulate_gives(scene: Scene, live: Result) -> None:
@@ -270,7 +270,7 @@ def test_a_replay_is_the_run_that_was_recorded(scene: Scene, live: Result) -> No
     assert schedule.split_at is not None and int((schedule.split_at != NEVER).sum()) > 10
 
 
-def _formed(part: Result) -> tuple[float, float]:
+def _volume_and_area(part: Result) -> tuple[float, float]:
     """Volume and formed area of the elements that there are."""
     used = np.asarray(part.used)
     volume, wall = np.asarray(part.element_volume)[used], np.asarray(part.element_thickness)[used]
@@ -289,7 +289,7 @@ def test_a_replay_goes_on_where_its_schedule_does_not_fit(
     assert float(again.time) == pytest.approx(float(own.time), rel=0.1)
     assert float(again.energy.balance_error) < 5e-3
     assert summary.measure_penetration(again, changed).nodes < 1e-9
-    (volume, area), (own_volume, own_area) = _formed(again), _formed(own)
+    (volume, area), (own_volume, own_area) = _volume_and_area(again), _volume_and_area(own)
     assert volume == pytest.approx(own_volume, rel=1e-9)
     assert area == pytest.approx(own_area, rel=0.05)
 

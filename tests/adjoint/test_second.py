@@ -47,7 +47,7 @@ def test_second_derivatives_of_the_force_are_those_of_its_plain_formula(paired: 
         )
 
 
-def _bounded(scene: jaxform.Scene) -> jaxform.Scene:
+def _bound_steps(scene: jaxform.Scene) -> jaxform.Scene:
     """With the steps bounded element by element, which is less to compile."""
     return dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, sharp_step=False))
 
@@ -71,19 +71,19 @@ def _figure(scene: jaxform.Scene) -> Callable[[jax.Array], jax.Array]:
     return figure
 
 
-def _compiled(function: Callable[[jax.Array], Any]) -> Callable[[jax.Array], Any]:
+def _compile(function: Callable[[jax.Array], Any]) -> Callable[[jax.Array], Any]:
     return jax.jit(function).lower(jnp.ones(4)).compile(_QUICKLY)
 
 
 def test_hessian_equals_central_differences_of_the_gradient_through_contact() -> None:
     """`jax.hessian` is `jacfwd` of `jacrev`; here the gradient is asked for as well."""
-    figure = _figure(_bounded(scenes.cup(elements=24)))
+    figure = _figure(_bound_steps(scenes.cup(elements=24)))
 
     def gradient(factors: jax.Array) -> tuple[jax.Array, jax.Array]:
         slope = jax.jacrev(figure)(factors)
         return slope, slope
 
-    both, at = _compiled(jax.jacfwd(gradient, has_aux=True)), jnp.ones(4)
+    both, at = _compile(jax.jacfwd(gradient, has_aux=True)), jnp.ones(4)
     hessian = np.asarray(both(at)[0])
     ways = 1e-5 * jnp.eye(4)
     differences = np.asarray([(both(at + way)[1] - both(at - way)[1]) / 2e-5 for way in ways]).T
@@ -93,21 +93,21 @@ def test_hessian_equals_central_differences_of_the_gradient_through_contact() ->
 
 
 def test_forward_and_reverse_mode_over_forward_mode_equal_central_differences() -> None:
-    figure = _figure(_bounded(scenes.free_disc(24, 1.0, scenes.mooney(0.1), end_time=8.0)))
+    figure = _figure(_bound_steps(scenes.free_disc(24, 1.0, scenes.mooney(0.1), end_time=8.0)))
 
     def along(factors: jax.Array) -> jax.Array:
         return jax.jvp(figure, (factors,), (_WAY,))[1]
 
     at, step = jnp.ones(4), 1e-5 * _WAY
     for both in (jax.value_and_grad(along), lambda at: jax.jvp(along, (at,), (_WAY,))):
-        work = _compiled(both)
+        work = _compile(both)
         difference = float((work(at + step)[0] - work(at - step)[0]) / 2e-5)
         found = np.asarray(work(at)[1])
         np.testing.assert_allclose(found @ _WAY if found.ndim else found, difference, rtol=1e-7)
 
 
 def test_reverse_mode_over_reverse_mode_is_refused_in_a_sentence() -> None:
-    figure = _figure(_bounded(scenes.free_disc(24, 1.0, scenes.mooney(0.1), end_time=8.0)))
+    figure = _figure(_bound_steps(scenes.free_disc(24, 1.0, scenes.mooney(0.1), end_time=8.0)))
     with pytest.raises(NotImplementedError, match=r"^the gradient of a simulation.*jax\.hessian\(f\)"):
         jax.eval_shape(jax.grad(lambda at: jnp.sum(jax.grad(figure)(at))), jnp.ones(4))
 
@@ -115,7 +115,7 @@ def test_reverse_mode_over_reverse_mode_is_refused_in_a_sentence() -> None:
 @pytest.mark.parametrize("adjoint", [jaxform.Reversed(), jaxform.Checkpointed()])
 def test_a_simulation_is_linearized_as_least_squares_of_others_do_it(adjoint: jaxform.Adjoint) -> None:
     """Gauss and Newton's step: the linear function mapped over a basis, and transposed, inside of a jit."""
-    scene = _bounded(scenes.cup(elements=24))
+    scene = _bound_steps(scenes.cup(elements=24))
 
     def walls(factors: jax.Array) -> jax.Array:
         changes = {

@@ -41,7 +41,7 @@ def test_sticking_in_a_cone() -> None:
     assert measured.errors["thickness at the tabled places"] < 0.005
 
 
-def _hurried(ramp: float) -> jaxform.Scene:
+def _hurry(ramp: float) -> jaxform.Scene:
     """The cup with a ramp of so many units."""
     scene = scenes.cup(end_time=50.0)
     solver = dataclasses.replace(scene.solver, quasi_static=True)
@@ -51,10 +51,10 @@ def _hurried(ramp: float) -> jaxform.Scene:
 
 def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
     with pytest.warns(UserWarning, match=r"no slow process .* raise the pressure more slowly"):
-        fast = jaxform.run(_hurried(4.0))
+        fast = jaxform.run(_hurry(4.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        slow = jaxform.run(_hurried(40.0))
+        slow = jaxform.run(_hurry(40.0))
     assert float(slow.energy.quasi_static_error) < SLOW_ENOUGH < float(fast.energy.quasi_static_error)
     off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
     moved = cases.rms(off, np.asarray(fast.element_volume))

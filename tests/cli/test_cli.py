@@ -66,7 +66,7 @@ def _picture_size(path: Path) -> tuple[int, int]:
         return picture.size
 
 
-def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
+def _assert_refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line on standard error of a command that must exit with 2."""
     assert command.main(list(arguments)) == 2
     captured = capfd.readouterr()
@@ -135,14 +135,14 @@ def test_simulate_writes_what_the_contract_says(tmp_path: Path, capfd: pytest.Ca
     assert command.main(["report", str(out)]) == 0
     assert capfd.readouterr().out == f"report in {out / 'report.html'}\n"
     assert (out / "report.html").read_text() == page
-    assert f"DIR = '{tmp_path}': holds no summary.json" in _refused(capfd, "report", str(tmp_path))
+    assert f"DIR = '{tmp_path}': holds no summary.json" in _assert_refused(capfd, "report", str(tmp_path))
     # What an earlier run left is not taken for this one's.
     scene_file.write_text(re.sub(r"\[mold\].*?\[solver\]", "[solver]", SCENE, flags=re.DOTALL))
     assert command.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
     assert not (out / "frames.pvd").exists() and not (out / "mold.vtu").exists()
 
 
-@pytest.mark.parametrize("place", ["results.summary.penetrated", "runs.host.warnings_of_part"])
+@pytest.mark.parametrize("place", ["results.summary.measure_penetration", "runs.host.warnings_of_part"])
 def test_what_is_stopped_while_it_measures_keeps_its_part(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
@@ -242,7 +242,7 @@ def test_quiet_says_nothing_and_force_overwrites(tmp_path: Path, capfd: pytest.C
     scene_file, out = _write(tmp_path), tmp_path / "out"
     out.mkdir()
     (out / "mine.txt").write_text("keep")
-    line = _refused(capfd, "simulate", str(scene_file), "--out", str(out))
+    line = _assert_refused(capfd, "simulate", str(scene_file), "--out", str(out))
     assert "--force" in line and str(out) in line
     assert command.main(["simulate", str(scene_file), "--out", str(out), "--force", "--quiet"]) == 0
     captured = capfd.readouterr()
@@ -274,7 +274,7 @@ def test_check_runs_no_step_and_names_what_is_skipped(tmp_path: Path, capfd: pyt
 
 def test_a_wish_for_a_slow_process(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     wrong = _write(tmp_path, SCENE + 'quasi_static = "yes"\n', "wrong.toml")
-    line = _refused(capfd, "check", str(wrong))
+    line = _assert_refused(capfd, "check", str(wrong))
     assert "wrong.toml" in line and "solver.quasi_static" in line and "yes" in line
     # The whole pressure within a hundredth of the time that the scene takes for it.
     hasty = SCENE.replace("[0.0, 0.2]", "[0.0, 0.002]") + "quasi_static = true\n"
@@ -378,7 +378,7 @@ def test_bad_scene_is_one_line_that_names_the_place(
 ) -> None:
     assert old in SCENE
     scene_file = _write(tmp_path, SCENE.replace(old, new, 1))
-    line = _refused(capfd, "check", str(scene_file))
+    line = _assert_refused(capfd, "check", str(scene_file))
     assert words in line, line
     assert "scene.toml" in line, line
 
@@ -400,7 +400,7 @@ def test_a_file_that_is_no_mesh(
 ) -> None:
     if content is not None:
         (tmp_path / "part.stl").write_bytes(content)
-    line = _refused(capfd, "check", str(_write(tmp_path, _mesh_scene(what, "part.stl"))))
+    line = _assert_refused(capfd, "check", str(_write(tmp_path, _mesh_scene(what, "part.stl"))))
     assert f"{what}.path" in line and "part.stl" in line, line
 
 
@@ -417,7 +417,7 @@ def test_a_parison_file_with_bad_triangles(
 ) -> None:
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0, 0], [0.6, 0.6, 1]], float) * 0.1
     meshio.Mesh(points, [("triangle", np.array(triangles))]).write(tmp_path / "part.vtu")
-    line = _refused(capfd, "check", str(_write(tmp_path, _mesh_scene("parison", "part.vtu"))))
+    line = _assert_refused(capfd, "check", str(_write(tmp_path, _mesh_scene("parison", "part.vtu"))))
     assert words in line.lower() and "parison" in line, line
 
 
@@ -425,7 +425,7 @@ def test_an_unclamped_open_parison(tmp_path: Path, capfd: pytest.CaptureFixture[
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float) * 0.1
     meshio.Mesh(points, [("triangle", np.array([[0, 1, 2], [1, 3, 2]]))]).write(tmp_path / "part.vtu")
     text = _mesh_scene("parison", "part.vtu").replace("thickness = 1e-3", 'clamp = "none"\nthickness = 1e-3')
-    line = _refused(capfd, "check", str(_write(tmp_path, text)))
+    line = _assert_refused(capfd, "check", str(_write(tmp_path, text)))
     assert "clamp" in line, line
 
 
@@ -444,7 +444,7 @@ def test_bad_arguments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], arguments: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _refused(capfd, *arguments)
+    _assert_refused(capfd, *arguments)
     assert not (tmp_path / "x").exists()
 
 
@@ -452,9 +452,9 @@ def test_an_output_folder_that_is_a_file_or_cannot_be_made(tmp_path: Path, capfd
     scene_file = _write(tmp_path)
     blocked = tmp_path / "file"
     blocked.write_text("")
-    assert "file" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked))
-    assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", str(blocked / "below"))
-    assert "--out" in _refused(capfd, "simulate", str(scene_file), "--out", "/proc/nowhere")
+    assert "file" in _assert_refused(capfd, "simulate", str(scene_file), "--out", str(blocked))
+    assert "--out" in _assert_refused(capfd, "simulate", str(scene_file), "--out", str(blocked / "below"))
+    assert "--out" in _assert_refused(capfd, "simulate", str(scene_file), "--out", "/proc/nowhere")
 
 
 def test_a_reader_who_leaves_early_stops_nothing() -> None:

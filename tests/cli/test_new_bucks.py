@@ -17,7 +17,7 @@ from jaxform.io.scene_choices import VACUUM, UserChoices
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.results.summary import summarize
-from tests.tools.test_bucks import BUCKS, dome, drafted
+from tests.tools.test_bucks import BUCKS, dome, drafted_block
 
 
 def write(path: Path, mold: Mesh, unit: float = 0.001) -> Path:
@@ -181,7 +181,7 @@ def test_the_docs_example_of_a_motion_drapes(tmp_path):
     """With the keys of the page the sheet lies on a block 50 mm high on a platen, both on z = 0 of their files."""
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "mold.md").read_text()
     keys = next(text.split("```")[0] for text in page.split("```toml\n")[1:] if "[mold.motion]" in text)
-    block = drafted().apply_scale([0.4, 0.6, 1.25])
+    block = drafted_block().apply_scale([0.4, 0.6, 1.25])
     plate = np.array([[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]])
     write(tmp_path / "block.stl", Mesh(np.array(block.vertices), np.array(block.faces)))
     write(tmp_path / "platen.stl", Mesh(plate, np.array([[0, 1, 2], [0, 2, 3]])))

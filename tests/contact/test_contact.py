@@ -45,7 +45,7 @@ def _shape(name: str) -> Mold:
     return jaxform.make_mold(shape.vertices, shape.triangles)
 
 
-def _mixed() -> Mold:
+def _mixed_triangles() -> Mold:
     """Two huge triangles, and on them a ball of tiny ones."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.01)
     plane = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
@@ -53,7 +53,7 @@ def _mixed() -> Mold:
     return jaxform.make_mold(vertices, np.concatenate([[[0, 1, 2], [0, 2, 3]], np.asarray(ball.faces) + 4]))
 
 
-def _tangled() -> Mold:
+def _tangled_cup() -> Mold:
     """The open cup with a fin on its bottom (three triangles to an edge), copies, and every other triangle turned."""
     cup = molds.revolved(profile=[[0.0, 1.0], [0.7, 1.0], [1.0, 0.0]], segments=24)
     triangles = cup.triangles.copy()
@@ -66,8 +66,8 @@ def _tangled() -> Mold:
 
 
 _MOLDS = {
-    "mixed": _mixed,
-    "tangled": _tangled,
+    "mixed": _mixed_triangles,
+    "tangled": _tangled_cup,
     "fine torus": lambda: figures.mold_from_mesh(
         trimesh.creation.torus(1.0, 0.3, major_sections=200, minor_sections=100)
     ),
@@ -156,7 +156,7 @@ def _check_lists(cells: SearchGrid | FarCells, grid: SearchGrid, corners: np.nda
             assert len(np.setdiff1d(within, listed[start[number] : end])) == 0
 
 
-def _aimed(wall: Mold, targets: np.ndarray, normal: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
+def _aim(wall: Mold, targets: np.ndarray, normal: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     begin, end = targets - half * normal, targets + half * normal
     place, stuck = _walk(jnp.asarray(begin.T), jnp.asarray(end.T), wall, grid)
@@ -170,7 +170,7 @@ def test_no_path_leaks_through_shared_edges_and_vertices() -> None:
     share = np.random.default_rng(5).uniform(0.01, 0.95, (len(bottom), 1))
     on_edges = bottom[:, 0] + share * (bottom[:, 1] - bottom[:, 0])
     targets = np.concatenate([on_edges, [[0.0, 0.0, 1.0]]])  # the vertex that all of the fan share
-    place, stuck = _aimed(wall, targets, np.array([0.0, 0.0, 1.0]), 0.02)
+    place, stuck = _aim(wall, targets, np.array([0.0, 0.0, 1.0]), 0.02)
     assert stuck.all()
     np.testing.assert_allclose(place, targets, atol=1e-12)
 
@@ -178,21 +178,21 @@ def test_no_path_leaks_through_shared_edges_and_vertices() -> None:
 def test_of_two_walls_in_one_step_the_first_counts() -> None:
     near = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
     wall = jaxform.make_mold(np.concatenate([near, near + np.array([0, 0, 0.01])]), np.array([[3, 4, 5], [0, 2, 1]]))
-    place, stuck = _aimed(wall, np.array([[0.0, 0.0, 0.005]]), np.array([0.0, 0.0, 1.0]), 0.02)
+    place, stuck = _aim(wall, np.array([[0.0, 0.0, 0.005]]), np.array([0.0, 0.0, 1.0]), 0.02)
     assert stuck.all()
     np.testing.assert_allclose(place[0], [0, 0, 0], atol=1e-15)
 
 
 def test_a_node_that_starts_on_the_wall_stays_there() -> None:
     wall = _shape("cup")
-    place, stuck = _aimed(wall, np.array([[0.2, 0.1, 0.99]]), np.array([0.0, 0.0, 1.0]), -0.01)
+    place, stuck = _aim(wall, np.array([[0.2, 0.1, 0.99]]), np.array([0.0, 0.0, 1.0]), -0.01)
     assert stuck.all()
     np.testing.assert_allclose(place[0], [0.2, 0.1, 1.0], atol=1e-14)
 
 
 def test_a_parallel_path_beside_the_wall_is_free() -> None:
     wall = _shape("cup")
-    place, stuck = _aimed(wall, np.array([[0.2, 0.1, 0.999]]), np.array([1.0, 0.0, 0.0]), 0.02)
+    place, stuck = _aim(wall, np.array([[0.2, 0.1, 0.999]]), np.array([1.0, 0.0, 0.0]), 0.02)
     assert not stuck.any()
     np.testing.assert_allclose(place[0], [0.22, 0.1, 0.999], atol=1e-15)
 
@@ -276,7 +276,7 @@ def test_what_is_tested_only_when_reached_is_the_same_as_tested_always(monkeypat
     np.testing.assert_array_equal(skipping.nodes.wall, always.nodes.wall)
 
 
-def _retried(result: jaxform.Result) -> int:
+def _retry(result: jaxform.Result) -> int:
     assert result.schedule is not None
     return int(np.sum((np.asarray(result.schedule.counts) == 0) & (np.asarray(result.schedule.lengths) > 0)))
 
@@ -292,12 +292,12 @@ def test_what_touches_between_two_looks_unseen_is_retried(monkeypatch: pytest.Mo
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
     jax.clear_caches()
     assert jaxform.explain(blind) == "ok"
-    assert _retried(seen) < _retried(blind)
+    assert _retry(seen) < _retry(blind)
     assert measure_penetration(blind, scene).nodes < 1e-12
     np.testing.assert_allclose(blind.thickness, seen.thickness, rtol=2e-2)
 
 
-def _listed(tool: Tool) -> lists.Candidates:
+def _list_nodes(tool: Tool) -> lists.Candidates:
     """A list of nodes near the mold, on random paths."""
     begin, end = (
         jnp.asarray(place.T[:, :BLOCK]) for place in figures.random_paths(tool.mold, tool.grid, BLOCK, seed=2)
@@ -311,13 +311,13 @@ def test_where_pairs_find_no_room_lists_are_shorter_and_nothing_is_missed(
 ) -> None:
     scene = scenes.cup()
     assert scene.tool is not None
-    roomy, wide = jax.jit(jaxform.simulate)(scene), _listed(scene.tool)
+    roomy, wide = jax.jit(jaxform.simulate)(scene), _list_nodes(scene.tool)
     # Room for 128 pairs, of a scene that is traced as it is: `run` would give it more.
     monkeypatch.setattr(lists, "_LEAST_ROOM", 128)
     narrow = dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, pairs_per_node=1))
     monkeypatch.setattr(lists, "PAIRS_PER_NODE", 1)
     monkeypatch.setattr(lists, "_CANDIDATES", 1)
-    tight, slim = jax.jit(jaxform.simulate)(narrow), _listed(scene.tool)
+    tight, slim = jax.jit(jaxform.simulate)(narrow), _list_nodes(scene.tool)
     assert int(wide.count) > slim.lists.node.size - lists.TEST_BLOCK and not (wide.overflow or slim.overflow)
     assert np.all(slim.limit_square < wide.limit_square)  # so that nodes leave their spheres sooner
     assert jaxform.explain(tight) == "ok"

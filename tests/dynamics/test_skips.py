@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.speed.bench import without
+from benchmarks.speed.bench import disable_skips
 from jaxform import shapes
 from jaxform.dynamics import timestep
 from jaxform.dynamics.initial import initial_state
@@ -32,8 +32,8 @@ from tests import scenes
 @pytest.mark.parametrize("switch", ["skip_stuck", "skip_far", "end_early"])
 def test_the_result_is_the_same_with_a_skip_off(switch: str) -> None:
     """The steps are held to the elements' bound: the search for the highest mode depends on what is packed away."""
-    scene = without(scenes.cup(), sharp_step=False)
-    on, off = jaxform.run(scene), jaxform.run(without(scene, **{switch: False}))
+    scene = disable_skips(scenes.cup(), sharp_step=False)
+    on, off = jaxform.run(scene), jaxform.run(disable_skips(scene, **{switch: False}))
     assert jaxform.explain(on) == jaxform.explain(off) == "ok"
     if switch == "skip_stuck":
         assert int(on.steps) == int(off.steps)
@@ -163,7 +163,7 @@ def test_the_measured_step_is_close_below_the_true_limit() -> None:
     assert jaxform.explain(sharp) == "ok"
     assert len(ratios) > 2
     assert 0.75 < min(ratios[:-1]) <= max(ratios) < 0.95
-    plain = jaxform.run(without(scene, sharp_step=False))
+    plain = jaxform.run(disable_skips(scene, sharp_step=False))
     assert int(sharp.steps) < 0.8 * int(plain.steps)
     np.testing.assert_allclose(sharp.positions, plain.positions, atol=1e-3)
 
@@ -180,7 +180,7 @@ def test_the_first_step_is_not_cold() -> None:
     scene = scenes.free_disc(60, 2.0, scenes.mooney(0.1))
     sharp, found = _first_step(scene)
     assert found.mode is not None and 1.1 < float(found.sharpness) < 2.0
-    plain = without(scene, sharp_step=False)
+    plain = disable_skips(scene, sharp_step=False)
     bound, plain_found = _first_step(plain)
     assert plain_found.mode is None
     assert 1.1 < float(sharp / bound) < 2.0
@@ -188,7 +188,7 @@ def test_the_first_step_is_not_cold() -> None:
     assert 0.85 < float(bound) / window_budget.first_step(plain) <= 1.0
 
 
-def _weighted(
+def _weigh(
     scene: jaxform.Scene, values: dict[str, jax.Array], vertices: jax.Array, adjoint: jaxform.Adjoint
 ) -> jax.Array:
     """All of a result that carries a derivative, weighted without a pattern."""
@@ -206,7 +206,7 @@ def _weighted(
 def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> None:
     """With every step kept it is JAX's; of everything that a design may change, and of the mold."""
     # Without the search for the highest mode there is half as much to compile, and nothing less to differentiate.
-    scene = dataclasses.replace(without(scenes.cup(), sharp_step=False), material=scenes.mooney(0.1))
+    scene = dataclasses.replace(disable_skips(scenes.cup(), sharp_step=False), material=scenes.mooney(0.1))
     assert scene.mold is not None and scene.solver.damping is not None
     leaves = {
         "parison.thickness": scene.parison.thickness,
@@ -218,7 +218,7 @@ def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> N
         "material.density": scene.material.density,
     }
     slopes = [
-        jax.jit(jax.value_and_grad(functools.partial(_weighted, scene, adjoint=adjoint), argnums=(0, 1)))
+        jax.jit(jax.value_and_grad(functools.partial(_weigh, scene, adjoint=adjoint), argnums=(0, 1)))
         for adjoint in (jaxform.Stored(), jaxform.Reversed())
     ]
     # Steps with so much damping that they cannot be taken back are worked out once more.
@@ -230,7 +230,7 @@ def test_the_reverse_derivative_written_by_hand_is_the_one_that_jax_finds() -> N
 
 
 def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> None:
-    scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
+    scene = disable_skips(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
     def wall(thickness: jax.Array, pressure: jax.Array, adjoint: jaxform.Adjoint | None = None) -> jax.Array:
         changed = jaxform.replace(scene, {"parison.thickness": thickness, "pressure.value": pressure})
@@ -249,7 +249,7 @@ def test_the_slope_of_a_batch_is_that_of_its_designs_whatever_is_stored() -> Non
 
 def test_what_is_stored_does_not_change_the_gradient() -> None:
     # Without the search for the highest mode there is half as much to compile, and nothing less to store.
-    scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
+    scene = disable_skips(scenes.free_disc(60, 2.0, scenes.mooney(0.1), end_time=10.0), sharp_step=False)
 
     def wall(thickness: jax.Array, adjoint: jaxform.Adjoint) -> jax.Array:
         result = jaxform.simulate(jaxform.replace(scene, {"parison.thickness": thickness}), adjoint=adjoint)
@@ -375,4 +375,4 @@ def test_a_part_of_a_longer_array_is_read_and_written_where_it_is() -> None:
 def test_replaced_switches_are_static() -> None:
     scene = scenes.cup()
     assert dataclasses.replace(scene.solver, skip_stuck=False).skip_stuck is False
-    assert jax.tree.structure(scene) != jax.tree.structure(without(scene, skip_stuck=False))
+    assert jax.tree.structure(scene) != jax.tree.structure(disable_skips(scene, skip_stuck=False))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.speed.bench import with_windows_of, without
+from benchmarks.speed.bench import disable_skips, with_windows_of
 from jaxform import shapes
 from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows
@@ -33,7 +33,7 @@ def _counts(result: jaxform.Result) -> list[int]:
 @pytest.fixture(scope="module")
 def cup() -> jaxform.Scene:
     """Formed so slowly that a window changes little; without the search for the highest mode, which compiles long."""
-    scene = without(scenes.cup(), sharp_step=False)
+    scene = disable_skips(scenes.cup(), sharp_step=False)
     slow = {"pressure.time": 5.0 * np.asarray(scene.pressure.time), "solver.end_time": 100.0, "solver.damping": 1.0}
     tables = dataclasses.replace(scene.tables, window_count=40, longest_window=LONG_WINDOW)
     return dataclasses.replace(jaxform.replace(scene, slow), tables=tables)
@@ -86,7 +86,7 @@ def test_no_window_takes_more_of_a_velocity_than_can_be_found_again(cup: jaxform
 def test_windows_become_shorter_where_the_stiffness_changes_or_one_is_taken_anew() -> None:
     """Blown up evenly, and nearly at once."""
     law = jaxform.ModifiedMooneyRivlin(scenes.real(1.0), scenes.real(0.05), scenes.real(1.0))
-    scene = with_windows_of(LONG_WINDOW, without(scenes.free_disc(60, 2.0, law), sharp_step=False))
+    scene = with_windows_of(LONG_WINDOW, disable_skips(scenes.free_disc(60, 2.0, law), sharp_step=False))
     changing = anew = 0
     for pressure in ([0.0, 0.15, 0.3], [0.0, 0.01, 0.3]):
         at = [0.0, 20.0, 40.0] if pressure[1] > 0.1 else [0.0, 20.0, 22.0]

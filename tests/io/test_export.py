@@ -60,7 +60,7 @@ def _wall(mesh: Mesh, thickness: Array, **options: object) -> WallSurface:
     return WallSurface(positions, triangles, thickness, elements, reference, held, **options)  # pyright: ignore[reportArgumentType]
 
 
-def _formed(elements: int, symmetry: shapes.Symmetry = "none") -> WallSurface:
+def _form(elements: int, symmetry: shapes.Symmetry = "none") -> WallSurface:
     mesh = _bowl(elements, symmetry=symmetry)
     planes = {0: 0.0, 1: 0.0} if symmetry == "quarter" else {}
     return _wall(mesh, _thickness(mesh.positions), planes=planes)
@@ -89,7 +89,7 @@ def test_nodal_thickness_has_the_volume_of_the_elements() -> None:
 
 @pytest.mark.parametrize("elements", [250, 3000])
 def test_a_wall_on_another_mesh_of_its_surface_keeps_volume_and_field(elements: int) -> None:
-    wall, mesh = _formed(1000), _bowl(elements)
+    wall, mesh = _form(1000), _bowl(elements)
     mapped, coverage = mapping.map_wall(wall, mesh, "mesh")
     assert mapped.volume == pytest.approx(wall.volume, rel=1e-3)
     assert areas(mesh.positions, mesh.triangles) @ mapped.element_thickness == pytest.approx(wall.volume, rel=1e-3)
@@ -111,7 +111,7 @@ def test_a_mesh_that_covers_some_of_the_part_gets_that_much_of_its_volume() -> N
 
 
 def test_a_mesh_that_goes_beyond_the_part_is_warned_of_with_its_share_and_distance() -> None:
-    wall, mesh = _formed(1000), _bowl(4000, radius=0.12)
+    wall, mesh = _form(1000), _bowl(4000, radius=0.12)
     with pytest.warns(InputWarning, match=r"% of the mesh's area does not lie on the formed part") as told:
         mapped, coverage = mapping.map_wall(wall, mesh, "mesh")
     assert coverage.mesh == pytest.approx(_exact(RADIUS)[0] / _exact(0.12)[0], rel=5e-3)
@@ -123,7 +123,7 @@ def test_a_mesh_that_goes_beyond_the_part_is_warned_of_with_its_share_and_distan
 
 
 def test_a_quarter_is_completed_by_its_images() -> None:
-    quarter = _formed(60, "quarter")
+    quarter = _form(60, "quarter")
     assert set(quarter.edge_sets()) == {"RIM", "SYM_X", "SYM_Y"}
     half = export.mirror(quarter, 0, 0.0)
     assert set(half.edge_sets()) == {"RIM", "SYM_Y"}
@@ -141,7 +141,7 @@ def test_a_quarter_is_completed_by_its_images() -> None:
         export.mirror(quarter, 0, -0.01)
 
 
-def _moved(mesh: Mesh, far: float) -> Mesh:
+def _move(mesh: Mesh, far: float) -> Mesh:
     return Mesh(mesh.positions + np.full(3, far), mesh.triangles)
 
 
@@ -149,18 +149,18 @@ def _moved(mesh: Mesh, far: float) -> Mesh:
     ("change", "words"),
     [
         (lambda mesh: Mesh(1e3 * mesh.positions, mesh.triangles), "--scale"),
-        (lambda mesh: _moved(mesh, 0.5), "nearly nothing of the mesh lies within"),
-        (lambda mesh: meshes.merge([mesh, _moved(mesh, 1e-4)]), "give one side of the wall alone"),
+        (lambda mesh: _move(mesh, 0.5), "nearly nothing of the mesh lies within"),
+        (lambda mesh: meshes.merge([mesh, _move(mesh, 1e-4)]), "give one side of the wall alone"),
     ],
 )
 def test_a_mesh_that_is_no_wall_of_this_part_is_refused(change: Callable[[Mesh], Mesh], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        mapping.map_wall(_formed(200), change(_bowl(200)), "mesh")
+        mapping.map_wall(_form(200), change(_bowl(200)), "mesh")
 
 
 def test_a_mesh_of_less_surface_than_the_part_has_is_told_so() -> None:
     mesh = _bowl(200)
-    part = meshes.merge([mesh, _moved(mesh, 1e-4), _moved(mesh, 2e-4)])
+    part = meshes.merge([mesh, _move(mesh, 1e-4), _move(mesh, 2e-4)])
     with pytest.raises(InputError, match="follows all of the part: this one leaves out") as told:
         mapping.map_wall(_wall(part, _thickness(part.positions)), mesh, "mesh")
     assert "both" not in str(told.value)
@@ -265,7 +265,7 @@ def _calculix(folder: Path, wall: WallSurface, held: str, load: str) -> tuple[Ar
     """The total force (3,) at the small end and the mean displacement (3,) of the other one, as CalculiX finds them."""
     solver = _solver()
     export.write_wall(wall, folder / "wall.inp", "calculix")
-    return _solved(solver, folder, _DECK.format(held=held, load=load))
+    return _solve(solver, folder, _DECK.format(held=held, load=load))
 
 
 def _solver() -> str:
@@ -275,7 +275,7 @@ def _solver() -> str:
     return found
 
 
-def _solved(solver: str, folder: Path, deck: str) -> tuple[Array, Array]:
+def _solve(solver: str, folder: Path, deck: str) -> tuple[Array, Array]:
     """The total force (3,) and the mean of the displacements (3,), NaN where none are printed."""
     (folder / "run.inp").write_text(deck)
     done = subprocess.run([solver, "-i", "run"], cwd=folder, capture_output=True, text=True, timeout=60)
@@ -294,7 +294,7 @@ def test_calculix_presses_the_bottle_as_the_page_says(tmp_path: Path) -> None:
     folder = tmp_path / "bottle"
     assert command.main(["simulate", "soap-bottle", "--out", str(folder), "--quiet"]) == 0
     assert command.main(["export", str(folder), "--to", "calculix", "--mirror", "z=0", "--quiet"]) == 0
-    assert _solved(solver, folder, deck)[0][1] == pytest.approx(said, rel=0.005)
+    assert _solve(solver, folder, deck)[0][1] == pytest.approx(said, rel=0.005)
 
 
 def test_calculix_pulls_a_strip_of_varying_thickness_as_hard_as_the_formula(tmp_path: Path) -> None:
@@ -319,7 +319,7 @@ def results(tmp_path: Path) -> Path:
     """A folder as a run of a quarter leaves it."""
     folder = tmp_path / "run"
     folder.mkdir()
-    wall = _formed(60, "quarter")
+    wall = _form(60, "quarter")
     flat = wall.positions * [1, 1, 0]
     held = np.hypot(*flat[:, :2].T) > 0.999 * RADIUS
     data = {"reference": flat, "thickness": wall.thickness, "contact_time": np.where(held, 0.0, -1.0)}
@@ -345,7 +345,7 @@ def test_the_command_writes_a_completed_part_onto_a_mesh_in_mm(
     for path in (results / "wall.vtu", tmp_path / "on.vtu"):
         mesh = meshio.read(path)
         volume = _volume_of(mesh.points, mesh.cells[0].data, mesh.point_data["thickness"])
-        assert volume == pytest.approx(4 * 1.1 * _formed(60, "quarter").volume, rel=1e-3)
+        assert volume == pytest.approx(4 * 1.1 * _form(60, "quarter").volume, rel=1e-3)
     assert command.main([*arguments, "--quiet", "--force"]) == 0
     assert capfd.readouterr().out == ""
     # A name with a line feed does not become a line of its own.
@@ -416,7 +416,7 @@ def test_a_mold_in_its_own_coordinates_is_placed_as_the_scene_did(
     back = mesh.points @ placed.T + np.array([0.01, 0.02, 0.3])
     nearest = np.linalg.norm(back[:, None] - inner.positions[None], axis=2).min(1)
     assert (nearest < 1e-5).mean() > 0.98
-    full = 4 * 1.1 * _formed(60, "quarter").volume
+    full = 4 * 1.1 * _form(60, "quarter").volume
     assert _volume_of(mesh.points, mesh.cells[0].data, mesh.point_data["thickness"]) == pytest.approx(full, rel=5e-3)
     if closed:
         assert "gets no wall" in said
@@ -431,12 +431,12 @@ def test_a_pose_without_a_mold_from_a_file_is_refused(
 ) -> None:
     target = _bowl(100)
     meshes.write_stl(tmp_path / "part.stl", target.positions, target.triangles)
-    said = _refused(capfd, str(results), "--to", "vtu", "--onto", str(tmp_path / "part.stl"), "--pose", "file")
+    said = _assert_refused(capfd, str(results), "--to", "vtu", "--onto", str(tmp_path / "part.stl"), "--pose", "file")
     assert "--pose" in said and "no mold from a file" in said
-    assert "--onto" in _refused(capfd, str(results), "--to", "vtu", "--pose", "file")
+    assert "--onto" in _assert_refused(capfd, str(results), "--to", "vtu", "--pose", "file")
 
 
-def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
+def _assert_refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert command.main(["export", *arguments]) == 2
     captured = capfd.readouterr()
     assert captured.out == "" and len(captured.err.splitlines()) == 1, captured
@@ -461,7 +461,7 @@ def test_bad_arguments_are_one_line(results: Path, tmp_path: Path, capfd: pytest
         (["--to", "vtu", "--out", str(tmp_path / "no" / "w.vtu")], "cannot be written"),
         (["--to", "vtu", "--out", str(tmp_path)], "is a folder"),
     ):
-        assert words in _refused(capfd, folder, *more), more
+        assert words in _assert_refused(capfd, folder, *more), more
     assert not (results / "wall.vtu").exists()
 
 
@@ -492,11 +492,11 @@ def test_what_lies_in_folds_is_part_of_the_volume(tmp_path: Path) -> None:
 def test_a_folder_without_a_wall_is_refused(
     tmp_path: Path, field: dict[str, Array], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert "no final.vtu" in _refused(capfd, str(tmp_path), "--to", "csv")
+    assert "no final.vtu" in _assert_refused(capfd, str(tmp_path), "--to", "csv")
     meshes.write_vtu(tmp_path / "final.vtu", np.eye(3), [[0, 1, 2]], field)
-    assert "thickness" in _refused(capfd, str(tmp_path), "--to", "csv")
+    assert "thickness" in _assert_refused(capfd, str(tmp_path), "--to", "csv")
     (tmp_path / "summary.json").write_text("[")
-    assert "summary.json" in _refused(capfd, str(tmp_path), "--to", "csv")
+    assert "summary.json" in _assert_refused(capfd, str(tmp_path), "--to", "csv")
 
 
 def test_a_run_that_stopped_is_warned_of(results: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -28,7 +28,7 @@ def _own_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "cache_folder", lambda: None)
 
 
-def _refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
+def _assert_refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert command.main(list(arguments)) == 2
     printed = capfd.readouterr()
     assert printed.out == "" and len(printed.err.splitlines()) == 1, printed.err
@@ -55,7 +55,7 @@ TEXTS = {
 def test_a_hostile_scene_file_is_refused_soon(tmp_path: Path, capfd: pytest.CaptureFixture[str], text: str) -> None:
     (tmp_path / "scene.toml").write_text(text)
     begin = time.process_time()
-    line = _refused(capfd, "check", str(tmp_path / "scene.toml"))
+    line = _assert_refused(capfd, "check", str(tmp_path / "scene.toml"))
     assert time.process_time() - begin < 5
     assert TEXTS[text] in line and "scene.toml" in line
 
@@ -68,7 +68,7 @@ def test_words_with_dots_are_no_dotted_key(tmp_path: Path) -> None:
 
 def test_bytes_that_are_no_text(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "scene.toml").write_bytes(b"\xff\xfe")
-    assert "UTF-8" in _refused(capfd, "check", str(tmp_path / "scene.toml"))
+    assert "UTF-8" in _assert_refused(capfd, "check", str(tmp_path / "scene.toml"))
 
 
 NAMES = ["a" * 5000, "a\0b", "~nosuch/x.toml", "/dev/zero", "../" * 3000, "/", "", "pipe.toml", "\udcff.toml"]
@@ -80,15 +80,15 @@ def test_hostile_names(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo(tmp_path / "pipe.toml")
-    _refused(capfd, "check", name)
+    _assert_refused(capfd, "check", name)
     mold = scenes.FILE[scenes.FILE.index('shape = "revolved"') : scenes.FILE.index("[solver]")]
     if name.isprintable():
         stl = name.replace("toml", "stl")
         (tmp_path / "scene.toml").write_text(scenes.FILE.replace(mold, f'shape = "file"\npath = "{stl}"\n'))
-        assert "mold.path" in _refused(capfd, "check", "scene.toml")
+        assert "mold.path" in _assert_refused(capfd, "check", "scene.toml")
     (tmp_path / "good.toml").write_text(scenes.FILE)
     if name not in ("", "/", "../" * 3000, "\udcff.toml", "~nosuch/x.toml"):
-        assert "--out" in _refused(capfd, "simulate", "good.toml", "--out", name)
+        assert "--out" in _assert_refused(capfd, "simulate", "good.toml", "--out", name)
 
 
 def _homeless(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,7 +103,7 @@ def _homeless(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     _homeless(monkeypatch)
     assert cachefolder.user_cache_folder() is None
-    assert "home" in _refused(capfd, "check", "~/scene.toml")
+    assert "home" in _assert_refused(capfd, "check", "~/scene.toml")
 
 
 NUMBERS = [
@@ -126,7 +126,7 @@ def test_numbers_that_nothing_can_be_computed_with(
 ) -> None:
     assert old in scenes.FILE
     (tmp_path / "scene.toml").write_text(scenes.FILE.replace(old, new, 1))
-    assert f"{key} = " in _refused(capfd, "check", str(tmp_path / "scene.toml"))
+    assert f"{key} = " in _assert_refused(capfd, "check", str(tmp_path / "scene.toml"))
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_what_the_machine_refuses_is_one_line(
         raise error
 
     monkeypatch.setattr(command, "_scenes", fail)
-    assert words in _refused(capfd, "scenes")
+    assert words in _assert_refused(capfd, "scenes")
 
 
 def test_a_mistake_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,7 +170,7 @@ def test_a_full_disk_for_people_who_read(capfd: pytest.CaptureFixture[str], monk
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(session, "say", full)
-    assert "No space left" in _refused(capfd, "scenes")
+    assert "No space left" in _assert_refused(capfd, "scenes")
 
 
 def test_frames_that_cannot_be_written_lose_nothing_else(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _unpacked(text: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _unpack(text: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a parcel, by another way than the page's script: whole columns at once."""
     content = zlib.decompress(base64.b64decode(text))
     size = int.from_bytes(content[:4], "little")
@@ -154,7 +154,7 @@ def _unpacked(text: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 def _parcel(page: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     found = re.search(r'id="parcel">([^<]*)<', page.read_text(encoding="utf-8"))
     assert found
-    return _unpacked(found[1])
+    return _unpack(found[1])
 
 
 def test_what_is_packed_comes_back() -> None:
@@ -167,7 +167,7 @@ def test_what_is_packed_comes_back() -> None:
     parcel.add("walls", walls, relative=True)
     parcel.add("coarse", walls, relative=True, coarse=True)
     parcel.add_triangles("triangles", triangles)
-    facts, arrays = _unpacked(parcel.text({"name": "ü", "numbers": [1, {"k": np.inf}]}))
+    facts, arrays = _unpack(parcel.text({"name": "ü", "numbers": [1, {"k": np.inf}]}))
     assert facts["name"] == "ü" and facts["numbers"] == [1, {"k": None}]
     np.testing.assert_allclose(
         arrays["places"], places, atol=np.nanmax(np.nanmax(places, 0) - np.nanmin(places, 0)) / 131068
@@ -262,7 +262,7 @@ def test_frames_share_a_mesh_or_bring_their_own(folder: Path) -> None:
     finer = part._replace(triangles=part.triangles[order], cells={name: x[order] for name, x in part.cells.items()})
     parcel = binary_packing.Parcel()
     results = stored_results.Results({"time": 1.0}, part, frames=[(0.1, half), (0.2, finer), (0.3, finer)])
-    arrays = _unpacked(parcel.text(contents.pack_parts(results, parcel)))[1]
+    arrays = _unpack(parcel.text(contents.pack_parts(results, parcel)))[1]
     assert {name for name in arrays if name.startswith("mesh")} == {
         f"mesh{mesh}.{name}" for mesh in (0, 1) for name in ("triangles", "reference", "level")
     }
@@ -478,7 +478,7 @@ def test_a_browser_draws_it_and_a_click_tells_the_wall(page: browser.Browser, fo
     assert page.complaints == [] and page.requests == [(folder / "report.html").as_uri()]
 
 
-def _seen(folder: Path, width: int, height: int) -> NDArray[np.int64]:
+def _visible_elements(folder: Path, width: int, height: int) -> NDArray[np.int64]:
     """Which element each pixel (height, width) of the first view shows, -1 none: by a camera and raster of ours."""
     part = stored_results.read_results(folder).part
     images = [part.positions * [x, y, 1] for y in (1, -1) for x in (1, -1)]
@@ -504,7 +504,7 @@ def _seen(folder: Path, width: int, height: int) -> NDArray[np.int64]:
 
 def test_clicks_are_exact_to_the_element(page: browser.Browser, folder: Path) -> None:
     left, top, width, height = _visit(page, folder / "report.html")
-    seen = _seen(folder, round(width), round(height))
+    seen = _visible_elements(folder, round(width), round(height))
     random, asked = np.random.default_rng(1), []
     while len(asked) < 40:
         x, y = random.integers(2, [round(width) - 2, round(height) - 2])

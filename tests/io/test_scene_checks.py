@@ -20,7 +20,7 @@ CUP = [[0.0, 0.05], [0.055, 0.05], [0.1, 0.0]]
 FLANGED = [[0.0, 0.05], [0.03, 0.05], [0.04, 0.0], [0.12, 0.0]]
 
 
-def _told(folder: Path, text: str) -> list[str]:
+def _collect_warnings(folder: Path, text: str) -> list[str]:
     """What is warned of where a scene is loaded."""
     (folder / "scene.toml").write_text(text)
     with warnings.catch_warnings(record=True) as heard:
@@ -57,7 +57,7 @@ def _with_file(keys: str) -> str:
 def test_a_mold_in_other_units_is_named_with_its_scale(tmp_path: Path, units: float, keys: str, words: str) -> None:
     cup = molds.revolved(profile=np.array(CUP) * units, segments=24)
     meshes.write_stl(tmp_path / "cup.stl", cup.vertices, cup.triangles)
-    told = _told(tmp_path, _with_file(keys))
+    told = _collect_warnings(tmp_path, _with_file(keys))
     assert len(told) == bool(words)
     assert not words or (words in told[0] and "mold.scale" in told[0] and "scene.toml" in told[0])
 
@@ -67,7 +67,7 @@ def test_a_sheet_in_millimetres_in_a_mold_in_metres(tmp_path: Path) -> None:
     meshes.write_vtu(tmp_path / "sheet.vtu", sheet.positions, sheet.triangles)
     begin, end = scenes.FILE.index('shape = "disc"'), scenes.FILE.index("[material]")
     text = scenes.FILE.replace(scenes.FILE[begin:end], 'shape = "file"\npath = "sheet.vtu"\nthickness = 1.0\n')
-    told = _told(tmp_path, text)
+    told = _collect_warnings(tmp_path, text)
     assert "the sheet is 100 m wide" in told[0] and "is the sheet in millimetres?" in told[1]
     assert "parison.scale = 0.001" in told[1]
 
@@ -76,12 +76,12 @@ def test_a_sheet_in_millimetres_in_a_mold_in_metres(tmp_path: Path) -> None:
 def test_a_mold_on_the_wrong_side(tmp_path: Path, profile: list[list[float]], above: float) -> None:
     """Also where its flange is in the sheet's plane or a little behind it, as in molds from CAD."""
     wrong, right = (_with_profile([[r, side * (z - above)] for r, z in profile]) for side in (-1, 1))
-    told = _told(tmp_path, wrong)
+    told = _collect_warnings(tmp_path, wrong)
     assert len(told) == 1 and "towards +z, away from the mold" in told[0]
-    assert _told(tmp_path, right) == []
+    assert _collect_warnings(tmp_path, right) == []
     both = wrong.replace("value = [0.0, 2.0e4]", "value = [-1.0e4, 2.0e4]")
-    assert _told(tmp_path, both) == []
-    assert _told(tmp_path, wrong.replace("value = [0.0, 2.0e4]", "value = [0.0, -2.0e4]")) == []
+    assert _collect_warnings(tmp_path, both) == []
+    assert _collect_warnings(tmp_path, wrong.replace("value = [0.0, 2.0e4]", "value = [0.0, -2.0e4]")) == []
 
 
 def test_shares_of_the_mold_and_of_the_sheet() -> None:
@@ -136,14 +136,14 @@ def test_a_sphere_is_pushed_outwards_and_sees_the_mold_all_round() -> None:
 def test_numbers_out_of_any_sense(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert old in scenes.FILE
     text = scenes.FILE.replace(old, new)
-    told = _told(tmp_path, text.replace("end_time = 0.05", "end_time = 1.0e-4"))
+    told = _collect_warnings(tmp_path, text.replace("end_time = 0.05", "end_time = 1.0e-4"))
     assert any(words in sentence for sentence in told), told
 
 
 def test_a_mold_beside_the_sheet(tmp_path: Path) -> None:
     cup = molds.revolved(profile=CUP, segments=24)
     meshes.write_stl(tmp_path / "cup.stl", cup.vertices, cup.triangles)
-    told = _told(tmp_path, _with_file("translate = [0.35, 0.35, 0.0]"))
+    told = _collect_warnings(tmp_path, _with_file("translate = [0.35, 0.35, 0.0]"))
     assert len(told) == 1 and "the mold is beside the sheet" in told[0]
 
 
@@ -185,9 +185,9 @@ def test_a_hole_in_the_mold_is_told_with_its_place(hole: float) -> None:
 def test_a_law_that_lets_go_is_told_with_the_stretch(tmp_path: Path) -> None:
     law = 'model = "yeoh"\nc1 = 2e5\nc2 = {c2}\nc3 = 0.0\n'
     text = scenes.FILE.replace('model = "mooney-rivlin"\nc = 0.2e6\nalpha = 0.1\n', law)
-    assert _told(tmp_path, text.format(c2=1e3)) == []
+    assert _collect_warnings(tmp_path, text.format(c2=1e3)) == []
     # dW/dI1 = c1 + 2 c2 (I1 - 3) is zero at I1 = 13: 2 x^2 + x^-4 for x = 2.546.
-    told = _told(tmp_path, text.format(c2=-1e4))
+    told = _collect_warnings(tmp_path, text.format(c2=-1e4))
     assert len(told) == 1 and "lets go of a sheet that is stretched 2.55 times both ways" in told[0]
 
 

@@ -28,7 +28,7 @@ def _scene(further: str, temperature: float | None = None) -> str:
     return text.replace("thickness = 1.0e-3", "thickness = 1.0e-3" + given)
 
 
-def _told(folder: Path, text: str) -> list[str]:
+def _collect_warnings(folder: Path, text: str) -> list[str]:
     (folder / "scene.toml").write_text(text)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
@@ -55,7 +55,7 @@ DOUBTFUL = {
 @pytest.mark.parametrize("name", DOUBTFUL)
 def test_numbers_in_other_units_are_told(tmp_path: Path, name: str) -> None:
     further, temperature, words = DOUBTFUL[name]
-    (told,) = _told(tmp_path, _scene(further, temperature))
+    (told,) = _collect_warnings(tmp_path, _scene(further, temperature))
     assert words in told
 
 
@@ -71,12 +71,14 @@ def test_numbers_in_other_units_are_told(tmp_path: Path, name: str) -> None:
     ],
 )
 def test_usual_numbers_are_not(tmp_path: Path, further: str, temperature: float) -> None:
-    assert not _told(tmp_path, _scene(further, temperature))
+    assert not _collect_warnings(tmp_path, _scene(further, temperature))
 
 
 def test_a_mold_faster_than_waves_is_told(tmp_path: Path) -> None:
     motion = "[mold.motion]\ndirection = [0.0, 0.0, 1.0]\ntime = [0.0, {time}]\ndisplacement = [0.0, 0.03]\n[solver]"
-    slow, slip = (_told(tmp_path, scenes.FILE.replace("[solver]", motion.format(time=time))) for time in (0.01, 1e-4))
+    slow, slip = (
+        _collect_warnings(tmp_path, scenes.FILE.replace("[solver]", motion.format(time=time))) for time in (0.01, 1e-4)
+    )
     assert not slow and len(slip) == 1 and "moves at 300 m/s, faster than waves in the sheet" in slip[0]
 
 

@@ -20,7 +20,7 @@ def of_jax(asked: jax.Array, work: Callable[[Any], Any], value: Any) -> Any:
     return jax.lax.cond(asked, work, lambda value: value, value)
 
 
-def walked(choose: Callable[..., Any], start: jax.Array, table: jax.Array, limit: jax.Array) -> jax.Array:
+def walk(choose: Callable[..., Any], start: jax.Array, table: jax.Array, limit: jax.Array) -> jax.Array:
     """A few passes, of which only those below a limit do anything; the work reads of a table."""
 
     def step(carry: tuple[jax.Array, jax.Array], number: jax.Array) -> tuple[Any, None]:
@@ -37,7 +37,7 @@ def walked(choose: Callable[..., Any], start: jax.Array, table: jax.Array, limit
 def test_derivatives_are_those_of_jax(limit: int) -> None:
     def derivatives(choose: Callable[..., Any]) -> Any:
         def both(x: jax.Array, table: jax.Array) -> jax.Array:
-            return walked(choose, x, table, jnp.int32(limit))
+            return walk(choose, x, table, jnp.int32(limit))
 
         return [
             jax.value_and_grad(both, (0, 1))(START, TABLE),
@@ -55,7 +55,7 @@ def test_side_by_side_each_takes_its_own_way() -> None:
     limits = jnp.arange(COUNT + 1)
 
     def slopes(choose: Callable[..., Any]) -> jax.Array:
-        slope = jax.grad(lambda x, limit: walked(choose, x, TABLE, limit))
+        slope = jax.grad(lambda x, limit: walk(choose, x, TABLE, limit))
         return jax.vmap(slope, (None, 0))(START, limits)
 
     np.testing.assert_allclose(slopes(branch), slopes(of_jax), rtol=1e-14)
@@ -75,7 +75,7 @@ def test_what_is_linearized_can_be_called_mapped_transposed_and_differentiated()
 
     def derivatives(choose: Callable[..., Any]) -> Any:
         def figure(x: jax.Array) -> jax.Array:
-            return walked(choose, x, TABLE, limit) * x
+            return walk(choose, x, TABLE, limit) * x
 
         def pushed(x: jax.Array, way: jax.Array) -> jax.Array:
             return jax.linearize(figure, x)[1](way)
@@ -95,12 +95,12 @@ def test_what_is_linearized_can_be_called_mapped_transposed_and_differentiated()
 
     mine, its = derivatives(branch), derivatives(of_jax)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-15), mine, its)
-    expected = jax.jacfwd(lambda x: walked(of_jax, x, TABLE, limit) * x)(START)
+    expected = jax.jacfwd(lambda x: walk(of_jax, x, TABLE, limit) * x)(START)
     np.testing.assert_allclose(mine[0], expected.T, rtol=1e-13)
 
 
 def test_a_reverse_derivative_of_a_reverse_one_is_refused_in_words() -> None:
-    gradient = jax.grad(lambda x: walked(branch, x, TABLE, jnp.int32(2)))
+    gradient = jax.grad(lambda x: walk(branch, x, TABLE, jnp.int32(2)))
     with pytest.raises(NotImplementedError, match=r"jax\.hessian"):
         jax.grad(lambda x: jnp.sum(gradient(x)))(START)
     push = jax.linearize(gradient, START)[1]

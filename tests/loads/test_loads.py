@@ -45,7 +45,7 @@ def sphere(elements: int, outside: float, stretch: float, end_time: float = 60.0
     )
 
 
-def _retried(result: Result) -> int:
+def _retry(result: Result) -> int:
     assert result.schedule is not None
     counts = np.asarray(result.schedule.counts)
     return int(np.sum(counts[: np.flatnonzero(counts)[-1]] == 0))
@@ -61,7 +61,7 @@ def test_a_sphere_filled_with_gas() -> None:
     scene = sphere(512, outside=1.0, stretch=1.5)
     result = jaxform.run(scene)
     radius = np.linalg.norm(np.asarray(result.positions), axis=1)
-    assert int(result.status) == 0 and _retried(result) == 0
+    assert int(result.status) == 0 and _retry(result) == 0
     # What 512 flat triangles leave.
     assert np.sqrt(np.mean(np.square(radius / 1.5 - 1.0))) < 3e-3
     assert float(jaxform.summarize(result, scene)["energy"]["balance_error"]) < 1e-3
@@ -98,7 +98,7 @@ def test_the_step_is_below_the_limit_however_stiff_the_gas(outside: float) -> No
     result = jaxform.run(
         dataclasses.replace(scene, solver=dataclasses.replace(scene.solver, end_time=real(2000 * limit)))
     )
-    assert int(result.status) == 0 and _retried(result) == 0
+    assert int(result.status) == 0 and _retry(result) == 0
 
 
 @pytest.fixture(scope="module")

@@ -118,7 +118,7 @@ def test_a_sphere_under_a_step_of_pressure(kind: Any) -> None:
         assert float(result.energy.balance_error) < 1e-3 and float(result.energy.viscous_loss) > 0.0
 
 
-def _dissipated(time: float, stretches: np.ndarray, step: float) -> tuple[float, list[Any]]:
+def _dissipated_power(time: float, stretches: np.ndarray, step: float) -> tuple[float, list[Any]]:
     """Power lost by a Maxwell mode of modulus 1 at the last of uniaxial stretches, a step apart; the strains."""
     modes = jaxform.Maxwell(jnp.ones(1), jnp.full(1, time))
     rest, gain, strains = modes.initial_stress(UNIT), 0.0, []
@@ -136,7 +136,7 @@ def _dissipated(time: float, stretches: np.ndarray, step: float) -> tuple[float,
 def test_a_mode_far_shorter_than_the_step_loses_what_a_viscous_fluid_does(short: float) -> None:
     """Half the modulus times the mode's time, times the square of the rate of C^-1, in the present metric."""
     step, stretches = 1e-3, np.linspace(1.0, 3.0, 41)
-    found, strains = _dissipated(step / short, stretches, step)
+    found, strains = _dissipated_power(step / short, stretches, step)
     rate = (strains[-1] - strains[-2]) / step
     square = sum(np.square(rate[[0, 2, 3]] * [9.0, 1 / 3.0, 1 / 3.0]))
     np.testing.assert_allclose(found, 0.5 * step / short * square, rtol=3.0 / short + 1e-4)
@@ -145,13 +145,13 @@ def test_a_mode_far_shorter_than_the_step_loses_what_a_viscous_fluid_does(short:
 @pytest.mark.parametrize("short", [1e8, 1e12, 1e20])
 def test_of_a_mode_that_no_step_can_show_no_rounding_is_lost(short: float) -> None:
     step, stretches = 1e-3, np.linspace(1.0, 3.0, 41)
-    found, _ = _dissipated(step / short, stretches, step)
+    found, _ = _dissipated_power(step / short, stretches, step)
     # It is less than 1e-6 of a power of 1 per second; the difference divided by the time was 1e3 to 1e16.
     assert abs(found) < 1e-4
 
 
 def test_losses_far_from_equilibrium_are_those_of_the_conformation() -> None:
-    found, _ = _dissipated(2.0, np.array([1.0, 1.2, 1.5]), 2e-6)
+    found, _ = _dissipated_power(2.0, np.array([1.0, 1.2, 1.5]), 2e-6)
     conformation = np.array([2.25, 1 / 1.5, 1 / 1.5])
     exact = 0.25 * np.sum(conformation + 1.0 / conformation - 2.0)
     np.testing.assert_allclose(found, exact, rtol=1e-5)

@@ -21,14 +21,14 @@ def _radius(scene: jaxform.Scene) -> np.ndarray:
     return np.linalg.norm(np.asarray(scene.parison.positions), axis=1)
 
 
-def _stiffening(scene: jaxform.Scene) -> jaxform.Scene:
+def _stiffening_law(scene: jaxform.Scene) -> jaxform.Scene:
     """With c = 1 + R^2 / 2."""
     return jaxform.replace(scene, {"material.c": 1.0 + 0.5 * np.square(_radius(scene))})
 
 
 def test_a_free_disc_of_two_stiffnesses_in_one() -> None:
     """Height of the pole and wall at P = 3 c h0/a, from the exact membrane."""
-    scene = _stiffening(scenes.free_disc(700, 3.0, scenes.mooney(0.1)))
+    scene = _stiffening_law(scenes.free_disc(700, 3.0, scenes.mooney(0.1)))
     result = jaxform.run(scene)
     assert int(result.status) == 0
     np.testing.assert_allclose(result.positions[scenes.pole(scene), 2], 0.5814991, rtol=2e-3)
@@ -43,7 +43,7 @@ def test_a_free_disc_of_two_stiffnesses_in_one() -> None:
 
 def test_a_cup_of_a_sheet_that_is_stiffer_outside() -> None:
     """The wall over the material, away from the corner, within 0.8 % of the exact cup of 80 degrees."""
-    scene = _stiffening(cases.cup_scene(600, scenes.mooney(0.1), 0.8, 0.45, 40.0))
+    scene = _stiffening_law(cases.cup_scene(600, scenes.mooney(0.1), 0.8, 0.45, 40.0))
     result, places = jaxform.run(scene), _radius(scene)
     assert int(result.status) == 0
     ratio = np.asarray(result.thickness) / np.asarray(scene.parison.thickness)
@@ -56,7 +56,7 @@ def test_a_cup_of_a_sheet_that_is_stiffer_outside() -> None:
 
 
 def test_only_the_product_of_stiffness_and_thickness_counts_in_a_slow_process() -> None:
-    stiff = _stiffening(scenes.cup())
+    stiff = _stiffening_law(scenes.cup())
     profile = 1.0 + 0.5 * np.square(_radius(stiff))
     thick = jaxform.replace(scenes.cup(), {"parison.thickness": 0.01 * profile})
     walls = [np.asarray(jaxform.run(scene).stretches) for scene in (stiff, thick)]

@@ -33,7 +33,7 @@ def _read(folder: Path, name: str, content: str | bytes, **options: Any) -> Mesh
     return read_mesh(path, **options)
 
 
-def _refused(folder: Path, name: str, content: str | bytes) -> str:
+def _assert_refused(folder: Path, name: str, content: str | bytes) -> str:
     with pytest.raises(InputError) as caught:
         _read(folder, name, content)
     assert name in str(caught.value) and "\n" not in str(caught.value)
@@ -98,20 +98,20 @@ def test_bytes_after_the_last_triangle_of_an_stl_are_left_out_with_a_word(tmp_pa
 
 @pytest.mark.parametrize("header", [b"cup", b"solid cup", b"solid facet"])
 def test_a_binary_stl_that_is_cut_says_how_much_is_there(tmp_path: Path, header: bytes) -> None:
-    words = _refused(tmp_path, "cup.stl", _binary_stl(header)[:-60])
+    words = _assert_refused(tmp_path, "cup.stl", _binary_stl(header)[:-60])
     assert ("34 of 36 triangles" in words) or (header == b"solid facet" and "not all of it" in words)
 
 
 @pytest.mark.parametrize("name", ["cup.step", "cup.STP", "cup.igs", "cup.sldprt"])
 def test_geometry_of_a_cad_program_is_refused_with_the_way_to_a_mesh(tmp_path: Path, name: str) -> None:
-    words = _refused(tmp_path, name, "ISO-10303-21;\nHEADER;\n")
+    words = _assert_refused(tmp_path, name, "ISO-10303-21;\nHEADER;\n")
     assert "no triangles" in words and "export the part as STL" in words
 
 
 def test_an_ascii_stl_that_is_cut_is_refused(tmp_path: Path) -> None:
     text = _ascii_stl()
     for end in (text.rindex("endsolid"), text.rindex("endloop"), text.rindex("vertex") + 20, len(text) // 2):
-        assert "not all of it" in _refused(tmp_path, "cup.stl", text[:end])
+        assert "not all of it" in _assert_refused(tmp_path, "cup.stl", text[:end])
 
 
 def _obj(face: str = "f {} {} {}\n", relative: bool = False) -> str:
@@ -149,8 +149,8 @@ def test_an_obj_that_is_cut_is_told_of(tmp_path: Path) -> None:
         _read(tmp_path, "cup.obj", text[: text.index("\nf ") + 40])
     with pytest.warns(InputWarning, match="ends within a line"):
         _read(tmp_path, "cup.obj", text[:-1])
-    assert "has a face with 2 corners" in _refused(tmp_path, "cup.obj", text[: text.rindex(" ")])
-    assert "not all of it" in _refused(tmp_path, "cup.obj", text[: text.index("\nv ", 200) + 8])
+    assert "has a face with 2 corners" in _assert_refused(tmp_path, "cup.obj", text[: text.rindex(" ")])
+    assert "not all of it" in _assert_refused(tmp_path, "cup.obj", text[: text.index("\nv ", 200) + 8])
 
 
 def _quads() -> tuple[np.ndarray, np.ndarray]:
@@ -276,12 +276,12 @@ def test_solids_alone_are_no_surface(tmp_path: Path, ending: str) -> None:
 
 def test_a_vtk_image_is_no_surface(tmp_path: Path) -> None:
     text = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 9999 9999 9999\n"
-    assert "structured_points" in _refused(tmp_path, "image.vtk", text)
+    assert "structured_points" in _assert_refused(tmp_path, "image.vtk", text)
 
 
 @pytest.mark.parametrize(("factor", "words"), [(1e-30, "1e-09"), (1e12, "1e+06")])
 def test_a_mesh_of_no_possible_size_is_refused(tmp_path: Path, factor: float, words: str) -> None:
-    line = _refused(tmp_path, "cup.stl", _binary_stl(soup=SOUP * factor))
+    line = _assert_refused(tmp_path, "cup.stl", _binary_stl(soup=SOUP * factor))
     assert "give a scale" in line and words in line
 
 

@@ -46,7 +46,7 @@ def volume(mesh) -> float:
     return float(np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6)
 
 
-def refused(path: Path, capfd) -> InputError:
+def assert_refused(path: Path, capfd) -> InputError:
     with pytest.raises(InputError) as caught:
         read_mesh(path)
     printed = capfd.readouterr()
@@ -90,7 +90,7 @@ def test_quads_are_split_and_lines_and_solids_ignored(tmp_path):
 def test_curved_faces_are_refused_not_dropped(tmp_path, capfd):
     positions = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     cells = [("triangle", [[0, 1, 2]]), ("triangle6", [[0, 1, 2, 3, 4, 5]])]
-    assert "curved" in refused(write(tmp_path, "vtu", cells, positions), capfd).problem
+    assert "curved" in assert_refused(write(tmp_path, "vtu", cells, positions), capfd).problem
 
 
 def test_obj_of_a_modelling_program(tmp_path):
@@ -125,7 +125,7 @@ def test_garbage_is_an_input_error_and_prints_nothing(tmp_path, capfd, suffix, c
             "long text": b"v 1 2 3 is a line of a letter,\nf is for facet normal.\n" * 50,
         }[content]
     )
-    error = refused(path, capfd)
+    error = assert_refused(path, capfd)
     assert ("is empty" in error.problem) == (content == "empty")
 
 
@@ -146,7 +146,7 @@ HEADERS = {
 def test_garbage_behind_a_good_beginning(tmp_path, capfd, suffix, seed):
     path = tmp_path / f"garbage{suffix}"
     path.write_bytes(HEADERS[suffix] + np.random.default_rng(seed).bytes(1000))
-    assert refused(path, capfd).remedy
+    assert assert_refused(path, capfd).remedy
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FORMATS if kind != "obj"])
@@ -155,7 +155,7 @@ def test_truncated(tmp_path, capfd, kind, kept):
     path = write(tmp_path, kind)
     content = path.read_bytes()
     path.write_bytes(content[: int(kept * len(content))])
-    assert refused(path, capfd).remedy
+    assert assert_refused(path, capfd).remedy
 
 
 @pytest.mark.filterwarnings("ignore::jaxform.core.errors.InputWarning")
@@ -188,40 +188,40 @@ def test_obj_cut_before_its_faces(tmp_path, capfd):
     path = write(tmp_path, "obj")
     content = path.read_bytes()
     path.write_bytes(content[: content.index(b"\nf ")])
-    assert refused(path, capfd).problem == "has no triangles"
+    assert assert_refused(path, capfd).problem == "has no triangles"
 
 
 def test_ascii_stl_cut_between_facets(tmp_path, capfd):
     path = write(tmp_path, "stl-ascii")
     text = path.read_text()
     path.write_text(text[: text.rindex("endfacet") + 9])
-    assert "not all of it" in refused(path, capfd).problem
+    assert "not all of it" in assert_refused(path, capfd).problem
 
 
 def test_not_a_file(tmp_path, capfd):
     (tmp_path / "folder.stl").mkdir()
     (tmp_path / "mesh.step").write_text("ISO-10303-21;")
-    assert refused(tmp_path / "absent.stl", capfd).problem == "does not exist"
-    assert "folder" in refused(tmp_path / "folder.stl", capfd).problem
-    assert ".vtu" in refused(tmp_path / "mesh.step", capfd).remedy
+    assert assert_refused(tmp_path / "absent.stl", capfd).problem == "does not exist"
+    assert "folder" in assert_refused(tmp_path / "folder.stl", capfd).problem
+    assert ".vtu" in assert_refused(tmp_path / "mesh.step", capfd).remedy
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e400"])
 def test_coordinates_that_are_not_finite(tmp_path, capfd, number):
     path = tmp_path / "bad.obj"
     path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 {number} 0\nf 1 2 3\n")
-    assert "not finite (node 2)" in refused(path, capfd).problem
+    assert "not finite (node 2)" in assert_refused(path, capfd).problem
 
 
 @pytest.mark.parametrize("corner", ["0", "4", "-4", "99999999999"])
 def test_nodes_that_do_not_exist(tmp_path, capfd, corner):
     path = tmp_path / "bad.obj"
     path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 {corner}\n")
-    assert "do not exist" in refused(path, capfd).problem
+    assert "do not exist" in assert_refused(path, capfd).problem
 
 
 def test_only_points_or_lines(tmp_path, capfd):
-    assert refused(write(tmp_path, "vtu", [("line", [[0, 1]])]), capfd).problem == "has no triangles"
+    assert assert_refused(write(tmp_path, "vtu", [("line", [[0, 1]])]), capfd).problem == "has no triangles"
 
 
 @pytest.mark.parametrize("scale", [0, -1.0, float("nan"), float("inf")])

@@ -29,7 +29,7 @@ def _read(folder: Path, name: str, content: str | bytes) -> Mesh:
         return read_mesh(path, further=True)
 
 
-def _refused(folder: Path, name: str, content: str | bytes) -> str:
+def _assert_refused(folder: Path, name: str, content: str | bytes) -> str:
     with pytest.raises(InputError) as caught:
         _read(folder, name, content)
     words = str(caught.value)
@@ -134,10 +134,10 @@ def test_a_ply_that_is_cut_says_how_much_is_there(tmp_path: Path, order: str, fa
     content = _ply(order=order, faces=faces)
     end = content.rstrip(b"\n").rfind(b" ") if order == "ascii" else -2
     count = 36 if faces is None else 2
-    assert f"{count - 1} of its {count} items `face`" in _refused(tmp_path, "cup.ply", content[:end])
+    assert f"{count - 1} of its {count} items `face`" in _assert_refused(tmp_path, "cup.ply", content[:end])
     body = content.index(b"end_header") + 30
-    assert f"of its {25 if faces is None else 6} items `vertex`" in _refused(tmp_path, "cup.ply", content[:body])
-    assert "end_header" in _refused(tmp_path, "cup.ply", content[:50])
+    assert f"of its {25 if faces is None else 6} items `vertex`" in _assert_refused(tmp_path, "cup.ply", content[:body])
+    assert "end_header" in _assert_refused(tmp_path, "cup.ply", content[:50])
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_ply_that_is_cut_says_how_much_is_there(tmp_path: Path, order: str, fa
 )
 def test_a_ply_that_is_none_says_why(tmp_path: Path, change: tuple[bytes, bytes], words: str) -> None:
     content = _ply()
-    assert change[0] in content and words in _refused(tmp_path, "cup.ply", content.replace(*change))
+    assert change[0] in content and words in _assert_refused(tmp_path, "cup.ply", content.replace(*change))
 
 
 # --- OBJ ------------------------------------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def test_an_input_file_that_is_more_than_a_mesh_is_refused_by_name(
     tmp_path: Path, change: tuple[str, str], words: str
 ) -> None:
     order = PLAIN.replace(f"1, {FACES[0][0] + 1}, {FACES[0][1] + 1}", "1, 1, 2") if change[0] == "1, 1, 2" else PLAIN
-    assert change[0] in order and words in _refused(tmp_path, "cup.inp", order.replace(*change, 1))
+    assert change[0] in order and words in _assert_refused(tmp_path, "cup.inp", order.replace(*change, 1))
 
 
 # --- Nastran and OptiStruct -----------------------------------------------------------------------------------------
@@ -344,7 +344,7 @@ def test_bulk_data_that_is_more_than_a_mesh_is_refused_by_name(
 ) -> None:
     text = _bulk("free")
     assert change[0] in text
-    assert words in _refused(
+    assert words in _assert_refused(
         tmp_path, "cup.bdf", text.replace(*change) if change[0] == "CTRIA3" else text.replace(*change, 1)
     )
 
@@ -461,18 +461,18 @@ def test_data_at_nodes_of_gmsh_are_fields(tmp_path: Path, order: str) -> None:
 def test_a_mesh_of_gmsh_that_is_cut_or_curved_or_of_another_version_says_so(tmp_path: Path) -> None:
     for version, order in itertools.product(("2.2", "4.1"), ("", "<")):
         content = _msh(version, order)
-        assert "section $Elements has no end" in _refused(tmp_path, "cup.msh", content[:-15])
+        assert "section $Elements has no end" in _assert_refused(tmp_path, "cup.msh", content[:-15])
         short = content[: content.index(b"$EndElements") - 60] + content[content.index(b"$EndElements") :]
-        assert "cut off: a section has fewer numbers" in _refused(tmp_path, "cup.msh", short)
-    assert "version 3.0 of the MSH format" in _refused(
+        assert "cut off: a section has fewer numbers" in _assert_refused(tmp_path, "cup.msh", short)
+    assert "version 3.0 of the MSH format" in _assert_refused(
         tmp_path, "cup.msh", _msh("2.2", "").replace(b"2.2 0 8", b"3.0 0 8")
     )
     curved = _msh("2.2", "").replace(b"1 1 2 0 1 11 12", b"1 9 2 0 1 11 12 13 14 15 16")
-    assert "curved faces" in _refused(tmp_path, "cup.msh", curved)
+    assert "curved faces" in _assert_refused(tmp_path, "cup.msh", curved)
     solid = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 1 0 0\n3 0 1 0\n4 0 0 1\n$EndNodes\n"
-    assert "solids but no surface" in _refused(
+    assert "solids but no surface" in _assert_refused(
         tmp_path, "s.msh", solid + "$Elements\n1\n1 4 2 0 1 1 2 3 4\n$EndElements\n"
     )
     missing = _msh("2.2", "").replace(b"\n11 ", b"\n99 ", 1)
-    assert "elements of node 11, which is not there" in _refused(tmp_path, "cup.msh", missing)
-    assert "no section $MeshFormat" in _refused(tmp_path, "cup.msh", "hello\n")
+    assert "elements of node 11, which is not there" in _assert_refused(tmp_path, "cup.msh", missing)
+    assert "no section $MeshFormat" in _assert_refused(tmp_path, "cup.msh", "hello\n")

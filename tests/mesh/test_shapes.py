@@ -337,7 +337,7 @@ def soup(sheet) -> Mesh:
     return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
 
 
-def rejected(key: str, mesh: Mesh, **options) -> str:
+def assert_rejected(key: str, mesh: Mesh, **options) -> str:
     with pytest.raises(InputError) as caught:
         from_mesh(mesh, **options)
     assert caught.value.key == key and caught.value.remedy
@@ -384,8 +384,8 @@ def test_clamp_none_is_for_closed_meshes_and_cut_ones():
     assert not from_mesh(as_mesh(sphere(radius=1.0, elements=200)), clamp="none").clamped.any()
     cut = as_mesh(sphere(radius=1.0, elements=200, symmetry="quarter"))
     assert not from_mesh(cut, clamp="none", planes=["x", "y"]).clamped.any()
-    assert "unclamped open parison" in rejected("parison.clamp", cut, clamp="none", planes=["x"])
-    assert "unclamped open" in rejected("parison.clamp", as_mesh(disc(radius=1.0, elements=50)), clamp="none")
+    assert "unclamped open parison" in assert_rejected("parison.clamp", cut, clamp="none", planes=["x"])
+    assert "unclamped open" in assert_rejected("parison.clamp", as_mesh(disc(radius=1.0, elements=50)), clamp="none")
 
 
 def test_every_open_part_needs_a_clamp():
@@ -401,7 +401,7 @@ def test_every_open_part_needs_a_clamp():
         if fine:
             np.testing.assert_array_equal(from_mesh(mesh, clamp="field:grip").clamped, mesh.fields["grip"] == 1)
         else:
-            assert "unclamped open" in rejected("parison.clamp", mesh, clamp="field:grip")
+            assert "unclamped open" in assert_rejected("parison.clamp", mesh, clamp="field:grip")
         assert from_mesh(mesh).clamped.sum() == plate.clamped.sum() + other.clamped.sum()
 
 
@@ -409,35 +409,35 @@ def test_clamp_errors():
     plate = disc(radius=0.1, elements=100)
     one = np.ones(len(plate.positions))
     mesh = as_mesh(plate, zero=0 * one, nan=np.nan * one, all=one)
-    assert "no such field" in rejected("parison.clamp", mesh, clamp="field:grip")
-    assert "no node" in rejected("parison.clamp", mesh, clamp="field:zero")
-    assert "no node" in rejected("parison.clamp", mesh, clamp="field:nan")
-    assert "every node" in rejected("parison.clamp", mesh, clamp="field:all")
-    assert "no way" in rejected("parison.clamp", mesh, clamp="rim")
+    assert "no such field" in assert_rejected("parison.clamp", mesh, clamp="field:grip")
+    assert "no node" in assert_rejected("parison.clamp", mesh, clamp="field:zero")
+    assert "no node" in assert_rejected("parison.clamp", mesh, clamp="field:nan")
+    assert "every node" in assert_rejected("parison.clamp", mesh, clamp="field:all")
+    assert "no way" in assert_rejected("parison.clamp", mesh, clamp="rim")
 
 
 def test_plane_errors():
     mesh = as_mesh(disc(radius=0.1, elements=100))
     away = replace(mesh, positions=mesh.positions + np.array([1, 0, 0]))
-    assert "no node lies on x = 0" in rejected("parison.planes", away, planes=["x"])
-    assert "both sides of y = 0" in rejected("parison.planes", mesh, planes=["y"])
-    assert "no symmetry plane" in rejected("parison.planes", mesh, planes=["xy"])
+    assert "no node lies on x = 0" in assert_rejected("parison.planes", away, planes=["x"])
+    assert "both sides of y = 0" in assert_rejected("parison.planes", mesh, planes=["y"])
+    assert "no symmetry plane" in assert_rejected("parison.planes", mesh, planes=["xy"])
 
 
 def test_faults_of_the_surface():
     plate = disc(radius=0.1, elements=100)
     turned = plate.triangles.copy()
     turned[7] = turned[7, ::-1]
-    assert "inverted" in rejected("parison.path", Mesh(plate.positions, turned))
+    assert "inverted" in assert_rejected("parison.path", Mesh(plate.positions, turned))
     fin = np.array([[0, 1, len(plate.positions)]])
     positions = np.concatenate([plate.positions, [[0, 0, 1.0]]])
     finned = Mesh(positions, np.concatenate([plate.triangles, fin]).astype(np.int32))
-    assert "more than two triangles" in rejected("parison.path", finned)
+    assert "more than two triangles" in assert_rejected("parison.path", finned)
     flat = np.concatenate([plate.triangles, [[0, 1, 1], [2, 2, 3]]]).astype(np.int32)
-    problem = rejected("parison.path", Mesh(plate.positions, flat))
+    problem = assert_rejected("parison.path", Mesh(plate.positions, flat))
     assert problem.startswith("2 degenerate") and f"number {len(plate.triangles)}" in problem
     twice = np.concatenate([plate.triangles, plate.triangles[5:6]])
-    assert f"number {len(plate.triangles)}" in rejected("parison.path", Mesh(plate.positions, twice))
+    assert f"number {len(plate.triangles)}" in assert_rejected("parison.path", Mesh(plate.positions, twice))
 
 
 # Profiles

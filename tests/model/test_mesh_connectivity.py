@@ -31,12 +31,12 @@ def _patch(
 def _together(*parts: Mesh, gap: float = 0.0) -> Mesh:
     """The parts as one mesh, welded where nodes coincide; all but the first moved by a gap along x."""
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
-    places = np.concatenate([_moved(part, gap * (k > 0)).positions for k, part in enumerate(parts)])
+    places = np.concatenate([_move(part, gap * (k > 0)).positions for k, part in enumerate(parts)])
     faces = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
     return meshes.weld(Mesh(places, np.concatenate(faces).astype(np.int32)))
 
 
-def _moved(mesh: Mesh, shift: float) -> Mesh:
+def _move(mesh: Mesh, shift: float) -> Mesh:
     return Mesh(mesh.positions + np.array([shift, 0.0, 0.0]), mesh.triangles)
 
 
@@ -44,7 +44,7 @@ def _fan(*points: tuple[float, float], faces: list[list[int]]) -> Mesh:
     return Mesh(np.insert(np.array(points), 2, 0.0, axis=1), np.array(faces, np.int32))
 
 
-def _flipped(mesh: Mesh) -> Mesh:
+def _flip(mesh: Mesh) -> Mesh:
     return Mesh(mesh.positions, mesh.triangles[:, ::-1])
 
 
@@ -131,7 +131,7 @@ def test_bow_ties_open_and_closed() -> None:
     found = _found(_together(_patch(2, 2, low=(-1.0, -1.0)), _patch(2, 2)))
     assert found.part_count == 2 and len(found.pinched) == 1 and found.rims == 1
     ball = shapes.sphere(radius=1.0, elements=128)
-    one, other = (_moved(Mesh(ball.positions, ball.triangles), shift) for shift in (-1.0, 1.0))
+    one, other = (_move(Mesh(ball.positions, ball.triangles), shift) for shift in (-1.0, 1.0))
     mesh = _together(one, other)
     found = _found(mesh)
     np.testing.assert_allclose(mesh.positions[found.pinched], [[0.0, 0.0, 0.0]], atol=1e-12)
@@ -140,14 +140,14 @@ def test_bow_ties_open_and_closed() -> None:
 def test_parts_that_face_opposite_ways() -> None:
     one, other = _patch(4, 4), _patch(3, 3, low=(2.0, 0.0))
     assert not len(_found(_together(one, other)).opposed)
-    assert len(_found(_together(one, _flipped(other))).opposed) == 1
+    assert len(_found(_together(one, _flip(other))).opposed) == 1
     # The front and the back of a parison, each pushed away from the other.
-    back = _flipped(Mesh(one.positions - [0, 0, 0.2], one.triangles))
+    back = _flip(Mesh(one.positions - [0, 0, 0.2], one.triangles))
     assert not len(_found(_together(one, back)).opposed)
     ball = shapes.sphere(radius=1.0, elements=128)
-    near, far = (_moved(Mesh(ball.positions, ball.triangles), shift) for shift in (0.0, 3.0))
+    near, far = (_move(Mesh(ball.positions, ball.triangles), shift) for shift in (0.0, 3.0))
     assert not len(_found(_together(near, far)).opposed)
-    assert len(_found(_together(near, _flipped(far))).opposed) == 1
+    assert len(_found(_together(near, _flip(far))).opposed) == 1
 
 
 def test_joints_of_many_elements_take_no_time_to_speak_of() -> None:

@@ -122,16 +122,16 @@ def test_an_optimum_on_a_bound_is_kept_exactly_and_called_one() -> None:
     assert design.stopped_by in ("tolerance", "gradient_tolerance", "no-step")
 
 
-def _at(value: float, slope: float) -> Point:
+def _at_design(value: float, slope: float) -> Point:
     gradient = np.array([slope, 0.0])
     return Point(np.zeros(2), value, gradient, value, slope=gradient)
 
 
 def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
-    study, first = _study(0.01), _at(0.0275, 0.03)
+    study, first = _study(0.01), _at_design(0.0275, 0.03)
     idle = [0.0111] * 7
-    flat = termination.check_convergence(study, _at(0.0111, 1e-4), idle, first)
-    steep = termination.check_convergence(study, _at(0.0111, 0.03), idle, first)
+    flat = termination.check_convergence(study, _at_design(0.0111, 1e-4), idle, first)
+    steep = termination.check_convergence(study, _at_design(0.0111, 0.03), idle, first)
     assert flat is not None and flat.by == "tolerance"
     assert steep is not None and steep.by == "no-progress" and "100 % of the first one" in steep.words
     # What presses on a bound promises nothing.
@@ -140,15 +140,15 @@ def test_standing_still_on_a_slope_is_not_called_tolerance() -> None:
 
 
 def test_a_search_ends_where_deviations_are_finer_than_a_mesh_can_tell() -> None:
-    study, first = _study(0.01), _at(1.0, 1.0)
-    reached = termination.check_convergence(study, _at(0.9e-6, 0.1), [1.0, 0.9e-6], first)
+    study, first = _study(0.01), _at_design(1.0, 1.0)
+    reached = termination.check_convergence(study, _at_design(0.9e-6, 0.1), [1.0, 0.9e-6], first)
     assert reached is not None and reached.by == "target"
     # From 0.305 to 0.3 % in five steps: a wall of 1 mm by 50 nm.
     slow = np.square(np.linspace(3.05e-3, 3.0e-3, 6)).tolist()
-    ended = termination.check_convergence(study, _at(slow[-1], 1e-7), slow, _at(1.0, 1e-6))
+    ended = termination.check_convergence(study, _at_design(slow[-1], 1e-7), slow, _at_design(1.0, 1e-6))
     assert ended is not None and ended.by == "tolerance"
     quick = np.square(np.linspace(4e-3, 3.0e-3, 6)).tolist()
-    assert termination.check_convergence(study, _at(quick[-1], 1e-7), quick, _at(1.0, 1e-6)) is None
+    assert termination.check_convergence(study, _at_design(quick[-1], 1e-7), quick, _at_design(1.0, 1e-6)) is None
 
 
 def test_the_check_of_a_gradient_on_a_bound_stays_inside() -> None:

@@ -175,7 +175,7 @@ def test_a_ramp_told_by_its_two_ends_is_followed_between_them() -> None:
         stress.append((2.0 * c * (now**2 - 1.0 / now) + modulus * kept) / now)
     law = jaxform.NeoHookean(real(c), real(1000.0), viscous=jaxform.Maxwell(jnp.full(1, modulus), jnp.full(1, own)))
     known = np.interp(time, past, stretch)
-    found = states.along(law, "uniaxial", jnp.asarray(known), states.history(known, time))
+    found = states.nominal_stress(law, "uniaxial", jnp.asarray(known), states.history(known, time))
     np.testing.assert_allclose(found, stress, rtol=3e-4, atol=1e-6 * c)
 
 
@@ -217,7 +217,7 @@ def test_stability_is_that_of_the_energys_second_derivatives() -> None:
         third = one**-4
         matrix = 4.0 * np.array([[one**2 + third, third], [third, one**2 + third]])
         least.append(np.linalg.eigvalsh(matrix)[0])
-    np.testing.assert_allclose(100.0 - own.lacking(np.array([1.0]), margin=100.0), least, rtol=1e-10)
+    np.testing.assert_allclose(100.0 - own.deficit(np.array([1.0]), margin=100.0), least, rtol=1e-10)
     assert own.first_unstable(np.array([1.0])) is None
     assert own.first_unstable(np.array([-1.0])) == ("equibiaxial", 1.0)
 
@@ -231,7 +231,7 @@ def test_an_unstable_law_is_left_for_a_stable_one() -> None:
         found = fitting.fit([_pull("uniaxial", stretch, stress)], "yeoh")
     assert "would fit better where it is unstable" in warned[0]
     fine = np.linspace(1.05, 1.8, 500)
-    law = np.asarray(states.along(found.law, "uniaxial", jnp.asarray(fine)))
+    law = np.asarray(states.nominal_stress(found.law, "uniaxial", jnp.asarray(fine)))
     assert np.all(np.diff(law * fine) > -1e-4 * law.max())
 
 
@@ -251,7 +251,7 @@ def test_a_place_where_a_law_is_not_finite_is_not_stable(monkeypatch: pytest.Mon
     free = np.array([1.0, 2.0])
     beyond = np.array([2.0 * stretch**2 + stretch**-4 - 3.0 >= 2.0 for _, stretch in own.places])
     assert 0 < beyond.sum() < len(beyond)
-    np.testing.assert_array_equal(own.lacking(free), np.where(beyond, 1.0, 0.0))
+    np.testing.assert_array_equal(own.deficit(free), np.where(beyond, 1.0, 0.0))
     assert np.isfinite(own.slopes(free, margin=1e3)).all()
     state, stretch = own.first_unstable(free) or ("", 0.0)
     assert state == "equibiaxial" and stretch == own.places[int(np.argmax(beyond))][1]

@@ -35,11 +35,11 @@ def _known(path: Path, count: int = 4) -> int:
     return journal.replayed
 
 
-def _without(key: str) -> Callable[[bytes], bytes]:
+def _without_key(key: str) -> Callable[[bytes], bytes]:
     return lambda line: json.dumps({k: v for k, v in json.loads(line).items() if k != key}).encode() + b"\n"
 
 
-def _with(change: dict[str, Any]) -> Callable[[bytes], bytes]:
+def _with_key(change: dict[str, Any]) -> Callable[[bytes], bytes]:
     return lambda line: json.dumps(json.loads(line) | change).encode() + b"\n"
 
 
@@ -53,14 +53,14 @@ DAMAGE: list[Callable[[bytes], bytes]] = [
     lambda _: b"\xff\xfe\x00junk\x80\n",
     lambda _: b"\x00" * 100 + b"\n",
     lambda _: b"[" * 100_000 + b"\n",
-    _without("kind"),
-    _without("at"),
-    _without("answer"),
-    _without("sum"),
-    _with({"at": "text"}),
-    _with({"answer": 5}),
-    _with({"answer": {"value": "0.5"}}),
-    _with({"answer": {"value": None}}),
+    _without_key("kind"),
+    _without_key("at"),
+    _without_key("answer"),
+    _without_key("sum"),
+    _with_key({"at": "text"}),
+    _with_key({"answer": 5}),
+    _with_key({"answer": {"value": "0.5"}}),
+    _with_key({"answer": {"value": None}}),
     lambda line: line.replace(b"10.0", b"11.0").replace(b"30.0", b"31.0"),
     lambda line: line.replace(b"\n", b"\r\n"),
     lambda line: line + line,
@@ -97,12 +97,12 @@ def test_a_line_that_was_cut_by_a_kill_is_left_out(tmp_path: Path) -> None:
     assert _known(path) == 4
 
 
-def _linked(path: Path, to: str) -> None:
+def _link(path: Path, to: str) -> None:
     path.unlink()
     path.symlink_to(to)
 
 
-def _piped(path: Path) -> None:
+def _pipe(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
 
@@ -110,8 +110,8 @@ def _piped(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda path: _linked(path, "/dev/zero"), "no regular file"),
-        (_piped, "no regular file"),
+        (lambda path: _link(path, "/dev/zero"), "no regular file"),
+        (_pipe, "no regular file"),
         (lambda path: os.truncate(path, 1 << 40), "damaged"),
         (lambda path: os.truncate(path, 0), "is empty"),
         (lambda path: path.write_bytes(b"{"), "damaged in line 1"),

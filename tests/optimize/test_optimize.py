@@ -25,7 +25,7 @@ BOUNDS = (0.004, 0.03)
 
 
 @functools.cache
-def _formed() -> jaxform.Result:
+def _form() -> jaxform.Result:
     return jaxform.run(scenes.cup())
 
 
@@ -49,7 +49,7 @@ def _study(**options: Any) -> optimize.Study:
 
 
 def test_targets_in_all_their_forms() -> None:
-    scene, result = scenes.cup(), _formed()
+    scene, result = scenes.cup(), _form()
     profile = Profile("radius", (0.0, 1.0), (0.004, 0.008))
     start, end = (np.asarray(x) for x in (scene.parison.positions, result.positions))
     initial = objectives.Target(scene, profile).wanted(result)
@@ -71,7 +71,7 @@ def test_bad_targets(target: float | np.ndarray) -> None:
 
 
 def test_a_target_with_a_limit_is_a_constraint_alone() -> None:
-    scene, result = scenes.cup(), _formed()
+    scene, result = scenes.cup(), _form()
     target = objectives.Target(scene, result.thickness / 1.1, limit=0.05)
     assert float(target(scene, result)) == 0.0
     # Twice the limit: 0.5 (2^2 - 1); on the limit 0.
@@ -81,7 +81,7 @@ def test_a_target_with_a_limit_is_a_constraint_alone() -> None:
 
 
 def test_objectives_are_what_they_say() -> None:
-    scene, result = scenes.cup(), _formed()
+    scene, result = scenes.cup(), _form()
     area, wall = np.asarray(formed_area(result)), np.asarray(result.element_thickness)
     mean = np.average(wall, weights=area)
     spread = np.average(np.square(wall / mean - 1), weights=area)
@@ -103,7 +103,7 @@ def test_objectives_are_what_they_say() -> None:
 
 def test_forming_time_is_near_the_last_contact_and_has_a_gradient() -> None:
     """The pressure's factor: twice the pressure forms sooner, and the derivative says by how much."""
-    scene, result = scenes.cup(), _formed()
+    scene, result = scenes.cup(), _form()
     touched = np.asarray(result.contact_time)
     share = float(optimize.FormingTime(scene, 100.0)(scene, result))
     free = np.any(touched < 0)
@@ -159,8 +159,8 @@ def test_the_least_mass_keeps_its_minimum_and_names_its_price() -> None:
     design = optimize.solve(study)
     wall = np.asarray(design.result.element_thickness)
     assert wall.min() > (1 - KEPT) * 0.0055 and design.violation <= KEPT
-    thinnest = float(np.asarray(_formed().element_thickness).min())
-    uniform = float(_formed().mass) * 0.0055 / thinnest
+    thinnest = float(np.asarray(_form().element_thickness).min())
+    uniform = float(_form().mass) * 0.0055 / thinnest
     assert float(design.result.mass) < 0.9 * uniform
     assert design.multiplier is not None
     np.testing.assert_allclose(design.multiplier, design.objective, rtol=0.1)

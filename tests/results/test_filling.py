@@ -36,7 +36,7 @@ def _own_cache() -> Iterator[None]:
         yield
 
 
-def _lowered(result: Result, scene: jaxform.Scene, height: float) -> Result:
+def _lower(result: Result, scene: jaxform.Scene, height: float) -> Result:
     """The sheet as it was at first, but its inner nodes pushed to a height [m] in the cup, as far as that has room."""
     positions = np.array(scene.parison.positions, float)
     radius = np.linalg.norm(positions[:, :2], axis=1)
@@ -55,7 +55,7 @@ def test_a_fifth_of_the_depth_left_open_is_a_status(
     at_rest: tuple[jaxform.Scene, Result], share: float, unfilled: bool
 ) -> None:
     scene, first = at_rest
-    part = _lowered(first, scene, share * DEPTH)
+    part = _lower(first, scene, share * DEPTH)
     summary = summarize(part, scene)
     # A coarse sheet bridges the edge of the bottom.
     assert (1.0 - share) * DEPTH <= summary["gap_max"] * (1 + 1e-9) <= (1.0 - share) * DEPTH + 0.02
@@ -88,7 +88,7 @@ def test_a_gap_wider_than_an_element_is_warned_of_unless_the_mold_need_not_be_fi
     )
     first = scenes.at_rest(scene)
     for share, warned in ((0.84, True), (0.92, False)):
-        part = _lowered(first, scene, share * DEPTH)
+        part = _lower(first, scene, share * DEPTH)
         summary = summarize(part, scene)
         sentences = [words for words in summary["warnings"] if "not filled everywhere" in words]
         assert summary["status"] == "ok" and bool(sentences) == warned

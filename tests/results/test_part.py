@@ -293,7 +293,7 @@ def test_a_search_is_over_the_part_and_its_columns_are_those_of_its_summary(tmp_
     assert jaxform.load(out / "best.toml").part is not None
 
 
-def _turned(folder: Path, profile: list[list[float]]) -> Path:
+def _turn(folder: Path, profile: list[list[float]]) -> Path:
     shape = molds.revolved(profile=profile, segments=24)
     path = folder / "mold.stl"
     trimesh.Trimesh(shape.vertices, shape.triangles).export(path)
@@ -310,7 +310,7 @@ def _turned(folder: Path, profile: list[list[float]]) -> Path:
 )
 def test_new_says_what_the_part_is(profile: list[list[float]], keep: str, covered: bool, tmp_path: Path) -> None:
     if profile:
-        path = _turned(tmp_path, profile)
+        path = _turn(tmp_path, profile)
     else:
         path = tmp_path / "mold.stl"
         trimesh.creation.cylinder(radius=0.03, height=0.04, sections=24).export(path)

@@ -28,7 +28,7 @@ def _at_nodes(sheet: jaxform.shapes.Sheet) -> Callable[[jax.Array], jax.Array]:
     return lambda ratio: nodal_ratio(ratio, scene.tables.sheet, scene.parison.positions.T, mobile)
 
 
-def _recovered(sheet: jaxform.shapes.Sheet, slope: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def _recover(sheet: jaxform.shapes.Sheet, slope: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """At the nodes what is found from the elements' values of a linear function, and that function."""
     function = 1.0 + np.asarray(sheet.positions)[:, :2] @ slope
     values = jnp.asarray(function[np.asarray(sheet.triangles)].mean(1))
@@ -41,7 +41,7 @@ def test_a_linear_wall_is_found_on_an_uneven_mesh() -> None:
     inside = ~np.asarray(sheet.clamped)
     positions[inside, :2] += np.random.default_rng(5).uniform(-0.03, 0.03, (inside.sum(), 2))
     positions[:, 0] *= 1.0 + 0.3 * positions[:, 0]  # finer on one side
-    found, function = _recovered(dataclasses.replace(sheet, positions=positions), (0.3, -0.2))
+    found, function = _recover(dataclasses.replace(sheet, positions=positions), (0.3, -0.2))
     size = np.sqrt(np.pi / 200)
     assert np.abs(found - function).max() < 0.02 * 0.3 * size
 
@@ -50,9 +50,9 @@ def test_on_a_symmetry_plane_the_wall_has_no_slope_across_it() -> None:
     """The images behind the planes belong to it: an even function is found, at the planes too."""
     quarter = jaxform.shapes.disc(radius=1.0, elements=400, symmetry="quarter")
     x, y = np.asarray(quarter.positions)[:, :2].T
-    found, _ = _recovered(quarter, (0.0, 0.0))
+    found, _ = _recover(quarter, (0.0, 0.0))
     np.testing.assert_allclose(found, 1.0, rtol=1e-12)
-    found, function = _recovered(quarter, (0.3, 0.0))
+    found, function = _recover(quarter, (0.3, 0.0))
     across, inside = x == 0.0, ~np.asarray(quarter.clamped)
     along = (y == 0.0) & ~across & inside
     assert np.all(found[across & inside] > function[across & inside] + 1e-3)  # its images make it a roof

@@ -33,7 +33,7 @@ def dish(depth: float, elements: int, **options: Any) -> jaxform.Scene:
     return waiting.dish(depth, 65.0, elements, end_time=0.1, **options)
 
 
-def refined(elements: int) -> jaxform.Scene:
+def refined_scene(elements: int) -> jaxform.Scene:
     """The same, refined where it bends."""
     scene = dish(0.05, elements)
     return jaxform.build_scene(
@@ -118,7 +118,7 @@ def test_the_same_as_without_room() -> None:
 
 
 def test_the_same_as_without_room_where_the_mesh_is_refined() -> None:
-    scene = refined(40)
+    scene = refined_scene(40)
     padded, plain = jaxform.run(scene), simulate(scene)
     assert int(padded.status) == int(plain.status) == 0
     assert int(padded.used.sum()) > 40
@@ -139,7 +139,7 @@ def _worth(scene: jaxform.Scene) -> Callable[[jax.Array, jax.Array], jax.Array]:
     return value
 
 
-@pytest.mark.parametrize("make", [lambda: dish(0.05, 40), lambda: refined(30)], ids=["uniform", "refined"])
+@pytest.mark.parametrize("make", [lambda: dish(0.05, 40), lambda: refined_scene(30)], ids=["uniform", "refined"])
 def test_the_same_gradient_and_none_beyond(make: Callable[[], jaxform.Scene]) -> None:
     scene = make()
     room = padding.pad_to_bucket(scene)
@@ -158,7 +158,7 @@ def test_the_same_gradient_and_none_beyond(make: Callable[[], jaxform.Scene]) ->
     assert np.all(np.asarray(long)[len(pressure) :] == 0.0)
 
 
-@pytest.mark.parametrize("make", [lambda: dish(0.05, 60), lambda: refined(40)], ids=["uniform", "refined"])
+@pytest.mark.parametrize("make", [lambda: dish(0.05, 60), lambda: refined_scene(40)], ids=["uniform", "refined"])
 def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
     """Other nodes, other triangles of the mold and other entries of lists there change no bit."""
     room = padding.pad_to_bucket(make())
@@ -197,7 +197,7 @@ def test_nothing_is_read_beyond(make: Callable[[], jaxform.Scene]) -> None:
 
 
 def test_a_schedule_is_one_of_the_scene_itself() -> None:
-    scene = refined(40)
+    scene = refined_scene(40)
     first = jaxform.run(scene)
     assert first.schedule is not None and first.schedule.split_at is not None and scene.tables.forest is not None
     assert first.schedule.split_at.shape == scene.tables.forest.partner.shape

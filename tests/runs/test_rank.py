@@ -19,7 +19,7 @@ from tests.examples.sealed_gas import SealedGas
 from tests.scenes import real
 
 
-def _refined() -> jaxform.Scene:
+def _refined_scene() -> jaxform.Scene:
     plain, sheet = scenes.cup(), shapes.disc(radius=1.0, elements=24, symmetry="quarter")
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, 0.01, sheet.clamped, sheet.fixed),
@@ -41,7 +41,7 @@ def _own_parts() -> jaxform.Scene:
     return jaxform.build_scene(solver=plain.solver, pressure=gas, fields={"temperature": field}, **parts)
 
 
-@pytest.mark.parametrize("make", [scenes.cup, _refined, _own_parts])
+@pytest.mark.parametrize("make", [scenes.cup, _refined_scene, _own_parts])
 def test_every_program_says_along_which_axes(make: Callable[[], jaxform.Scene]) -> None:
     scene = make()
     room = padding.pad_to_bucket(scene, recorded=True).scene

@@ -18,7 +18,7 @@ import pytest
 import jaxform
 import optimize
 from tests import scenes
-from tests.runs.test_rank import _own_parts, _refined
+from tests.runs.test_rank import _own_parts, _refined_scene
 
 _ROOT = Path(__file__).parents[2]
 
@@ -97,7 +97,7 @@ def test_a_study_of_another_precision_is_refused_in_one_line() -> None:
         optimize.solve(study)
 
 
-@pytest.mark.parametrize("make", [scenes.cup, _refined, _own_parts])
+@pytest.mark.parametrize("make", [scenes.cup, _refined_scene, _own_parts])
 def test_strict_promotion_of_types_is_for_code_of_ones_own(make: Callable[[], jaxform.Scene]) -> None:
     """From the parts of a scene to the compiler's input, second derivatives included; nothing is compiled."""
     with jax.numpy_dtype_promotion("strict"):

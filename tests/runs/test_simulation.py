@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import jaxform
-from benchmarks.speed.bench import without
+from benchmarks.speed.bench import disable_skips
 from jaxform import molds, shapes
 from jaxform.dynamics import initial
 from jaxform.dynamics import window as windows
@@ -176,7 +176,7 @@ def test_energy_is_kept_without_damping() -> None:
 
 def _with_longer_steps(factor: float, *, measured: bool = False) -> jaxform.Scene:
     """A disc whose elements' bound on the step is wrong by a factor, and believed where the step is not measured."""
-    scene = without(scenes.free_disc(60, 2.0, scenes.mooney(0.1)), sharp_step=measured)
+    scene = disable_skips(scenes.free_disc(60, 2.0, scenes.mooney(0.1)), sharp_step=measured)
     return dataclasses.replace(scene, tables=dataclasses.replace(scene.tables, bound=scene.tables.bound / factor**2))
 
 
@@ -270,7 +270,7 @@ def test_the_run_ends_when_nothing_can_move() -> None:
     assert float(result.time) < 25.0
 
 
-def _traced(scene: jaxform.Scene) -> set[str]:
+def _trace(scene: jaxform.Scene) -> set[str]:
     """Files and functions of this package in which the operations of a window of a scene were made."""
     found: set[str] = set()
 
@@ -292,16 +292,16 @@ def _traced(scene: jaxform.Scene) -> set[str]:
 
 
 def _programs() -> list[set[str]]:
-    """What `_traced` finds for a sheet alone, one over a mold, and one under a history of pressure."""
+    """What `_trace` finds for a sheet alone, one over a mold, and one under a history of pressure."""
     law, history = scenes.mooney(0.1), jaxform.make_pressure([0.0], [1.0])
-    return [_traced(scene) for scene in (scenes.free_disc(60, 2.0, law), scenes.cup(), scenes.loaded_scene(history))]
+    return [_trace(scene) for scene in (scenes.free_disc(60, 2.0, law), scenes.cup(), scenes.loaded_scene(history))]
 
 
 def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
     # In a process of its own: JAX traces a function once, and names ever after who called it first, here another test.
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as fresh:
         free, cup, loaded = fresh.submit(_programs).result()
-    for part in ("contact/candidates.py", "contact/broad_phase.py", "contact/sticking.py", "packed_moving"):
+    for part in ("contact/candidates.py", "contact/broad_phase.py", "contact/sticking.py", "pack_moving"):
         assert part in cup and part not in free
     absent = {
         "_pressure_inside",

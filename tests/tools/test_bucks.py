@@ -14,7 +14,7 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, kinds, molds, platen, rims, scans, undercut
 
 
-def united(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
+def unite(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
     """Several shells in one mesh."""
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     faces = [solid.faces + start for solid, start in zip(solids, starts, strict=False)]
@@ -25,7 +25,7 @@ def as_mesh(solid: trimesh.Trimesh) -> Mesh:
     return rims.weld_mold(np.array(solid.vertices, float), np.array(solid.faces, np.int32))
 
 
-def drafted(top: float = 0.7, chamfer: float = 0.0) -> trimesh.Trimesh:
+def drafted_block(top: float = 0.7, chamfer: float = 0.0) -> trimesh.Trimesh:
     """A block of 0.12 x 0.08 x 0.04 on z = 0, its top smaller by a factor, perhaps with a chamfer round it."""
     base = np.array([[-0.06, -0.04, 0], [0.06, -0.04, 0], [0.06, 0.04, 0], [-0.06, 0.04, 0]])
     up = base * [top, top, 1] + [0, 0, 0.04 - chamfer]
@@ -58,7 +58,7 @@ def on_platen() -> trimesh.Trimesh:
     rings = [
         np.stack([r * np.cos(angle), r * np.sin(angle), np.full(48, z)], axis=1) for r, z in ((0.04, 0), (0.02, 0.06))
     ]
-    return united(slab, trimesh.convex.convex_hull(np.concatenate(rings)))
+    return unite(slab, trimesh.convex.convex_hull(np.concatenate(rings)))
 
 
 def split_and_mixed(solid: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -70,15 +70,17 @@ def split_and_mixed(solid: trimesh.Trimesh) -> trimesh.Trimesh:
 
 BUCKS = {
     "box": as_mesh(trimesh.creation.box([0.12, 0.08, 0.03])),
-    "drafted": as_mesh(drafted()),
-    "chamfered": as_mesh(drafted(1.0, 0.01)),
+    "drafted": as_mesh(drafted_block()),
+    "chamfered": as_mesh(drafted_block(1.0, 0.01)),
     "cylinder": as_mesh(trimesh.creation.cylinder(0.04, 0.06, sections=48)),
     "cone on platen": as_mesh(on_platen()),
     "dome": dome(),
     "rough dome": dome(rough=0.004),
-    "split and mixed": as_mesh(split_and_mixed(drafted())),
-    "two": as_mesh(united(drafted(), drafted().apply_translation([0.2, 0, 0]))),
-    "open below": as_mesh(trimesh.Trimesh(drafted().vertices, drafted().faces[drafted().face_normals[:, 2] > -0.9])),
+    "split and mixed": as_mesh(split_and_mixed(drafted_block())),
+    "two": as_mesh(unite(drafted_block(), drafted_block().apply_translation([0.2, 0, 0]))),
+    "open below": as_mesh(
+        trimesh.Trimesh(drafted_block().vertices, drafted_block().faces[drafted_block().face_normals[:, 2] > -0.9])
+    ),
 }
 
 
@@ -158,7 +160,7 @@ def test_an_undercut_is_measured_sideways():
     """A mushroom whose hat reaches 0.02 over its stem, and the drafted block upside down."""
     stem = trimesh.creation.cylinder(0.03, 0.04, sections=64).apply_translation([0, 0, 0.02])
     hat = trimesh.creation.cylinder(0.05, 0.01, sections=64).apply_translation([0, 0, 0.045])
-    mold = as_mesh(united(stem, hat))
+    mold = as_mesh(unite(stem, hat))
     found = undercut.deepest_undercut(buck.find_buck(mold, buck.parse_direction("+z")), mold)
     assert found is not None
     np.testing.assert_allclose(found.depth, 0.02, atol=6e-4)
@@ -170,9 +172,9 @@ def test_an_undercut_is_measured_sideways():
 
 
 def test_a_void_inside_is_no_undercut():
-    outer = drafted()
+    outer = drafted_block()
     inner = trimesh.creation.box([0.04, 0.03, 0.02]).apply_translation([0, 0, 0.02])
-    mold = as_mesh(united(outer, inner))
+    mold = as_mesh(unite(outer, inner))
     assert undercut.deepest_undercut(buck.find_buck(mold), mold) is None
 
 

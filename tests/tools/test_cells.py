@@ -25,7 +25,7 @@ def mold(name: str, degrees: tuple[float, ...] = (0.0, 0.0, 0.0), fine: float = 
     )
 
 
-def closed(shape: Mesh) -> tuple[opening.Opening, np.ndarray, covers.Covers]:
+def close_bowl(shape: Mesh) -> tuple[opening.Opening, np.ndarray, covers.Covers]:
     found = opening.find_opening(shape.positions, shape.triangles, male=False)
     polygon = footprint.fit_planform(found, shape.positions, shape.triangles).polygon
     return found, polygon, covers.cover(found, polygon, shape)
@@ -40,7 +40,7 @@ def behind(shape: Mesh, found: opening.Opening, polygon: np.ndarray, added: Mesh
 @pytest.mark.parametrize("degrees", TURNS)
 def test_holes_in_the_side_walls_of_a_solid_tray_are_covered_in_the_plane_of_the_wall(degrees):
     shape = mold("tray with holes in its walls", degrees)
-    found, polygon, added = closed(shape)
+    found, polygon, added = close_bowl(shape)
     assert added.mesh is not None and (added.holes, added.sides, added.gaps) == (2, 2, 0.0)
     places = added.mesh.positions @ molds.rotation(np.array(degrees))
     # The walls' inner sides are at x = -0.095 and 0.095, the holes 0.04 by 0.012.
@@ -55,7 +55,7 @@ def test_holes_in_the_side_walls_of_a_solid_tray_are_covered_in_the_plane_of_the
 @pytest.mark.parametrize(("name", "sides", "holes"), [("crate", 60, 60), ("basket", 40, 52), ("cup with slots", 8, 8)])
 def test_nothing_leaks_from_what_has_many_holes(name, sides, holes):
     shape = mold(name)
-    found, polygon, added = closed(shape)
+    found, polygon, added = close_bowl(shape)
     assert (added.sides, added.holes) == (sides, holes)
     assert not behind(shape, found, polygon, added.mesh).leaks.any()
     # Covers lie on the walls or span holes in them, and do not stand in the hollow.
@@ -66,7 +66,7 @@ def test_nothing_leaks_from_what_has_many_holes(name, sides, holes):
 
 def test_a_curved_wall_is_continued_by_its_covers():
     shape = mold("cup with slots", fine=1.0)
-    _, _, added = closed(shape)
+    _, _, added = close_bowl(shape)
     assert added.mesh is not None
     radius = np.hypot(*added.mesh.positions[:, :2].T)
     # Between the chord of a slot, 34 degrees wide at most, and the wall's inner side.
@@ -75,7 +75,7 @@ def test_a_curved_wall_is_continued_by_its_covers():
 
 @pytest.mark.parametrize("name", ["cup", "mug", "bowl", "six pockets", "cup with a rolled lip", "cup with a skirt"])
 def test_whole_walls_are_not_covered(name):
-    _, _, added = closed(mold(name))
+    _, _, added = close_bowl(mold(name))
     assert added.mesh is None and added.hidden < 0.02
 
 
@@ -100,7 +100,7 @@ def test_handles_lips_and_skirts_are_no_part_of_the_cavity(name, radius, depth, 
     assert found.cavity.sum() * found.view.pixel**2 == pytest.approx(np.pi * radius**2, rel=0.05)
 
 
-def _welded(*parts: Any) -> Mesh:
+def _weld(*parts: Any) -> Mesh:
     whole = meshes.merge([Mesh(1e-3 * np.asarray(part.vertices), np.asarray(part.faces)) for part in parts])
     return rims.weld_mold(whole.positions, whole.triangles)
 
@@ -108,19 +108,19 @@ def _welded(*parts: Any) -> Mesh:
 def pan() -> Mesh:
     """A pan, 0.042 deep within a radius of 0.117, whose handle is as high as its rim and longer than it is wide."""
     profile = [[0, 0], [110, 0], [120, 45], [117, 45], [107, 3], [0, 3]]
-    return _welded(file_molds.turn_mesh(profile, 120), file_molds.box([118, -10, 38], [300, 10, 45]))
+    return _weld(file_molds.turn_mesh(profile, 120), file_molds.box([118, -10, 38], [300, 10, 45]))
 
 
 def high_handled() -> Mesh:
     """A cup, 0.055 deep within a radius of 0.0225, whose handle stands above its rim."""
-    return _welded(KINDS["cup"].made(1.0), file_molds.box([24, -4, 25], [50, 4, 66]))
+    return _weld(KINDS["cup"].made(1.0), file_molds.box([24, -4, 25], [50, 4, 66]))
 
 
 def rolled_bowl() -> Mesh:
     """An open shell whose rim, at a radius of 0.084, is rolled until it points down and in."""
     angle = np.linspace(np.pi, -np.pi / 2, 12)
     lip = np.stack([84 + 4 * np.cos(angle), 30 + 4 * np.sin(angle)], axis=1)
-    return _welded(file_molds.turn_mesh(np.concatenate([[[0, 0], [50, 0]], lip]), 96))
+    return _weld(file_molds.turn_mesh(np.concatenate([[[0, 0], [50, 0]], lip]), 96))
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def rolled_bowl() -> Mesh:
     [(pan(), 0.117, 0.042), (high_handled(), 0.0225, 0.055), (rolled_bowl(), 0.082, 0.0335)],
 )
 def test_neither_long_nor_high_handles_nor_the_end_of_a_lip_are_covered_or_counted(shape, radius, depth):
-    found, _, added = closed(shape)
+    found, _, added = close_bowl(shape)
     assert added.mesh is None and added.holes == 0
     assert found.depth == pytest.approx(depth, rel=0.03)
     assert found.cavity.sum() * found.view.pixel**2 == pytest.approx(np.pi * radius**2, rel=0.06)

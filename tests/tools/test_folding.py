@@ -13,7 +13,7 @@ from jaxform.tools.folding import self_intersecting_elements
 SHEET = shapes.rectangle(size=(2.0, 1.0), element_size=0.15)
 
 
-def _folded(slope: float) -> np.ndarray:
+def _fold(slope: float) -> np.ndarray:
     """The sheet with its right half turned back over the left one, rising from 0.2 above it by a slope."""
     x, y, _ = SHEET.positions.T
     back = np.minimum(x, 2.0 - x)
@@ -21,7 +21,7 @@ def _folded(slope: float) -> np.ndarray:
 
 
 def test_a_sheet_that_is_folded_through_itself() -> None:
-    positions, triangles = _folded(-0.37), SHEET.triangles
+    positions, triangles = _fold(-0.37), SHEET.triangles
     pairs = np.asarray(list(itertools.combinations(range(len(triangles)), 2)))
     shared = (triangles[pairs[:, 0]][:, :, None] == triangles[pairs[:, 1]][:, None, :]).any((1, 2))
     one, other = pairs[~shared].T
@@ -37,5 +37,5 @@ def test_a_sheet_that_is_folded_through_itself() -> None:
 
 def test_a_sheet_that_lies_over_itself_does_not_pass_through() -> None:
     everything = np.arange(len(SHEET.triangles))
-    for positions in (SHEET.positions, _folded(0.37), _folded(0.0)):
+    for positions in (SHEET.positions, _fold(0.37), _fold(0.0)):
         assert not len(self_intersecting_elements(np.asarray(positions), SHEET.triangles, everything))

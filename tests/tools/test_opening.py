@@ -20,7 +20,7 @@ def cup(segments: int = 40) -> Mesh:
     return Mesh(shape.vertices, shape.triangles)
 
 
-def flanged() -> Mesh:
+def flanged_cup() -> Mesh:
     """The cup with a flange to a radius of 0.06."""
     shape = molds.revolved(profile=[[0.0, 0.05], [0.03, 0.05], [0.04, 0.0], [0.06, 0.0]], segments=40)
     return Mesh(shape.vertices, shape.triangles)
@@ -45,14 +45,14 @@ def l_shaped() -> Mesh:
     return Mesh(points, np.concatenate([*walls, bottom]).astype(np.int32))
 
 
-def turned(mold: Mesh, degrees: tuple[float, ...]) -> Mesh:
+def turn(mold: Mesh, degrees: tuple[float, ...]) -> Mesh:
     moved = mold.positions @ molds.rotation(np.array(degrees)).T + [0.3, -0.2, 0.5]
     return Mesh(moved, mold.triangles)
 
 
 @pytest.mark.parametrize("degrees", TURNS)
 def test_a_cup_is_found_from_its_open_side(degrees):
-    mold = turned(flanged(), degrees)
+    mold = turn(flanged_cup(), degrees)
     found = opening.find_opening(mold.positions, mold.triangles)
     into = molds.rotation(np.array(degrees))[:, 2]
     np.testing.assert_allclose(found.view.turn @ into, [0, 0, 1], atol=1e-6)
@@ -75,7 +75,7 @@ def test_a_bare_cup_has_a_disc_inside_its_rim():
 
 
 def test_a_tray_has_a_rectangle_and_an_l_its_outline():
-    mold = turned(box((0, 0, 0), (0.2, 0.1, 0.03), lid=False), (0.0, 0.0, 20.0))
+    mold = turn(box((0, 0, 0), (0.2, 0.1, 0.03), lid=False), (0.0, 0.0, 20.0))
     found = opening.find_opening(mold.positions, mold.triangles)
     sheet = footprint.fit_planform(found, mold.positions, mold.triangles)
     assert isinstance(sheet.shape, OrientedRectangle)
@@ -89,7 +89,7 @@ def test_a_tray_has_a_rectangle_and_an_l_its_outline():
 
 
 def test_a_sheet_over_the_rim_lies_in_its_plane_with_normals_into_the_mold():
-    mold = turned(l_shaped(), TURNS[3])
+    mold = turn(l_shaped(), TURNS[3])
     sheet = rims.sheet_over_opening(mold.positions, mold.triangles, elements=100)
     axes = molds.rotation(np.array(TURNS[3]))
     np.testing.assert_allclose((sheet.positions - [0.3, -0.2, 0.5]) @ axes[:, 2], 0.0, atol=1e-9)
@@ -119,7 +119,7 @@ def test_a_plug_is_formed_over_within_walls():
 
 
 def test_holes_are_covered_and_seams_are_none():
-    whole = turned(flanged(), TURNS[1])
+    whole = turn(flanged_cup(), TURNS[1])
     lowest = whole.positions[whole.triangles][..., 2].max(1)
     gone = np.flatnonzero(lowest < 0.4501)[3:6]
     holed = Mesh(whole.positions, np.delete(whole.triangles, gone, axis=0))

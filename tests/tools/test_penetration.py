@@ -45,7 +45,7 @@ def _distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return every.reshape(shape).min(1)
 
 
-def _draped(corners: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _drape(corners: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A wavy square sheet whose nodes inside of a mold are put up or down onto it: nodes, triangles, walls."""
     line = np.linspace(-1.3, 1.3, cells + 1)
     x, y = (grid.ravel() for grid in np.meshgrid(line, line, indexing="ij"))
@@ -84,7 +84,7 @@ def _mold(corners: np.ndarray) -> Mold:
 def test_depth_on_closed_molds_is_that_of_winding_numbers(name: str, cells: int) -> None:
     """The triangles of the mold turn either way; what a node sticks to knows which."""
     corners = np.asarray(CLOSED[name]().triangles)
-    nodes, triangles, wall = _draped(corners, cells)
+    nodes, triangles, wall = _drape(corners, cells)
     assert np.count_nonzero(wall) >= 4
     turned = np.random.default_rng(1).random(len(corners)) < 0.5
     mixed = np.where(turned[:, None, None], corners[:, ::-1], corners)

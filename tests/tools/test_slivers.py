@@ -18,7 +18,7 @@ from jaxform.tools.search import CLASSES, build_grid
 Array = NDArray[np.float64]
 
 
-def _turned(sections: int, heights: int = 1) -> MoldShape:
+def _turn(sections: int, heights: int = 1) -> MoldShape:
     """A conical cup with a thin wall and a finely rounded lip; its walls may be cut into rings."""
     outwards = np.linspace([0.03, 0.1], [0.04, 0.0], heights + 1)
     angle = np.linspace(0, np.pi, 10)
@@ -40,7 +40,7 @@ def _fan(count: int) -> tuple[Array, NDArray[np.int64]]:
 def test_cells_of_slivers_list_all_in_reach_and_few_more_are_compared(
     shape: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cup = _turned(1000)
+    cup = _turn(1000)
     vertices, triangles = (cup.vertices, np.asarray(cup.triangles)) if shape == "turned" else _fan(20_000)
     compared, measured = [], reach._distances
 
@@ -77,7 +77,7 @@ def test_a_sheet_is_as_deep_in_a_cup_of_slivers_as_in_one_of_small_triangles() -
     positions[:, :2] *= 1.02
     found = []
     for heights in (1, 40):
-        shape = _turned(400, heights)
+        shape = _turn(400, heights)
         mold = jaxform.make_mold(shape.vertices, shape.triangles)
         none = np.zeros(len(positions), np.int64)
         found.append(penetration(positions, np.asarray(sheet.triangles), none, mold))
@@ -87,7 +87,7 @@ def test_a_sheet_is_as_deep_in_a_cup_of_slivers_as_in_one_of_small_triangles() -
 
 
 def test_pieces_that_distances_are_looked_up_in_are_bounded_and_the_farthest_is_exact() -> None:
-    shape = _turned(2000)
+    shape = _turn(2000)
     surface = distances.Distances(distances.Triangulation(shape.vertices, np.asarray(shape.triangles)), 1e-3)
     assert sum(len(group.owner) for group in surface.groups) <= 400_000
     random = np.random.default_rng(1)

@@ -21,7 +21,7 @@ def _pipe(length: float) -> trimesh.Trimesh:
     return trimesh.creation.annulus(r_min=0.028, r_max=0.030, height=length)
 
 
-def _turned(body: Any, *angles: Any) -> trimesh.Trimesh:
+def _turn(body: Any, *angles: Any) -> trimesh.Trimesh:
     body.apply_transform(trimesh.transformations.euler_matrix(*angles))
     return body
 
@@ -37,8 +37,8 @@ def _duct() -> trimesh.Trimesh:
     ("body", "axis", "width", "other"),
     [
         (_pipe(0.12), (0, 0, 1), 0.056, "[xy]"),
-        (_turned(_pipe(0.12), 0.0, np.pi / 2, 0.0), (1, 0, 0), 0.056, "[yz]"),
-        (_turned(_pipe(0.12), 0.5, 0.3, 0.0), None, 0.056, "[xyz]"),
+        (_turn(_pipe(0.12), 0.0, np.pi / 2, 0.0), (1, 0, 0), 0.056, "[yz]"),
+        (_turn(_pipe(0.12), 0.5, 0.3, 0.0), None, 0.056, "[xyz]"),
         (_duct(), (0, 0, 1), 0.06, "[xy]"),
     ],
     ids=["upright", "lying", "oblique", "duct"],

@@ -97,7 +97,7 @@ def read_wall(folder: Path, whole: bool = False) -> WallSurface:
         elements = _positive(mesh.cell_fields, "thickness") if known else nodal[mesh.triangles].mean(1)
         elements = add_fold_volume(mesh, elements, str(path))
     except InputError as error:
-        raise error.within(file=str(path)) from None
+        raise error.with_context(file=str(path)) from None
     status = summary.get("status", "ok")
     if status != "ok":
         warn_of(f"the run did not end well: {status}", "the wall is that of the moment", file=str(folder))

@@ -53,7 +53,7 @@ def _page(results: Results) -> str:
     facts = pack_parts(results, parcel) | {
         "charts": pack_charts(results, parcel),
         "frame_count": results.frame_count,
-        "points": [point.drawn() for point in points],
+        "points": [point.description() for point in points],
         "thinnest": results.summary["thickness"]["min"],
         "thickest": results.summary["thickness"]["max"],
     }

@@ -143,7 +143,7 @@ def _same_mesh(one: StoredPart, other: StoredPart) -> bool:
 
 def _quantities(parts: list[StoredPart]) -> list[dict[str, Any]]:
     """Quantities that the parts can be coloured by, and the ranges of the colours, which they share."""
-    areas, formed = zip(*(formed_areas(part) for part in parts), strict=True)
+    areas, formed = zip(*(formed_element_areas(part) for part in parts), strict=True)
     known = {quantity.key for quantity in _NODAL_QUANTITIES} | {"thickness"}
     others = [Quantity(name, name.replace("_", " ")) for name in parts[0].nodal if name not in known]
     found = []
@@ -176,7 +176,7 @@ def _values(part: StoredPart, key: str, of: str) -> Array:
     return corners.mean(1)
 
 
-def formed_areas(part: StoredPart) -> tuple[Array, NDArray[np.bool_]]:
+def formed_element_areas(part: StoredPart) -> tuple[Array, NDArray[np.bool_]]:
     """Areas (n,) [m^2] of the elements that were formed, and which of all these are."""
     formed = counted_elements(part.reference, part.positions, part.triangles, part.part_mask)
     a, b, c = np.moveaxis(part.positions[part.triangles[formed]], 1, 0)

@@ -35,7 +35,7 @@ class MeasuringPoint(NamedTuple):
     formed: list[float]
     initial: list[float]
 
-    def drawn(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         """Its name and place, which the view has to know."""
         return {"name": self.name, "formed": self.formed}
 
@@ -80,7 +80,7 @@ def is_disc(part: StoredPart, symmetry: Mapping[str, float]) -> bool:
 
 def _scene(part: StoredPart, symmetry: Mapping[str, float]) -> Any:
     """The sheet as sections take it from a scene, as far as the file of the part tells."""
-    sheet = SimpleNamespace(positions=part.reference, triangles=part.triangles, clamped=_clamped(part, symmetry))
+    sheet = SimpleNamespace(positions=part.reference, triangles=part.triangles, clamped=_clamped_nodes(part, symmetry))
     return SimpleNamespace(parison=sheet)
 
 
@@ -100,7 +100,7 @@ def _representative(part: StoredPart, formed: NDArray[np.int64], mean: float) ->
     return int(alike[np.argmin(change / np.maximum(size, 1e-300))])
 
 
-def _clamped(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[np.bool_]:
+def _clamped_nodes(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[np.bool_]:
     """Nodes (n_node,) of the rim that were held from the start: ends of edges in no symmetry plane."""
     edges = topology.boundary_edges(part.triangles)
     near = 1e-6 * float(np.ptp(part.reference, axis=0).max())
