@@ -49,7 +49,7 @@ def rounds(search: Search, study: Study, point: Point, method: Round) -> Ending:
         point = search(point.free)
     if ending == NO_STEP:
         return ending
-    return Ending("rounds", f"{study.rounds} rounds done, the last ended since: {ending.words}")
+    return Ending("rounds", f"{study.rounds} rounds done, the last ended because: {ending.words}")
 
 
 def _update_multipliers(search: Search, point: Point, before: float) -> None:

@@ -24,7 +24,7 @@ _STEP = 0.5  # of all numbers at once, an eighth of the way between their bounds
 
 
 def warn_of_insensitive_variables(search: Search, point: Point, first: Result, warn: Callable[[str], object]) -> None:
-    """Warns of each variable that does next to nothing at the first design.
+    """Warns of each variable that has almost no effect at the first design.
 
     Args:
         search: The search, before its first step.
@@ -67,7 +67,7 @@ def _has_no_effect(search: Search, point: Point, own: slice, size: float) -> boo
 
 
 def _sentence(index: int, variable: Variable, change: float, first: Result, everything: bool) -> str:
-    what = f"variable[{index}] ({_kind(variable)}) does next to nothing"
+    what = f"variable[{index}] ({_kind(variable)}) has almost no effect"
     if everything:
         what = f"this search can hardly gain anything: {what}"
     error = float(first.energy.quasi_static_error)

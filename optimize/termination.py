@@ -85,9 +85,9 @@ def stagnation_ending(point: Point, first: Point) -> Ending:
     """That steps brought nothing: an optimum only where the slope has gone, or promises nothing either."""
     left = float(np.linalg.norm(point.slope)) / max(float(np.linalg.norm(first.slope)), 1e-300)
     if left <= _LEFT or predicted_gain(point) <= _STEEP:
-        return Ending("tolerance", "the last steps brought next to nothing")
+        return Ending("tolerance", "the last steps gained almost nothing")
     words = (
-        f"the last steps brought next to nothing, though the gradient is still {100 * left:.0f} % of the first one: "
+        f"the last steps gained almost nothing, though the gradient is still {100 * left:.0f} % of the first one: "
         "the objective is rough here, and this need not be the best design; try other starts (solver.starts)"
     )
     return Ending("no-progress", words)

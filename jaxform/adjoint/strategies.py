@@ -38,7 +38,7 @@ class Adjoint:
         """Refuses what is no number of windows."""
         if not (isinstance(self.windows, int) and self.windows > 0):
             raise InputError(
-                "must be a positive whole number", "keep the state at each border: 1", "windows", self.windows
+                "must be a positive whole number", "keep the state at each window boundary: 1", "windows", self.windows
             )
 
     def check(self, scene: Scene) -> None:
@@ -126,6 +126,6 @@ def choose_adjoint(scene: Scene, chosen: Adjoint | None) -> Adjoint:
         return Reversed() if scene.reversible else Checkpointed()
     if not isinstance(chosen, Adjoint):
         remedy = "choose jaxform.Reversed(), jaxform.Checkpointed() or jaxform.Stored()"
-        raise InputError("is no way to find a derivative", remedy, "adjoint", chosen)
+        raise InputError("is not an adjoint strategy", remedy, "adjoint", chosen)
     chosen.check(scene)
     return chosen

@@ -84,13 +84,13 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     yield from _sheet_lines(document, scene, seen)
     yield from _mold_lines(scene, seen)
     if document.model.part is not None:
-        yield f"part: {_short(document.model.part.model_dump(exclude_none=True))}; all numbers are of it alone"
+        yield f"part: {_short(document.model.part.model_dump(exclude_none=True))}; all statistics count the part alone"
     yield from _run_lines(scene, store)
     skipped = {
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
         "memory (no viscous modes)": scene.material.viscous is None,
-        "the second invariant (the law has none)": document.model.material.model == "neo-hookean",
+        "the second invariant (the material model has none)": document.model.material.model == "neo-hookean",
         "refinement (none given)": scene.refinement is None,
         "cooling (none given)": scene.cooling is None,
         "frames (none wanted)": document.model.output.frames == 0,
@@ -152,8 +152,8 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     if scene.adaptivity is not None:
         limits, forest = scene.adaptivity
         yield (
-            f"refined up to level {limits.deepest} of {forest.depth}, looked at every {limits.interval} steps: "
-            f"{forest.bound.size} triangles bisected beforehand, room for {limits.elements} elements at once"
+            f"refined up to level {limits.deepest} of {forest.depth}, checked every {limits.interval} steps: "
+            f"{forest.bound.size} triangles bisected beforehand, capacity for {limits.elements} elements at once"
         )
         elements = limits.elements
     sharper = _MEASURED_TO_BOUND if scene.solver.sharp_step else 1.0
@@ -177,7 +177,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
         yield f"compiles first, for about {wait} s: no scene of this kind and size was run here before"
     if scene.solver.quasi_static:
         most = f"{100 * SLOW_ENOUGH:.2g} %"
-        yield f"meant to be slow: it is warned of if inertia or damping change the wall by more than {most}"
+        yield f"quasi-static process: a warning follows if inertia or damping change the wall by more than {most}"
 
 
 def _duration(seconds: float) -> str:

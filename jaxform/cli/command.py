@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
             words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
             sub.add_argument("--resume", action="store_true", help=words)
         sub.set_defaults(command=command)
-    words = "write report.html anew from the files in a folder of results"
+    words = "write report.html again from the files in a folder of results"
     report = commands.add_parser("report", help=words, description=words)
     report.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
     report.add_argument("--quiet", action="store_true", help="print warnings and errors only")

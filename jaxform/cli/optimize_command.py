@@ -60,7 +60,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
         except InputError as error:
             raise error.with_context(file=study.file) from None
     if journal.replayed:
-        say(f"{journal.replayed} answers were known from before")
+        say(f"{journal.replayed} evaluations were reused from the journal")
     _write_design(arguments, study, design, reference)
     _tell_design(say, design, folder)
     return _exit_status(design)
@@ -126,8 +126,8 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
             f"{100 * best['thickness_rms_error']:.3g} %"
         )
     say(
-        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, its variation "
-        f"{100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
+        f"wall from {1e3 * first['wall_min']:.4g} -> {1e3 * best['wall_min']:.4g} mm, coefficient of "
+        f"variation {100 * first['wall_cv']:.3g} % -> {100 * best['wall_cv']:.3g} %, mass {1e3 * first['mass']:.4g} -> "
         f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
     if facts["multiplier"] is not None:

@@ -117,14 +117,14 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
         f"{summary['run_seconds']:.2f} s (compiled in {summary['compile_seconds']:.1f} s)"
     )
     say(
-        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, variation "
-        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
+        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, "
+        f"coefficient of variation {100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
         f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
     say(_thinnest(summary["thinnest"]))
     if summary["gap_max"] > summary["thickness"]["mean"]:
         where = format_place(summary["gap_place"])
-        say(f"the mold is filled least at {where}: {1e3 * summary['gap_max']:.3g} mm are left")
+        say(f"largest gap between part and mold: {1e3 * summary['gap_max']:.3g} mm at {where}")
     say(f"status: {summary['status']}; results in {folder}")
 
 

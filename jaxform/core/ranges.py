@@ -148,7 +148,11 @@ def declare(key: str, allowed: Range) -> None:
     """
     if key not in DESIGNABLE:
         if len(DESIGNABLE) == WORDS * BITS:
-            raise InputError("is one number too many", "give the laws' numbers names that others have too", key)
+            raise InputError(
+                "is more parameters than can be declared",
+                "reuse the parameter names of other material models",
+                key,
+            )
         DESIGNABLE.append(key)
     _declared.setdefault(key, []).append(allowed)
 

@@ -257,8 +257,8 @@ def _warn_of_law(scene: Scene, file: str) -> None:
     energy = np.asarray(equibiaxial_energy(scene.law.elastic, as_real(np.square(stretch))), float)
     falls = np.flatnonzero(np.diff(energy) < 0.0)
     if len(falls):
-        what = f"the law lets go of a sheet that is stretched {stretch[falls[0]]:.3g} times both ways: its energy falls"
-        warn_of(what, "change its numbers, or keep the sheet from such stretches", key="material", file=file)
+        what = f"is unstable: its energy falls beyond an equibiaxial stretch of {stretch[falls[0]]:.3g}"
+        warn_of(what, "change its parameters, or keep the sheet below such stretches", key="material", file=file)
 
 
 def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
@@ -271,7 +271,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
         remedy = f"a sheet as stiff as this wants {stiffness * seen.thinness:.1g} Pa and more; give Pa"
     elif load > _STRONG:
-        what = f"the pressure is {load:.1g} times what the sheet bears, as an explosion's"
+        what = f"the pressure is {load:.1g} times what the sheet bears"
         remedy = "give pressure and stiffness in Pa"
     else:
         return

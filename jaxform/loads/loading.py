@@ -132,5 +132,9 @@ def loading[T: Loading](cls: type[T]) -> type[T]:
     remedy = "derive it from jaxform.Loading and give it a pressure, `at`"
     made = register_part(cls, Loading, "at", remedy, "pressure")
     if made.start is not Loading.start and not made.follows_volume:
-        raise InputError("has a state of its own, which no step works out", "set follows_volume = True", "pressure")
+        raise InputError(
+            "has a state, but does not follow the volume, so no step updates it",
+            "set follows_volume = True",
+            "pressure",
+        )
     return made

@@ -82,7 +82,7 @@ def validate_cooling(given: Cooling | None, fields: Collection[str], mold: Mold 
     if given is None:
         return None
     if not isinstance(given, Cooling):
-        raise InputError("says not how the sheet cools", "use jaxform.Cooling", "cooling")
+        raise InputError("is not a cooling model", "use jaxform.Cooling", "cooling")
     names = [name for name in parameter_ranges(given) if getattr(given, name) is not None]
     for name in names:
         check_one(f"cooling.{name}", getattr(given, name))
@@ -100,7 +100,11 @@ def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) 
     if shift is None and cooling is None:
         if temperature is not None:
             remedy = "give [material.shift], or leave the temperature out"
-            warn_of("the temperature changes nothing: the law says not how", remedy, key="parison.temperature")
+            warn_of(
+                "the temperature changes nothing: the material does not depend on it",
+                remedy,
+                key="parison.temperature",
+            )
         return
     if temperature is None:
         asking = "[material.shift]" if cooling is None else "[cooling]"

@@ -19,16 +19,16 @@ from jaxform.sheet.state import Status
 _WORDS = {
     Status.NON_FINITE: "a position or velocity is not finite; the state before that window is kept",
     Status.UNSTABLE: "unstable: the sheet holds more energy than was put in, or less",
-    Status.WINDOWS_EXHAUSTED: "the steps that the run may take did not suffice to reach the end time",
-    Status.CONTACT_OVERFLOW: "more pairs of node and mold triangle came near each other than there is room for",
+    Status.WINDOWS_EXHAUSTED: "the limit on steps was reached before the end time",
+    Status.CONTACT_OVERFLOW: "more candidate pairs of node and mold triangle were found than the capacity holds",
     Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
     Status.STOPPED: "stopped by the caller",
-    Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than there is room for",
-    Status.RUNAWAY: "the sheet ran away: it is ten thousand times as large as it was",
-    Status.ESCAPED: "the sheet left its mold: it is as far out of the box of sheet and mold as that is long",
+    Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than the capacity holds",
+    Status.RUNAWAY: "the sheet ran away: it is ten thousand times its initial size",
+    Status.ESCAPED: "the sheet left its mold: it is as far outside the box of sheet and mold as the box is long",
     Status.BURST: "the sheet passed through itself and burst: a sheet's contact with itself is not simulated",
-    Status.INPUT: "a number of the scene is out of its range, so nothing was simulated",
-    Status.UNBALANCED: "the run reached its end, but its account of energy misses more than 1 % of the work",
+    Status.INPUT: "a parameter of the scene is out of its range, so nothing was simulated",
+    Status.UNBALANCED: "the run reached its end, but its energy balance misses more than 1 % of the work",
     Status.UNFILLED: "the mold is not filled",
 }
 _REMEDIES = {
@@ -36,7 +36,7 @@ _REMEDIES = {
     Status.UNSTABLE: "lower solver.safety, or raise the pressure more slowly",
     Status.WINDOWS_EXHAUSTED: "raise solver.max_steps or lower the pressure; `jaxform.simulate`, which plans its steps "
     "beforehand, needs a scene that is built with the end time and material that it simulates, `jaxform.run` does not",
-    Status.CONTACT_OVERFLOW: "coarsen the mold, or use `jaxform.run`, which makes room by itself",
+    Status.CONTACT_OVERFLOW: "coarsen the mold, or use `jaxform.run`, which enlarges the capacity by itself",
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
     Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",

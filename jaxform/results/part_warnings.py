@@ -97,7 +97,7 @@ def _images(scene: Scene, walls: Array) -> list[Array]:
 def has_burst(result: Result, scene: Scene) -> bool:
     """Whether a part came to its end after its sheet was blown through itself.
 
-    A film is then stretched beyond any sense, and cuts what it left through.
+    A film is then stretched unrealistically far, and cuts what it left through.
     """
     if int(result.status) or scene.mold is None or not np.isfinite(np.asarray(result.positions)).all():
         return False
@@ -149,6 +149,6 @@ def _warnings_of_tearing(result: Result) -> list[str]:
     where = format_place(np.asarray(result.positions, float)[triangles[worst]].mean(0))
     count = f"{len(torn)} elements that touch nothing are" if len(torn) > 1 else "an element that touches nothing is"
     return [
-        f"{count} stretched beyond any sense: down to {100 * ratio[worst]:.2g} % of the initial thickness at {where}; "
-        "lower pressure.value or the end time, or put the mold where it stops the sheet"
+        f"{count} stretched unrealistically far: down to {100 * ratio[worst]:.2g} % of the initial thickness at "
+        f"{where}; lower pressure.value or the end time, or put the mold where it stops the sheet"
     ]

@@ -171,9 +171,7 @@ def _warn_of_doubtful_fit(fit: Fit) -> None:
     for match in fit.matches:
         if match.errors.size and match.errors.mean() > _POOR:
             problem = f"is off by {100 * match.errors.mean():.3g} % on average, in {match.column}"
-            warn_of(
-                problem, f"{fit.model} is hardly the law of this material, or a unit is wrong", file=match.table.name
-            )
+            warn_of(problem, f"{fit.model} does not describe this material, or a unit is wrong", file=match.table.name)
     _warn_of_doubtful_numbers(fit)
 
 
