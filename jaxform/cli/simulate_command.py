@@ -117,8 +117,8 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
         f"{summary['run_seconds']:.2f} s (compiled in {summary['compile_seconds']:.1f} s)"
     )
     say(
-        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, "
-        f"coefficient of variation {100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
+        f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, coefficient of variation "
+        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
         f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
     say(_thinnest(summary["thinnest"]))

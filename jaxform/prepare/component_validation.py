@@ -181,7 +181,8 @@ def validate_loading(pressure: Loading) -> Loading:
         raise InputError(f"gives pressures of shape {first.pressure.shape}", "let `at` give one number", "pressure")
     later = _shapes("pressure", next_pressure, made, first, Interval(none, none, none, none))
     if _kinds(later) != _kinds(first):
-        problem = f"has another state of its own after a step, {_words(later.own)}, than at first, {_words(first.own)}"
+        shapes = f"{_words(later.state)}, than at first, {_words(first.state)}"
+        problem = f"has another state of its own after a step, {shapes}"
         raise InputError(problem, "let `after` give arrays of the same shapes as `start`", "pressure")
     return made
 
