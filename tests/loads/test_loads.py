@@ -209,7 +209,7 @@ def test_plain_numbers_are_enough_and_a_pressure_is_one_number() -> None:
         InputError, match=r"another state of its own after a step, float64\[2\], than at first, float64\[1\]"
     ):
         scenes.loaded_scene(jaxform.loading(Growing)())
-    with pytest.raises(InputError, match=r"state of its own.*follows_volume = True"):
+    with pytest.raises(InputError, match=r"does not follow the volume.*follows_volume = True"):
         jaxform.loading(type("Timed", (Growing,), {"follows_volume": False}))
     with pytest.raises(InputError, match="pressure: cannot be traced by JAX"):
         scenes.loaded_scene(Untraced())
