@@ -33,13 +33,13 @@ class TriangleForest:
     Attributes:
         root_count: Triangles at level 0.
         depth: The deepest level; even, so that no mark ever asks for more (see `even_depth`).
-        positions: Of the nodes (n_node, 3) [m]; those of the mesh come first.
+        positions: Node positions (n_node, 3) [m]; those of the mesh come first.
         triangles: (n_triangle, 3), the peak first.
         partner: The other triangle (n_triangle,) with the same refinement edge; itself where there is none.
         middle: Node in the middle of the refinement edge (n_triangle,); -1 at the deepest level.
-        half_edges: Of the sides from each corner to the next (n_triangle, 3): two neighbours' are 2 k and 2 k + 1.
+        half_edges: Numbers of the sides from each corner to the next (n_triangle, 3): two neighbours have 2 k, 2 k + 1.
         corner_slots: (n_triangle, 3); triangles that do not overlap have different ones at a node.
-        ends: Of the edge that each node is the middle of (n_node, 2); itself twice for the nodes of the mesh.
+        ends: End nodes (n_node, 2) of the edge of which a node is the middle; the node twice for those of the mesh.
         clamped: Nodes that never move (n_node,).
         fixed: Components that never move (n_node, 3).
     """
@@ -57,7 +57,7 @@ class TriangleForest:
     fixed: NDArray[np.bool_]
 
     def level(self) -> Integers:
-        """Of the triangles (n_triangle,)."""
+        """The level of each triangle (n_triangle,)."""
         return np.repeat(np.arange(self.depth + 1), self.root_count << np.arange(self.depth + 1)).astype(np.int32)
 
 
@@ -159,7 +159,7 @@ class _NodeTable:
 
 
 def _rim(triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which sides (n, 3), from each corner to the next, have no triangle beyond."""
+    """Mask (n, 3) of the sides, from each corner to the next, that have no neighbour."""
     half = _half_edges(triangles)
     return ~np.isin(half ^ 1, half)
 
@@ -176,7 +176,7 @@ def _fixed_sides(
 
 
 def _child_sides(sides: NDArray[np.bool_], cut: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Of both children (2 n, 3): the sides of (m, p, a) are m-p, p-a and a-m, those of (m, b, p) m-b, b-p and p-m."""
+    """The sides' mask of both children (2 n, 3): (m, p, a) has m-p, p-a and a-m, (m, b, p) has m-b, b-p and p-m."""
     begin, middle, end = sides.T
     return np.stack([np.stack([cut, begin, middle], 1), np.stack([middle, end, cut], 1)], 1).reshape(-1, 3)
 
@@ -218,7 +218,7 @@ def _keys(pairs: NDArray[np.int64], count: int) -> NDArray[np.int64]:
 
 
 def _rotate_longest_first(positions: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Turned round so that the first node faces the longest edge; of equally long ones the same for neighbours."""
+    """The triangles rotated so that the longest edge is opposite the first node; neighbours break ties alike."""
     side = np.roll(triangles, -1, axis=1), np.roll(triangles, -2, axis=1)
     length = np.linalg.norm(positions[side[0]] - positions[side[1]], axis=2)
     # Rounding must not decide: lengths that agree to a millionth count as equal, and the edges' names decide.
@@ -239,7 +239,7 @@ def _root_slots(triangles: NDArray[np.int64], node_count: int) -> NDArray[np.int
 
 
 def _child_slots(slots: NDArray[np.int64], second: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Of both children (2 n, 3): the peak's angle is halved; the new node gets four, two on each side of the edge."""
+    """The slots of both children (2 n, 3): the peak's angle is halved; the new node gets four, two on each side."""
     peak, a, b = slots.T
     new = 4 * second
     return np.stack([np.stack([new, peak, a], 1), np.stack([new + 2, b, peak + 1], 1)], 1).reshape(-1, 3)
@@ -264,7 +264,7 @@ def _half_edges(triangles: NDArray[np.int64]) -> Integers:
 
 
 def rim_sides(forest: TriangleForest) -> NDArray[np.bool_]:
-    """Which sides of the triangles (n_triangle, 3), from each corner to the next, have none beyond."""
+    """Mask (n_triangle, 3) of the sides, from each corner to the next, on the boundary of the mesh; of all levels."""
     sides = [_rim(forest.triangles[: forest.root_count].astype(np.int64))]
     for _ in range(forest.depth):
         sides.append(_child_sides(sides[-1], np.zeros(len(sides[-1]), bool)))
@@ -272,7 +272,7 @@ def rim_sides(forest: TriangleForest) -> NDArray[np.bool_]:
 
 
 def closure(split: NDArray[np.bool_], forest: TriangleForest) -> NDArray[np.bool_]:
-    """What is bisected (n_triangle,) when those split are, so that no node hangs; `remeshing.close_queue` in a run."""
+    """Mask (n_triangle,) of triangles bisected with those split: no node hangs; see `remeshing.close_queue`."""
     split, new = split.copy(), np.flatnonzero(split)
     while len(new):
         inner = new[new >= forest.root_count]

@@ -37,7 +37,7 @@ class OrientedRectangle(NamedTuple):
         return np.array([[cosine, sine], [-sine, cosine]])
 
     def enlarge(self, margin: float) -> OrientedRectangle:
-        """The same, larger by a margin [m] on each side."""
+        """The rectangle enlarged by a margin [m] on each side."""
         return OrientedRectangle(self.corner - margin * self.axes.sum(0), self.sides + 2 * margin, self.angle)
 
 

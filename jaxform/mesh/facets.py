@@ -22,7 +22,7 @@ from jaxform.core.errors import InputError, warn_of
 
 @dataclass(frozen=True)
 class Faces:
-    """What a mesh file says of its faces.
+    """The faces that were read from a mesh file.
 
     Attributes:
         points: Node positions in the unit of the file, shape (n, 2) or more.
@@ -40,14 +40,14 @@ class Faces:
 
 
 def missing_surface_error(*, solid: bool) -> InputError:
-    """What to say of a file without faces."""
+    """The error for a file without faces."""
     if solid:
         return InputError("has solids but no surface", "extract their surface, and export that as triangles")
     return InputError("has no triangles", "export the surface as triangles")
 
 
 def locate_numbers(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where the numbers of nodes that elements have (n,) are among those of all nodes, sorted.
+    """Indices (n,) of the elements' node numbers in the sorted numbers of all nodes.
 
     Raises:
         InputError: Some are not there.
@@ -124,7 +124,7 @@ def read_obj(content: bytes, name: str) -> Faces:
 
 
 def _warn_of_a_cut(faces: Faces, text: str, name: str) -> None:
-    """The format has no end by which to know whether all is there, but positions come before what uses them."""
+    """Warns of a file that may be cut off: OBJ has no end marker, but positions come before their faces."""
     unused = len(faces.points) - len(np.unique(faces.corners))
     if len(faces.counts) and unused > 0:
         problem = f"has {unused} of {len(faces.points)} positions that no face uses"

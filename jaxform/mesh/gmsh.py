@@ -35,7 +35,7 @@ _SECTION = re.compile(rb"\$([A-Za-z]\w*)[ \t]*\r?\n?")
 
 @dataclass
 class _MshContent:
-    """What was read so far; elements by type as their numbers (n,) and nodes (n, k)."""
+    """The content read so far; elements by type, as their numbers (n,) and nodes (n, k)."""
 
     version: float = 1.0
     order: str = ""  # of bytes; "" for text
@@ -50,7 +50,7 @@ class _MshContent:
 
 
 class _TextSection:
-    """Numbers of a section that is text."""
+    """The numbers of a text section."""
 
     def __init__(self, content: bytes) -> None:
         self.numbers, self.place = np.array(content.split()).astype(np.float64), 0
@@ -64,7 +64,7 @@ class _TextSection:
 
 
 class _BinarySection:
-    """Numbers of a binary section, whose end only its own numbers tell."""
+    """The numbers of a binary section, whose length follows from these numbers alone."""
 
     def __init__(self, content: bytes, place: int, order: str, size: int) -> None:
         self.content, self.place, self.order, self.size = content, place, order, size
@@ -108,7 +108,7 @@ def read_msh(content: bytes, name: str) -> Faces:
 
 
 def _section(content: bytes, place: int, name: str, read: _MshContent) -> int:
-    """Reads a section from a place in the content; the place behind it."""
+    """Reads the section at a place in the content, and returns the place behind it."""
     end = content.find(b"$End" + name.encode() if name not in ("NOD", "ELM") else b"$END" + name.encode(), place)
     if end < 0:
         raise InputError(f"is cut off: its section ${name} has no end", "export or copy it again")

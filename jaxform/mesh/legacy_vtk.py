@@ -40,7 +40,7 @@ _TUPLES = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "GLOBAL_IDS": 1, "PEDIGREE_
 
 
 class _Cursor:
-    """A place in the content that goes on with what is read."""
+    """A position in the content that advances with what is read."""
 
     def __init__(self, content: bytes) -> None:
         self.content, self.place, self.binary = content, 0, False
@@ -53,7 +53,7 @@ class _Cursor:
         return line.decode("latin-1").strip()
 
     def words(self) -> list[str]:
-        """Of the next line that has some; none at the end."""
+        """The words of the next line that is not blank; none at the end."""
         while self.place < len(self.content):
             if words := self.raw_line().split():
                 return words
@@ -89,7 +89,7 @@ class _Cursor:
 
 @dataclass
 class _VtkContent:
-    """What was read so far; blocks of cells as their type, the places where each one's corners begin, the corners."""
+    """The content read so far; a block of cells is their type, the offsets of their corners, and the corners."""
 
     version: float
     points: NDArray[Any] | None = None

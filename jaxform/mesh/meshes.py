@@ -108,7 +108,7 @@ def nodal_fields(mesh: Mesh) -> dict[str, NDArray[np.float64]]:
 
 
 def weld(mesh: Mesh, tolerance: float | None = None) -> Mesh:
-    """Merges coincident nodes and drops those that no triangle uses.
+    """Merges coincident nodes and drops unused ones.
 
     Args:
         mesh: Any triangle mesh.
@@ -134,7 +134,7 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
     """Drops triangles without area and copies of triangles, and the nodes that are then unused.
 
     Returns:
-        The cleaned mesh, and how many triangles went.
+        The cleaned mesh, and the number of dropped triangles.
     """
     bad = find_degenerate(mesh.positions, mesh.triangles)
     cells = {name: value[~bad] for name, value in mesh.cell_fields.items()}
@@ -142,7 +142,7 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def find_degenerate(positions: NDArray[np.float64], triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Which triangles have a repeated node, (relative) no area, or the nodes of an earlier triangle.
+    """Finds the triangles with a repeated node, (relatively) no area, or the nodes of an earlier triangle.
 
     Args:
         positions: Node positions [m], shape (n, 3).
@@ -218,7 +218,7 @@ def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]], beside: Seq
     Args:
         path: File to write, replaced if it is there.
         frames: Time [s] and file name of each frame, relative to the folder of `path`.
-        beside: The same of what is shown beside, such as a mold that moves.
+        beside: Times [s] and file names of what is shown beside the frames, such as a moving mold.
     """
     rows = [
         f'    <DataSet timestep="{float(time)!r}"{part} file={quoteattr(name)}/>'
@@ -230,7 +230,7 @@ def write_pvd(path: str | Path, frames: Sequence[tuple[float, str]], beside: Seq
 
 
 def drop_unused_nodes(mesh: Mesh) -> Mesh:
-    """The same without the nodes that no triangle uses."""
+    """The mesh without the nodes that no triangle uses."""
     kept, renumbered = np.unique(mesh.triangles, return_inverse=True)
     kept = kept.astype(np.int64)
     fields = {name: value[kept] for name, value in mesh.fields.items()}

@@ -1,4 +1,4 @@
-"""Polygons of a user's own: cleaned, refused where they cross themselves, with fewer corners, blunt. On the host."""
+"""User-defined polygons: cleaned, rejected where they cross themselves, simplified, blunted. On the host."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def clean(polygon: Any, key: str = "parison.polygon") -> Array:
 
 
 def _drop_collinear(corners: Array) -> Array:
-    """Without the corners that lie on the line between those beside them."""
+    """The polygon without the corners that lie on the line between their neighbours."""
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     turn = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
     onwards = np.einsum("ij,ij->i", before, after) > 0
@@ -90,13 +90,13 @@ def crossing_point(corners: Array) -> Array | None:
 
 
 def _sides_meet(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.bool_]:
-    """Whether sides from a to b and from c to d (n, 2) cross or touch, where their boxes do."""
+    """True where sides from a to b and from c to d (n, 2), whose boxes overlap, cross or touch."""
     one, other = _turn(a, b, c) * _turn(a, b, d), _turn(c, d, a) * _turn(c, d, b)
     return (one <= 0) & (other <= 0)
 
 
 def _sides_overlap(begin: Array, end: Array, one: Index, other: Index) -> NDArray[np.bool_]:
-    """Whether sides that share a corner lie on each other: the second goes straight back."""
+    """True where two sides that share a corner overlap: the second goes straight back."""
     flat = np.abs(_turn(begin[one], end[one], begin[other]) + _turn(begin[one], end[one], end[other]))
     ahead, back = end[one] - begin[one], end[other] - begin[other]
     length = np.linalg.norm(ahead, axis=1) * np.linalg.norm(back, axis=1)
@@ -104,7 +104,7 @@ def _sides_overlap(begin: Array, end: Array, one: Index, other: Index) -> NDArra
 
 
 def _meeting_point(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Where two sides meet, or the middle of what they share."""
+    """The intersection (2,) of two sides, or the middle of their overlap."""
     along, across = b - a, d - c
     turned = along[0] * across[1] - along[1] * across[0]
     if turned == 0:

@@ -49,7 +49,7 @@ def triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.i
 
 
 def try_triangulate(loops: Sequence[Array], size: Size) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """As `triangulate`, and the rim's edges (k,) that are no triangle's, by their first point; it raises nothing."""
+    """The mesh of `triangulate`, and the loops' edges (k,) that it lacks, by their first point; raises nothing."""
     rim = np.concatenate(loops)
     inner = _lattice(rim, size)
     inner = inner[_is_clear(inner, loops, _CLEAR * size(inner))]
@@ -82,12 +82,12 @@ _ROW = np.sqrt(0.75)  # distance of a hexagonal lattice's rows
 
 
 def _is_clear(points: Array, loops: Sequence[Array], clearance: Array) -> NDArray[np.bool_]:
-    """Whether points are inside the loops and that far from them."""
+    """True where points are inside the loops and at a larger distance from them than the clearance."""
     return inside(points, loops) & (_rim_distance(points, loops) > clearance)
 
 
 def inside(points: Array, loops: Sequence[Array]) -> NDArray[np.bool_]:
-    """Whether points (n, 2) are inside the loops: a line to the right crosses these an odd number of times."""
+    """True where points (n, 2) are inside the loops: a line to the right crosses these an odd number of times."""
     begin = np.concatenate(loops)
     end = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
     slope = (end[:, 0] - begin[:, 0]) / np.where(begin[:, 1] == end[:, 1], 1.0, end[:, 1] - begin[:, 1])

@@ -65,7 +65,7 @@ def _fan(faces: Index) -> Index:
 
 
 def _fan_covers(corners: Array, triangles: Index) -> NDArray[np.bool_]:
-    """Whether no triangle (f, t, 3) of a face with corners (f, k, 3) turns against the face."""
+    """True for faces with corners (f, k, 3) of whose triangles (f, t, 3) none has the opposite orientation."""
     points = np.take_along_axis(corners[:, :, None], triangles.reshape(len(corners), -1)[..., None, None], axis=1)
     points = points.reshape(*triangles.shape, 3)
     normal = np.cross(points[:, :, 1] - points[:, :, 0], points[:, :, 2] - points[:, :, 0])

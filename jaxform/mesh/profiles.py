@@ -22,7 +22,7 @@ class Profile:
         along: The place: 'radius' (distance from the z axis), 'x', 'y' or 'z' [m].
         at: Places of the knots [m], increasing.
         value: The quantity at the knots, in its own unit.
-        key: Where it stands in the scene file, for messages.
+        key: Its key in the scene file, for messages.
     """
 
     along: str
@@ -53,7 +53,7 @@ class Profile:
         return np.interp(self.coordinate(positions), self.at, self.value)
 
     def over(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The same at the nodes (n, 3) [m] of a sheet.
+        """The quantity at the nodes (n, 3) [m] of a sheet.
 
         Warns:
             InputWarning: If the knots are hardly meant for it: the sheet has one value, or is a small part of them.
@@ -70,7 +70,7 @@ class Profile:
         return self(positions)
 
     def positive(self) -> Profile:
-        """Itself, when every value is above zero (a thickness, say); InputError otherwise."""
+        """The profile itself when every value is above zero (a thickness, say); InputError otherwise."""
         if min(self.value) <= 0:
             raise InputError("is not positive everywhere", "give values above 0", f"{self.key}.value", self.value)
         return self

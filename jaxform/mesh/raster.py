@@ -1,4 +1,4 @@
-"""Triangles to the pixels of a picture: what is seen, and what covers what. NumPy alone, all triangles at once."""
+"""Rasterization of triangles: covered pixels, and the visible triangle of each. NumPy alone, vectorized."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Hits(NamedTuple):
     Attributes:
         triangle: Numbers (n,).
         pixel: Numbers (n,).
-        rows: What of triangles lies in one row of pixels, from which the pairs were made.
+        rows: The parts of triangles in single rows of pixels, from which the pairs were made.
     """
 
     triangle: Index
@@ -38,14 +38,14 @@ class Hits(NamedTuple):
 
 
 class PixelRows(NamedTuple):
-    """What of triangles lies in rows of pixels.
+    """The parts of triangles in single rows of pixels.
 
     Attributes:
-        triangle: Which each is of (k,).
-        first: The weights (k,) of its three corners in its first pixel.
-        rise: By how much they grow from pixel to pixel.
-        columns: How many pixels it has (k,).
-        along: The place of each pair in its row (n,), from 0.
+        triangle: The triangle of each part (k,).
+        first: Weights (k,) of the triangle's three corners in the part's first pixel.
+        rise: Increments of these weights from pixel to pixel.
+        columns: Number of pixels of each part (k,).
+        along: Index of each pair in its row (n,), from 0.
     """
 
     triangle: Index
@@ -59,9 +59,9 @@ def rasterize(corners: Array, width: int, height: int) -> Iterator[Hits]:
     """The pixels whose middles triangles cover; pixel (i, j) has its middle at (i + 1/2, j + 1/2), number i + j width.
 
     Args:
-        corners: Of the triangles (n, 3, 2), in pixels; what is outside is left out.
-        width: Of the picture, in pixels.
-        height: Of the picture, in pixels.
+        corners: Corners of the triangles (n, 3, 2), in pixels; what is outside is left out.
+        width: Width of the picture, in pixels.
+        height: Height of the picture, in pixels.
     """
     size = np.array([width, height])
     # Corner by corner: NumPy takes ten times as long along an axis of three.
@@ -117,13 +117,13 @@ def _cross(one: Array, other: Array) -> Array:
 def nearest_in_pixels(
     corners: Array, depth: Array, width: int, height: int, kept: Callable[[Hits], NDArray[np.bool_]] | None = None
 ) -> NDArray[np.int32]:
-    """The triangle that is seen in each pixel (height * width,), -1 where none is.
+    """The visible triangle of each pixel (height * width,), -1 where there is none.
 
     Args:
-        corners: (n, 3, 2), in pixels.
-        depth: Of the corners (n, 3); the smallest is the nearest.
-        width: Of the picture, in pixels.
-        height: Of the picture, in pixels.
+        corners: Corners of the triangles (n, 3, 2), in pixels.
+        depth: Depths of the corners (n, 3); the smallest is the nearest.
+        width: Width of the picture, in pixels.
+        height: Height of the picture, in pixels.
         kept: Which of the pairs count (n,), where the triangles are cut open; all by default.
     """
     best, seen = np.full(width * height, np.inf), np.full(width * height, -1, np.int32)

@@ -1,4 +1,4 @@
-"""How finely a shape is meshed: what an element size or a number of elements may be."""
+"""The resolution of a shape's mesh: limits of its element size and of its number of elements."""
 
 from __future__ import annotations
 

@@ -35,8 +35,8 @@ class Ring(NamedTuple):
     """The nodes of a ring, evenly spaced.
 
     Attributes:
-        count: How many, and how many segments.
-        turned: Whether the first is half a segment off the x axis.
+        count: Number of nodes, and of segments.
+        turned: Whether the first node is half a segment off the x axis.
     """
 
     count: int
@@ -44,7 +44,7 @@ class Ring(NamedTuple):
 
     @property
     def places(self) -> Array:
-        """Of the nodes, as shares of the whole way around, counter-clockwise (count,)."""
+        """Angles of the nodes, as shares of the full circle, counter-clockwise (count,)."""
         return (np.arange(self.count) + 0.5 * self.turned) / self.count
 
     @property
@@ -75,8 +75,8 @@ def graded_rings(radius: float, size: Profile, density: float) -> tuple[Array, l
     """Radii [m] of rings and their numbers of segments, from 0 on, from the local size over the radius.
 
     Args:
-        radius: Of the disc [m].
-        size: Of the elements [m], along the radius.
+        radius: Radius of the disc [m].
+        size: Element size [m], along the radius.
         density: Segments of a ring at a distance of one size from the axis.
 
     Raises:

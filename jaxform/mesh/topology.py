@@ -1,4 +1,4 @@
-"""How the triangles of a mesh hang together: edges, boundary, orientation, parts. On the host."""
+"""Connectivity of triangle meshes: edges, boundary, orientation, connected parts. On the host."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def boundary_nodes(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def is_closed(triangles: NDArray[np.integer]) -> bool:
-    """Whether there are triangles, and every edge has triangles on both sides."""
+    """True when there are triangles, and every edge has triangles on both sides."""
     return len(triangles) > 0 and len(boundary_edges(triangles)) == 0
 
 
@@ -62,7 +62,7 @@ def inconsistent_edges(triangles: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def orientations(triangles: NDArray[np.integer]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Which triangles turn the same way.
+    """Consistent orientations of the triangles, part by part.
 
     Returns:
         For each triangle the number of the part that edges of exactly two triangles hold together, and 1 or -1:

@@ -17,7 +17,7 @@ _WORTH_TELLING = 1e-3  # the same share, from which it is warned of
 
 
 def areas(positions: Array, triangles: Index) -> Array:
-    """Of triangles (m, 3) [m^2], shape (m,)."""
+    """Areas of triangles (m, 3) [m^2], shape (m,)."""
     corners = positions[triangles]
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return 0.5 * np.linalg.norm(doubled, axis=1)
