@@ -1,1 +1,1 @@
-"""What is simulated: the scene, its fields, and how its numbers are replaced."""
+"""The simulation model: the scene, its fields, and the replacement of its numbers."""

@@ -1,4 +1,4 @@
-"""Nodal fields that a scene carries of its own, and how one is added: a class, decorated with `field`."""
+"""User-defined nodal fields of a scene; one is added as a class decorated with `field`."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from jaxform.core.pytree import static
 
 
 class Surroundings(NamedTuple):
-    """What a field sees of the nodes at the end of a step.
+    """The nodal context that a field is given at the end of a step.
 
     Attributes:
-        time: At its end [s].
-        length: Of the step [s].
-        positions, velocities: (3, n_node) [m], [m/s].
+        time: Time at the end of the step [s].
+        length: Length of the step [s].
+        positions, velocities: Nodal positions and velocities (3, n_node) [m], [m/s].
         stuck: Nodes (n_node,) that do not move any more.
-        contact_time: When each stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        contact_time: Time of contact of each node (n_node,) [s]; -1 where free, 0 where clamped.
     """
 
     time: jax.Array
@@ -31,9 +31,9 @@ class Surroundings(NamedTuple):
 
 
 class Field:
-    """A scalar at the sheet's nodes that goes with them: through steps, contact and refinement, into the result.
+    """A scalar at the sheet's nodes, carried through steps, contact and refinement into the result.
 
-    A field is a pytree whose numbers are leaves. It says what it is at first and what a step makes of it::
+    A field is a pytree whose numbers are leaves. It defines its initial values and their change in a step::
 
         @jaxform.field
         class Cooling(jaxform.Field):
@@ -51,7 +51,7 @@ class Field:
     nodes in: a node's must follow from what is given of that node alone. Gradients are by checkpoints.
 
     Attributes:
-        rests: Whether it stays as it is where a node sticks. Where it does not, what sticks is stepped on to the end.
+        rests: Whether values stay constant where a node sticks. Otherwise stuck nodes are stepped until the end.
     """
 
     rests: ClassVar[bool] = False
@@ -61,7 +61,7 @@ class Field:
         raise NotImplementedError
 
     def after(self, values: jax.Array, step: Surroundings) -> jax.Array:
-        """Values (n_node,) at the end of a step; by default what they were."""
+        """Values (n_node,) at the end of a step; by default unchanged."""
         return values
 
     def between(self, first: jax.Array, second: jax.Array) -> jax.Array:

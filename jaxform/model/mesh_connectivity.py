@@ -1,4 +1,4 @@
-"""How a parison's mesh hangs together: parts, rims, and seams whose nodes are not joined. On the host."""
+"""Connectivity of a parison's mesh: parts, rims, and seams whose nodes are not merged. On the host."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _ONE_WAY = 0.5  # of a part's area, its projection, from which the part faces on
 
 
 class MeshConnectivity(NamedTuple):
-    """How a mesh hangs together.
+    """The connectivity of a mesh.
 
     Attributes:
         part: Number of the part of each triangle (n_triangle,); edges hold a part together.
-        part_count: How many parts there are.
-        rims: How many connected rims there are, cuts by symmetry planes left out.
+        part_count: Number of parts.
+        rims: Number of connected rims, cuts by symmetry planes left out.
         loose: Rim nodes (k,) that lie on a rim that they are not joined to.
         pinched: Nodes (k,) in which alone some elements meet others.
         opposed: A triangle in each part that faces the opposite of the largest one (k,).
@@ -43,10 +43,10 @@ class MeshConnectivity(NamedTuple):
 
 
 def find_connectivity(positions: Array, triangles: NDArray[np.integer], fixed: NDArray[np.bool_]) -> MeshConnectivity:
-    """How a mesh hangs together.
+    """Finds the parts, rims, loose and pinched nodes of a mesh.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Node positions (n_node, 3) [m].
         triangles: Node numbers (n_element, 3).
         fixed: Components that symmetry planes hold (n_node, 3).
     """
@@ -72,7 +72,7 @@ def find_connectivity(positions: Array, triangles: NDArray[np.integer], fixed: N
 
 
 def parison_connectivity(parison: Parison) -> MeshConnectivity:
-    """How the mesh of a parison hangs together, before it is refined."""
+    """The connectivity of a parison's mesh, before it is refined."""
     positions = np.asarray(parison.positions, float)
     return find_connectivity(positions, np.asarray(parison.triangles), np.asarray(parison.fixed))
 
@@ -176,7 +176,7 @@ def _loose_nodes(positions: Array, triangles: Index, alone: Index, on_rim: Index
 
 
 def _share_edge(one: Index, other: Index, triangles: Index, node_count: int) -> NDArray[np.bool_]:
-    """Which pairs of nodes (n,) are the ends of one edge."""
+    """True where pairs of nodes (n,) are the ends of one edge."""
     begin, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
     wanted = np.isin(begin, one)
     keys = np.concatenate([begin[wanted] * node_count + end[wanted], end[wanted] * node_count + begin[wanted]])

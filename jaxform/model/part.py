@@ -1,6 +1,6 @@
-"""Which of the formed sheet is the part: what lies in a box, on one side of a plane, or on some of the mold.
+"""The part of the formed sheet: elements in a box, on one side of a plane, or on some triangles of the mold.
 
-What a sheet is clamped in, platens, covers and flanges are formed with the part, but are cut off it.
+The clamped edge, platens, covers and flanges are formed with the part, but are trimmed off.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Trim:
     """A plane across an axis at which the part is cut off.
 
     Attributes:
-        at: Where it is along the axis [m].
+        at: Its place along the axis [m].
         axis: 0, 1 or 2.
         above: Whether what lies above it is the part.
     """
@@ -34,13 +34,13 @@ class Trim:
 
 @pytree
 class Part:
-    """Which elements of the formed sheet are the part: those that all that is given holds for.
+    """The part of the formed sheet: the elements that meet all given conditions.
 
     Attributes:
-        box: Lowest and highest corner (2, 3) [m] of what the middle of an element lies in; None for everywhere.
+        box: Lowest and highest corner (2, 3) [m] of the box that holds an element's middle; None for everywhere.
         trim: The side of a plane on which the middle of an element lies; None for both.
         walls: Triangles of the mold (n_triangle,) that the part touches: more of an element's nodes stick to these
-            than to others; what touches nothing belongs to what is next to it. None for all.
+            than to others; elements without contact belong to what is next to them. None for all.
     """
 
     box: jax.Array | None = None
@@ -48,7 +48,7 @@ class Part:
     walls: jax.Array | None = None
 
     def holds(self, places: Any) -> Any:
-        """Which places (n, 3) [m] are in the box and on the right side of the plane (n,); NumPy's or traced."""
+        """Mask (n,) of the places (n, 3) [m] in the box and on the chosen side of the plane; NumPy's or traced."""
         inside = jnp.ones(places.shape[0], bool)
         if self.box is not None:
             inside &= jnp.all((places >= self.box[0]) & (places <= self.box[1]), axis=1)
@@ -64,7 +64,7 @@ def make_part(
     trim: tuple[Literal["x", "y", "z"], float, Literal["above", "below"]] | None = None,
     walls: ArrayLike | None = None,
 ) -> Part:
-    """Which elements of the formed sheet are the part, for `build_scene`.
+    """Defines the part of the formed sheet, for `build_scene`.
 
     Args:
         box: Lowest and highest corner (2, 3) [m], in formed positions.
@@ -121,7 +121,7 @@ def check_part(part: Part | None, triangle_count: int | None) -> None:
 
 
 def select_mold_files(paths: Sequence[str], wanted: Sequence[str]) -> list[int]:
-    """Which of the mold's files (their places in `paths`) are wanted, by path or else by file name.
+    """Indices in `paths` of the mold's files that are wanted, by path or else by file name.
 
     Raises:
         InputError: A name is none of them.

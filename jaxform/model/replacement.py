@@ -1,4 +1,4 @@
-"""`replace`, which puts other numbers into a scene, and what becomes of those that only a trace can tell are wrong."""
+"""`replace`, which changes numbers of a scene, and the handling of traced numbers that are out of range."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     """A scene with other numbers at dotted paths, such as {"pressure.value": new}; the way to differentiate.
 
     A number takes its old shape, or may be broadcast to it; one of the law may take a value at each node of the parison
-    instead, (..., n_node). Meshes are not replaced but built anew. Of values that are
-    traced it is not known here whether they are in their range: `simulate` then simulates nothing and its status says
-    so.
+    instead, (..., n_node). Meshes are not replaced but built again. Traced values cannot
+    be checked here: if one is out of its range, `simulate` simulates nothing and its status says so.
 
     Raises:
         InputError: If a path does not exist or does not fit the scene, or a value is no real number, has another shape
@@ -49,7 +48,7 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
 
 
 def _keep_window_count(scene: Scene, before: Scene) -> Scene:
-    """Of a run that ends sooner windows are shorter: at their ends it is looked at, say for its kinetic energy."""
+    """Shortens the windows of a run that ends sooner: checks, such as of kinetic energy, are at their ends."""
     longest, ends = scene.tables.longest_window, (before.solver.end_time, scene.solver.end_time)
     if any(isinstance(number, Tracer) or np.ndim(number) for number in (longest, *ends)):
         return scene
@@ -97,7 +96,7 @@ def check_numbers(scene: Scene) -> None:
 def sanitize_parameters(scene: Scene) -> tuple[Scene, jax.Array]:
     """A scene that can be simulated whatever its numbers are, and which of `DESIGNABLE` are out of range, as bits.
 
-    Where any is, there is no pressure, and a sheet at rest stays so: under `vmap`, where its windows are worked out
+    Where any is, there is no pressure, and a sheet at rest stays so: under `vmap`, where its windows are computed
     beside others', nothing in them overflows, nor in their derivatives.
     """
     found, bits = {}, jnp.zeros(WORDS, jnp.int32)
@@ -123,7 +122,7 @@ def _bit(place: int) -> np.ndarray:
 
 
 def describe_out_of_range(bits: np.ndarray) -> str:
-    """Which numbers are out of range, and what is asked of them."""
+    """The numbers that are out of range, each with its admissible range, as text."""
     paths = [path for k, path in enumerate(DESIGNABLE) if np.any(bits & _bit(k))]
     return ", ".join(f"{path} {' or '.join(map(_rule, declared_ranges(path)))}" for path in paths)
 
@@ -201,7 +200,7 @@ def _convert_value(path: str, value: ArrayLike, old: jax.Array, scene: Scene) ->
 
 
 def _shapes(path: str, old: jax.Array, scene: Scene) -> list[tuple[int, ...]]:
-    """What shapes a number may have: of the law's also that of zones."""
+    """The shapes that a number may have; a number of the law may also have one value per node, for zones."""
     part, _, name = path.rpartition(".")
     if part != "material":
         return [old.shape]

@@ -1,4 +1,4 @@
-"""What is simulated: `Scene` and its parts, and their validation.
+"""The simulation model: `Scene` and its parts, and their validation.
 
 A scene is a pytree. Every number in it is a leaf that can be designed; every choice (which law, is there a mold) is
 static. What the host must build from it (reference geometry, search structure, number of windows) is built once by
@@ -39,7 +39,7 @@ class Parison:
         thickness: Initial thickness at the nodes (n_node,) [m].
         clamped: Nodes that never move (n_node,).
         fixed: Components that never move (n_node, 3), on symmetry planes.
-        temperature: At the nodes (n_node,) [degC], at first; None where nothing asks for it.
+        temperature: Initial temperature at the nodes (n_node,) [degC]; None where nothing needs it.
     """
 
     positions: jax.Array
@@ -55,15 +55,15 @@ class Solver:
     """Options of the time integration.
 
     Attributes:
-        end_time: When the simulation ends [s].
+        end_time: End of the simulation [s].
         damping: Mass-proportional damping [1/s], rho h0 (a + damping v) = f; None leaves the term out.
         safety: Fraction of the stable step that is taken.
         skip_stuck: Whether elements whose nodes all stick leave the list of those that are active.
         skip_far: Whether contact is tested for the nodes that can reach the mold within a window only.
         end_early: Whether the run ends when nothing can move any more.
         sharp_step: Whether the stable step is measured by Lanczos' method; else it is bounded element by element.
-        quasi_static: Whether the process is meant to be slow; if inertia or damping show in the wall, it is warned of.
-        max_steps: Where `run` stops at the latest.
+        quasi_static: Whether the process is meant to be slow; a warning tells if inertia or damping matter.
+        max_steps: Number of steps at which `run` stops at the latest.
     """
 
     end_time: jax.Array
@@ -79,22 +79,22 @@ class Solver:
 
 @pytree
 class Refinement:
-    """Where the mesh becomes finer: elements are bisected at the borders of windows.
+    """Adaptive refinement: elements are bisected at window boundaries.
 
     Attributes:
         angle: Largest angle [degrees] of an element's and its neighbours' normals to their mean (paper, 3.3).
         min_area: Smallest initial area of a part [m^2].
-        interval: Steps from one look at the mesh to the next, rounded up to whole windows.
-        max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
+        interval: Steps between two checks of the mesh, rounded up to whole windows.
+        max_level: Elements at this level are not bisected for their own shape, only to fit their neighbours.
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
-        base_reach: What is near: so many times the element's longest side.
+        base_reach: Distance that counts as near, as a multiple of the element's longest side.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
-        scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
+        scaled_levels: Number of the finest levels whose mass is scaled, so that they do not shorten the step.
         at_rest: Whether new nodes begin at rest that are nearer to the mold than half their edge, or its search grid's
             reach; from a whole one on they move as their edge did, in between somewhat slower. Else all move as their
-            edges did, which keeps the momentum, but makes a replay jump where a node lands just before or just after a
-            border.
-        elements: Room for so many.
+            edges did, which keeps the momentum, but makes a replay jump where a node comes into contact just before or
+            just after a window boundary.
+        elements: Capacity: the largest number of elements.
     """
 
     angle: jax.Array
@@ -110,19 +110,19 @@ class Refinement:
 
     @property
     def deepest(self) -> int:
-        """The highest level that an element is bisected to for what it looks like."""
+        """The highest level to which an element is bisected for its own shape."""
         return int(max(self.max_level, self.base_level))
 
 
 class Tool(NamedTuple):
-    """A surface that the sheet can touch, and the structure in which contact looks for its triangles."""
+    """A surface that the sheet can touch, and its search structure for contact."""
 
     mold: Mold
     grid: SearchGrid
 
 
 class Adaptivity(NamedTuple):
-    """How the mesh becomes finer: within which limits, and what it can be refined to."""
+    """Adaptive refinement: its limits, and the hierarchy of triangles that the mesh can be refined to."""
 
     limits: Refinement
     forest: BisectionHierarchy
@@ -134,17 +134,17 @@ class Scene:
 
     Attributes:
         parison: The sheet.
-        material: Its law.
-        pressure: What loads it.
+        material: The material model.
+        pressure: The loading.
         solver: Options of the time integration.
         mold: The mold; None for free inflation.
-        refinement: Where the mesh becomes finer; None where it stays as it is.
-        tables: What the host built.
-        name: What the scene is called.
-        fields: Nodal fields of its own, by name.
-        cooling: How the sheet cools; None where it keeps its temperature.
+        refinement: Adaptive refinement; None for a fixed mesh.
+        tables: Precomputed data, built on the host.
+        name: Name of the scene.
+        fields: User-defined nodal fields, by name.
+        cooling: Cooling of the sheet; None where it keeps its temperature.
         fill: Whether the mold is to be filled: where it is not, the status of a run says so.
-        part: Which of the formed sheet is the part; None where all of it is.
+        part: The part of the formed sheet; None where all of it is the part.
     """
 
     parison: Parison
@@ -171,18 +171,18 @@ class Scene:
 
     @property
     def law(self) -> Law:
-        """The material at the sheet's first temperature, what that shifts at each node."""
+        """The material at the sheet's initial temperature, with the numbers that this shifts at each node."""
         return self.material.at(self.parison.temperature)
 
     @property
     def tool(self) -> Tool | None:
-        """What the sheet can touch; None for free inflation."""
+        """The surface that the sheet can touch, with its search structure; None for free inflation."""
         mold, grid = self.mold, self.tables.grid
         return None if mold is None or grid is None else Tool(mold, grid)
 
     @property
     def adaptivity(self) -> Adaptivity | None:
-        """How the mesh becomes finer; None where it stays as it is."""
+        """Limits and hierarchy of the adaptive refinement; None for a fixed mesh."""
         limits, forest = self.refinement, self.tables.forest
         return None if limits is None or forest is None else Adaptivity(limits, forest)
 
@@ -194,21 +194,21 @@ class Scene:
 
     @property
     def packs_moving(self) -> bool:
-        """Whether windows work through what can still move alone."""
+        """True where windows step only the nodes and elements that can still move."""
         return self.mold is not None and self.solver.skip_stuck and self.rests
 
     @property
     def rests(self) -> bool:
-        """Whether what sticks stays as it is, so that nothing is left to do where all does."""
+        """True where stuck nodes stay unchanged, so that a run can end when all nodes stick."""
         return self.motion is None and all(field.rests for field in self.fields.values())
 
     @property
     def motion(self) -> Motion | None:
-        """How the mold moves; None where it rests, or there is none."""
+        """The motion of the mold; None where it rests, or there is none."""
         return None if self.mold is None else self.mold.motion
 
     def pushes(self) -> np.ndarray:
-        """Pressures [Pa] of the process, by which one tells how much and which way it pushes; on the host."""
+        """Sampled pressures [Pa] of the process, which show the magnitude and sign of its push; on the host."""
         return sample_pressures(self.pressure, self.solver, self.parison)
 
     def strongest_push(self) -> float:
@@ -218,13 +218,13 @@ class Scene:
 
     @property
     def stiffens(self) -> bool:
-        """Whether its moduli change while it runs, since it cools."""
+        """True where the moduli change during a run, since the sheet cools."""
         shift = self.material.shift
         return self.cooling is not None and shift is not None and shift.stiffens
 
     @property
     def reversible(self) -> bool:
-        """Whether every part of it can be stepped backwards, as the reversed scheme does."""
+        """True where every part can be stepped backwards, as the reversed scheme does."""
         return not self.irreversible_parts
 
     @property
@@ -241,7 +241,7 @@ class Scene:
 
 
 def sample_pressures(pressure: Loading, solver: Solver, parison: Parison) -> np.ndarray:
-    """As `Scene.pushes`, of the parts of a scene."""
+    """The pressures [Pa] of `Scene.pushes`, from the parts of a scene."""
     volume = 0.0
     if pressure.follows_volume:
         volume = reference.enclosed_volume(np.asarray(parison.positions, float), np.asarray(parison.triangles))
@@ -264,11 +264,11 @@ def make_parison(
         thickness: Initial thickness [m], a number or (n_node,).
         clamped: Mask of the nodes that never move.
         fixed: Mask (n_node, 3) of components that never move, for symmetry planes; none by default.
-        temperature: Of the sheet [degC], a number or (n_node,); None where the law does not ask for it.
+        temperature: Temperature of the sheet [degC], a number or (n_node,); None where the law does not need it.
 
     Raises:
-        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh; or so a
-            temperature.
+        InputError: If a thickness is not positive or not finite, is no number, or does not fit the mesh; or if a
+            temperature does not.
     """
     count = len(positions)
     return Parison(
@@ -324,7 +324,7 @@ def make_refinement(
     at_rest: bool = True,
     jump: float | None = None,
 ) -> Refinement:
-    """Where the mesh becomes finer; see `Refinement`.
+    """Limits of adaptive refinement; see `Refinement`.
 
     Raises:
         InputError: If a number is out of its range.

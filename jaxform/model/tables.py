@@ -1,4 +1,4 @@
-"""What the host builds for a scene: initial geometry, how nodes gather forces, the forest, and counts."""
+"""Data that the host builds for a scene: initial geometry, assembly of forces, the forest, and counts."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class ReferenceGeometry:
 
 @pytree
 class ElementPairs:
-    """Elements in pairs that share an edge, with which the nodes of both begin.
+    """Pairs of elements that share an edge; the nodes of both elements begin with its ends.
 
     Attributes:
         element: The pairs (2, n_pair); -1 for the second of one that is left over.
-        pair: The pair that each element (n_element,) is of.
+        pair: The pair of each element (n_element,).
         triangles: Node numbers (3, n_element) in that order.
-        inverse_metric: Of the initial metric in that order (3, n_element) [1/m^2].
+        inverse_metric: Inverse of the initial metric in that order (3, n_element) [1/m^2].
         orientation: Whether the order is that of the element's normal (n_element,): 1, or -1.
     """
 
@@ -51,14 +51,15 @@ class ElementPairs:
 
 @pytree
 class Assembly:
-    """Which corners of which elements a node gathers its force from: four times the element plus the corner.
+    """The element corners from which each node gathers its force: four times the element plus the corner.
 
-    Or of which pairs: the ends of the common edge, then the node of the first element that is apart, and the second's.
+    Or the corners of pairs: the ends of the common edge, then the node of the first element that is apart,
+    and the second's.
 
     Attributes:
-        table: (depth, n_node), -1 where there are no more.
+        table: Corners of each node (depth, n_node), -1 where there are no more.
         overflow_node, overflow: Nodes (k,) with more corners than the table is deep, and these corners (k,).
-        pairs: None where elements are worked out one by one.
+        pairs: Pairs of elements; None where elements are computed one by one.
     """
 
     table: jax.Array
@@ -82,11 +83,11 @@ class Rim:
 
 @pytree
 class Bend:
-    """Where the mold is bent.
+    """Distance to the bent parts of the mold.
 
     Attributes:
-        distance: To a bent part of the mold (n_cell,) [m], from the parts of the search grid's cells, x by y by z.
-        parts: Into how many parts each cell is cut along each axis.
+        distance: Distance (n_cell,) [m] to a bent part, from the parts of the search grid's cells, x by y by z.
+        parts: Number of parts into which each cell is cut along each axis.
     """
 
     distance: jax.Array
@@ -100,23 +101,23 @@ class BisectionHierarchy:
     Attributes:
         sheet: Initial geometry of all triangles.
         bound: Largest eigenvalue of each triangle's shape gradients (n_triangle,) [1/m^2].
-        heavier: How many times its mass each triangle is given (n_triangle,).
+        mass_scale: Mass scaling factor of each triangle (n_triangle,).
         partner: The other triangle with the same refinement edge (n_triangle,).
         middle: Node in the middle of the refinement edge (n_triangle,), -1 at the deepest level.
-        half_edges: (3, n_triangle).
-        root_row: For the corners (3, root_count) of the first triangles: which of their node's triangles they are.
-        ends: Of the edge that each node is the middle of (2, n_node).
-        owner: A triangle that each node is in the middle of the refinement edge of (n_node,); 0 for the first nodes.
+        half_edges: Numbers of the sides from each corner to the next (3, n_triangle).
+        root_row: For the corners (3, root_count) of the first triangles: their index among their node's triangles.
+        ends: End nodes (2, n_node) of the edge of which each node is the middle.
+        owner: A triangle (n_node,) whose refinement edge has the node in its middle; 0 for the first nodes.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
-        bend: Where the mold is bent; None where unused.
+        bend: Distance to bent parts of the mold; None where unused.
         fine_at_once: Triangles (n,) that are bisected when a run begins, ascending, then the largest number; None where
             none are.
         root_count: Triangles at level 0.
         depth: The deepest level.
         first_nodes: Nodes of the mesh before it is refined.
         half_edge_count: Numbers of half edges are below this.
-        valence: How many triangles can meet at a node.
-        node_room: Room for so many nodes.
+        valence: Largest number of triangles that can meet at a node.
+        node_room: Capacity for nodes.
     """
 
     sheet: ReferenceGeometry
@@ -141,12 +142,12 @@ class BisectionHierarchy:
 
 @pytree
 class Counts:
-    """How many there are of what arrays have more room for; see `jaxform.runs.arrays`.
+    """Numbers of used entries in arrays with a larger capacity; see `jaxform.runs.arrays`.
 
     Attributes:
-        elements: Of the mesh before it is refined.
-        nodes: Its nodes.
-        pairs: Pairs of its elements; None where they are worked out one by one.
+        elements: Elements of the mesh before it is refined.
+        nodes: Nodes of that mesh.
+        pairs: Pairs of its elements; None where elements are computed one by one.
     """
 
     elements: jax.Array
@@ -156,11 +157,11 @@ class Counts:
 
 @pytree
 class SceneBox:
-    """What a sheet and its mold lie in at first, and wherever the mold moves.
+    """Bounding box of the initial sheet, and of its mold wherever that moves.
 
     Attributes:
-        middle: (3,) [m].
-        reach: Distance from it [m] along an axis, where a sheet is beyond the box by the longest of its sides.
+        middle: Middle of the box (3,) [m].
+        reach: Distance from the middle [m] along an axis at which a sheet is beyond the box by its longest side.
     """
 
     middle: jax.Array
@@ -169,26 +170,26 @@ class SceneBox:
 
 @pytree
 class Precomputed:
-    """What the host built for a scene; depends on its meshes and limits, not on the numbers to be designed.
+    """Data that the host built for a scene; it depends on meshes and limits, not on the numbers to be designed.
 
     Attributes:
         sheet: Initial geometry.
-        assembly: How nodes gather their force.
+        assembly: Assembly of the nodal forces.
         bound: Largest eigenvalue of each element's shape gradients (n_element,) [1/m^2], for the stable step.
         mobility: 1 where a component of a node may move, else 0, (3, n_node).
         size: Largest initial coordinate [m].
-        box: Of sheet and mold: a sheet that gets far out of it has left its mold; None without one.
+        box: Box of sheet and mold: a sheet far outside of it has left its mold; None without a mold.
         grid: Search structure of the mold, or None.
-        forest: What the mesh can be refined to, or None.
-        lying: Which nodes (n_node,) lie on the mold when a run begins, and on which of its triangles, as `State.wall`
-            has it; None where none do.
+        forest: Hierarchy that the mesh can be refined to, or None.
+        initial_contact: Mold triangles (n_node,) that nodes touch when a run begins, signed as in `State.wall`; None
+            where there is no contact.
         window_count: Number of windows that a run may take.
-        planned: How many were planned for what is expected, where more may be met: windows then become longer, so that
-            they do. The largest number where enough were planned.
-        longest_window: Steps that a window may take at most.
-        window_room: Room for so many.
-        pairs_per_node: Room for so many pairs of node and mold triangle that come near each other, for each node.
-        counts: How many elements and nodes there are; None where arrays are as long as that.
+        planned: Number of windows planned for the expected stretch, where a larger one may occur: windows then become
+            longer, so that they suffice. The largest number where enough were planned.
+        longest_window: Largest number of steps of a window.
+        window_room: Capacity of a window, in steps.
+        pairs_per_node: Capacity per node for pairs of node and mold triangle that come near each other.
+        counts: Numbers of elements and nodes; None where arrays have exactly these lengths.
         rim: Edges of rims that move; None where every rim is clamped or stays on a symmetry plane.
     """
 
