@@ -1,10 +1,10 @@
-"""Which of the listed pairs are tested in a step: the watch over the nodes while one list holds.
+"""The broad phase of a step: selection of the listed pairs that are tested, while one candidate list is valid.
 
-Every few steps a look at all nodes says whether any can touch the mold, or leave its sphere, before the next look.
-While none can, nothing is tested; else every step watches: the pairs are tested whose nodes have gone far enough from
-where they were listed, and another list is made where a node is about to leave its sphere. A look trusts the
-velocities; where one was wrong, so that a node may have touched unseen, the next one sees that it was, or the end of
-the list does, and the window is retried without trust in any look.
+Every few steps a check of all nodes tells whether any can touch the mold, or leave its sphere, before the next check.
+While none can, nothing is tested. Otherwise every step selects the pairs whose nodes have moved far enough from where
+they were listed, and another list is made where a node is about to leave its sphere. A check relies on the velocities.
+Where these changed, so that a node may have touched the mold unchecked, the next check or the end of the list detects
+it, and the window is retried without relying on checks.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _AHEAD = 2.0  # times as far as a node goes at its speed until the next look: wh
 
 
 class BroadPhaseCheck(NamedTuple):
-    """What a look at the nodes finds.
+    """The result of a check of the nodes.
 
-    Whether any can touch a listed triangle, or leave its sphere, before the next look, so that every step watches till
-    then; and whether one may have touched unseen before this one.
+    Whether any can touch a listed triangle, or leave its sphere, before the next check, so that every step until then
+    selects pairs; and whether one may have touched the mold unchecked before this check.
     """
 
     close: jax.Array
@@ -34,26 +34,26 @@ class BroadPhaseCheck(NamedTuple):
 
 
 class DueBlocks(NamedTuple):
-    """Blocks of listed pairs that are tested: their numbers (n_block,), and how many they are."""
+    """Blocks of listed pairs that are tested: their numbers (n_block,), and their count."""
 
     block: jax.Array
     count: jax.Array
 
 
 class ActivePairs(NamedTuple):
-    """What is found in a step that watches: the pairs that are tested, and whether a node may soon leave its sphere."""
+    """The pairs that are tested in a step, and whether a node may soon leave its sphere."""
 
     due: DueBlocks
     leaving: jax.Array
 
 
 def initial_check() -> BroadPhaseCheck:
-    """Before the first look at the nodes: every step watches."""
+    """The check before the first one: every step selects pairs."""
     return BroadPhaseCheck(jnp.asarray(True), jnp.asarray(False))
 
 
 def no_active_pairs(candidates: Candidates) -> ActivePairs:
-    """Of a step that does not watch: nothing."""
+    """The active pairs of a step that tests nothing."""
     return ActivePairs(all_blocks(candidates)._replace(count=jnp.int32(0)), jnp.asarray(False))
 
 
@@ -66,16 +66,16 @@ def check_nodes(
     last: BroadPhaseCheck,
     node_block_count: jax.Array,
 ) -> BroadPhaseCheck:
-    """Looks at every node in use, and ahead.
+    """Checks every node in use, up to the next check.
 
     Args:
         positions: (3, n_node) or three times (n_node,) [m].
         velocities: (3, n_node) [m/s].
         stuck: Nodes (n_node,) that do not move any more.
-        till_next: Time until the next look [s].
+        till_next: Time until the next check [s].
         candidates: The list.
-        last: What the last look found.
-        node_block_count: How many blocks of nodes are in use.
+        last: Result of the last check.
+        node_block_count: Number of node blocks in use.
     """
 
     def work(stuck: Any, positions: Any, velocities: Any, spheres: Any) -> Any:
@@ -101,18 +101,18 @@ def check_nodes(
 
 
 def list_spheres(candidates: Candidates) -> tuple[jax.Array, ...]:
-    """What `may_have_missed` needs of a list, node by node."""
+    """The arrays of a list that `may_have_missed` needs, node by node."""
     return candidates.start, candidates.clear_square, candidates.center, candidates.limit_square
 
 
 def may_have_missed(positions: Any, stuck: jax.Array, spheres: Any, last: BroadPhaseCheck) -> jax.Array:
-    """Which nodes (n,) may have missed the mold: out of their spheres, or so far that they may have touched unseen.
+    """Mask (n,) of nodes that may have missed the mold: out of their spheres, or far enough to touch it unchecked.
 
     Args:
         positions: (3, n) [m].
         stuck: Nodes (n,) that do not move any more.
-        spheres: What are `list_spheres` of the list at these nodes.
-        last: What the last look found.
+        spheres: The `list_spheres` of the list at these nodes.
+        last: Result of the last check.
     """
     start, clear_square, center, limit_square = spheres
     return ~stuck & (
@@ -129,13 +129,13 @@ def all_blocks(candidates: Candidates) -> DueBlocks:
 def find_active_pairs(
     positions: Any, stuck: jax.Array, candidates: Candidates, node_block_count: jax.Array
 ) -> ActivePairs:
-    """Which free nodes have gone far enough from where the window began to touch, and whether one is about to leave.
+    """The blocks with free nodes that moved far enough to touch the mold, and whether one soon leaves its sphere.
 
     Args:
         positions: After the step, (3, n_node) or three times (n_node,) [m].
         stuck: Nodes (n_node,) that do not move any more.
         candidates: The list.
-        node_block_count: How many blocks of nodes are in use.
+        node_block_count: Number of node blocks in use.
     """
 
     def work(stuck: Any, positions: Any, spheres: Any) -> Any:
@@ -147,7 +147,7 @@ def find_active_pairs(
         first = block * TEST_BLOCK
         node = slice_at(candidates.lists.node, first, TEST_BLOCK)
         used = first + jnp.arange(TEST_BLOCK) < candidates.count
-        # What is not due is written over by the next one.
+        # A block that is not due is overwritten by the next one.
         blocks = put(due.block, block[None], due.count)
         return DueBlocks(blocks, due.count + jnp.any(used & gather(touching[0], node)))
 
@@ -159,6 +159,6 @@ def find_active_pairs(
 
 
 def _has_moved(positions: Any, place: jax.Array, square: jax.Array) -> jax.Array:
-    """Which nodes (n,) are as far from a place (3, n) [m] as the root of these squares (n,) [m^2], or farther."""
+    """True where the squared distance of nodes (n,) from a place (3, n) [m] is at least the square (n,) [m^2]."""
     gap = minus(positions, place)
     return dot(gap, gap) >= square

@@ -1,4 +1,4 @@
-"""Which nodes can meet which triangles of the mold within the next steps.
+"""Candidate pairs: nodes and the mold triangles that they can meet within the next steps.
 
 Each node gets a sphere in which it is expected to stay: about the middle of its expected path. The pairs of node and
 triangle that can meet in such a sphere are listed, and with each node how far it can go before it touches anything. The
@@ -28,7 +28,7 @@ _MOST_ATTEMPTS = 13  # to shorten the paths, then to shrink the spheres, until t
 
 
 class _CandidatePairs(NamedTuple):
-    """Pairs of node and triangle, each (room + block,), and how many; beyond the room they are only counted."""
+    """Pairs of node and triangle, each (capacity + block,), and their count; beyond capacity they are only counted."""
 
     node: jax.Array
     triangle: jax.Array
@@ -36,16 +36,16 @@ class _CandidatePairs(NamedTuple):
 
 
 def _append_block(found: _CandidatePairs, node: jax.Array, triangle: jax.Array, more: jax.Array) -> _CandidatePairs:
-    """With a block of pairs (n,) after those found, of which the first `more` count; what finds no room is lost."""
+    """Appends a block of pairs (n,), of which the first `more` count; pairs beyond the capacity are lost."""
     return _CandidatePairs(
         put(found.node, node, found.count), put(found.triangle, triangle, found.count), found.count + more
     )
 
 
 class _SearchState(NamedTuple):
-    """What is found in so many attempts: the pairs that may meet and those that can, with planes and clear distance.
+    """The result after some attempts: the pairs that may meet and those that can, with planes and clear distance.
 
-    And the spheres, as `CandidateLists` has them; and whether the pairs were not searched, since they are too many.
+    Also the spheres, as in `CandidateLists`, and whether the pairs were not searched, since they are too many.
     """
 
     attempts: jax.Array
@@ -74,12 +74,12 @@ def list_candidates(
         positions: (3, n_node) [m]; whole blocks of nodes.
         velocities: (3, n_node) [m/s].
         free: Nodes (n_node,) that can still move.
-        length: Of a step [s].
-        steps: How many are to come, at most; a wrong guess of the paths costs time, not truth.
+        length: Length of a step [s].
+        steps: Largest number of steps to come; wrongly predicted paths cost time, not accuracy.
         grid: The mold's search structure.
         skip_far: Whether the spheres are as small as the paths allow; else they are as large as the grid allows.
-        into: What is written over, such as an old list's; a new one by default.
-        blocks: How many blocks of nodes are in use; all by default.
+        into: Workspace that is overwritten, such as an old list's; a new one by default.
+        blocks: Number of node blocks in use; all by default.
     """
     into = into or allocate_lists(free.size, positions.dtype)
     blocks = jnp.int32(-(-free.size // BLOCK)) if blocks is None else blocks
@@ -121,7 +121,7 @@ def _search_pairs(
     into: CandidateLists,
     blocks: jax.Array,
 ) -> tuple[_SearchState, jax.Array]:
-    """What the last attempt finds for nodes (positions, velocities, free), and whether pairs found no room in it."""
+    """The last attempt's result for nodes (positions, velocities, free), and whether pairs exceeded the capacity."""
     most = into.coarse[0].size - LANES * DEPTH
 
     def is_full(found: _SearchState) -> jax.Array:
@@ -202,7 +202,7 @@ def _filter_pairs(
     planes: jax.Array,
     clear: jax.Array,
 ) -> tuple[_CandidatePairs, jax.Array, jax.Array]:
-    """Those of the coarse pairs, up to the last, that truly cut the spheres; their planes (12, room), the clear way."""
+    """The coarse pairs, up to the last, that truly cut the spheres; their planes (12, capacity), clear distance."""
     touch = touch_distance(grid)
 
     def more(carry: tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]]) -> jax.Array:

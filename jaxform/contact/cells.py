@@ -1,4 +1,4 @@
-"""Where points are in the mold's search grid, and how far they are from its triangles."""
+"""Cells of points in the mold's search grid, and distances of points from its triangles."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def _to_segment(away: jax.Array, along: jax.Array) -> jax.Array:
 
 
 def touch_distance(grid: SearchGrid) -> jax.Array:
-    """How near [m] to a plane a node touches it: rounding, in the size of the mold."""
+    """Distance [m] from a plane within which a node touches it: rounding, relative to the size of the mold."""
     return 64 * jnp.finfo(grid.size.dtype).eps * grid.size
 
 
 def rows_of_table(table: jax.Array, triangle: jax.Array) -> jax.Array:
-    """As `gather`, of rows (..., k) of a table (n, k)."""
+    """Gathers rows (..., k) of a table (n, k), as `gather` does entries."""
     return table.at[triangle].get(mode="promise_in_bounds", wrap_negative_indices=False)

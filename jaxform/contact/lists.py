@@ -1,4 +1,4 @@
-"""What is listed of the mold near the sheet: pairs of node and triangle, and each node's bounding sphere."""
+"""Candidate lists: pairs of node and mold triangle near the sheet, and each node's bounding sphere."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a list can hold, where nothing els
 
 @pytree
 class CandidateLists:
-    """What a list is written into: all of it is written before it is read.
+    """Workspace of a candidate list: all of it is written before it is read.
 
     Attributes:
-        node, triangle: The pairs (room,) that can meet.
-        planes: Geometry of the pairs' triangles (12, room).
-        coarse: The pairs (room,) that these were chosen from, and others.
-        spheres: Of nodes, as `_Spheres` has them: center, radius and a lower bound on the center's distance to the mold
-            (5, n_node) [m], where the triangles begin and end (2, n_node), and whether the mold may be in them
+        node, triangle: The pairs (capacity,) that can meet.
+        planes: Geometry of the pairs' triangles (12, capacity).
+        coarse: The coarse pairs (capacity,) from which these were selected.
+        spheres: Spheres of the nodes: center, radius and a lower bound on the center's distance to the mold (5, n_node)
+            [m], begin and end of their triangles in the grid's lists (2, n_node), and whether the mold may be in them
             (1, n_node).
         clear: The distance (n_node,) [m] that a node can go without touching.
         squares: The five squares of `Candidates`, in its order (5, n_node).
@@ -39,19 +39,19 @@ class CandidateLists:
 
 @pytree
 class Candidates:
-    """What is known of the mold till a node is about to leave its sphere; of nodes beyond the blocks in use nothing.
+    """A candidate list, valid until a node is about to leave its sphere; undefined beyond the node blocks in use.
 
     Attributes:
         lists: The pairs of node and triangle that can meet.
-        count: How many they are.
+        count: Number of pairs.
         start: Positions (3, n_node) [m] when they were listed.
-        center: Of the spheres (3, n_node) [m].
+        center: Centers of the spheres (3, n_node) [m].
         clear_square: Square of the distance (n_node,) [m^2] that a node can go from there without touching.
-        near_square: The same less what any node goes between two looks.
+        near_square: The same, less the distance that any node moves between two checks.
         limit_square: Square of the radius (n_node,) [m^2] of the spheres: inside, none but listed triangles can be met.
         alarm_square: Square of the distance (n_node,) [m^2] from the center at which another list is made.
-        unwatched_square: The same less what any node goes between two looks.
-        overflow: Whether pairs were lost, so that the list must not be trusted.
+        unwatched_square: The same, less the distance that any node moves between two checks.
+        overflow: Whether pairs were lost, so that the list must not be used.
     """
 
     lists: CandidateLists
@@ -67,7 +67,7 @@ class Candidates:
 
 
 def allocate_lists(node_count: int, real: jnp.dtype, pairs_per_node: int = PAIRS_PER_NODE) -> CandidateLists:
-    """Room for the list of so many nodes; whole blocks are written, so it has a margin."""
+    """Workspace for the list of so many nodes; it has a margin, since whole blocks are written."""
     least = max(pairs_per_node * node_count, _LEAST_ROOM * pairs_per_node // PAIRS_PER_NODE)
     room = -(-least // TEST_BLOCK) * TEST_BLOCK
     coarse = jnp.zeros(_CANDIDATES * room + LANES * DEPTH, jnp.int32)

@@ -1,7 +1,7 @@
-"""Lines of sight: whether the mold is between two places. No derivative is taken.
+"""Ray casting: crossings of the mold with paths between two places. No derivative is taken.
 
-A place is on the sheet's side of the mold where the way to it, from a node that is, crosses the mold an even number of
-times. Nothing else is asked of the mold: it may be open, in pieces, and its triangles may turn either way.
+A place is on the sheet's side of the mold where the path to it, from a node that is, crosses the mold an even number of
+times. Nothing else is required of the mold: it may be open, in pieces, and its triangles may turn either way.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _APART = 16  # times the distance at which a node touches: crossings that are ne
 
 
 class Crossings(NamedTuple):
-    """What is seen along ways.
+    """The crossings of paths with the mold.
 
-    How many times each (n,) crosses the mold, the triangle that it crosses last, -1 where none, and 1 or -1 where it
-    comes to that from the side of its normal or from the other.
+    The number of crossings of each path (n,), the triangle that it crosses last, -1 where none, and 1 or -1 where it
+    reaches that from the side of its normal or from the other.
     """
 
     count: jax.Array
@@ -33,19 +33,19 @@ class Crossings(NamedTuple):
 
 
 class _SearchProgress(NamedTuple):
-    """Where the looks along ways (lanes,) are: searched so far [m], and what was found."""
+    """Progress of the search along paths (lanes,): the distance searched so far [m], and the crossings found."""
 
     way: jax.Array
     found: Crossings
 
 
 def ray_crossings(begin: jax.Array, end: jax.Array, wanted: jax.Array, grid: SearchGrid) -> Crossings:
-    """What is between places, along straight ways.
+    """Finds the crossings of the mold with straight paths.
 
     Args:
-        begin: Where ways begin (3, n) [m]; a crossing there does not count.
-        end: Where they end (3, n) [m]; the same.
-        wanted: The ways (n,) to be looked along.
+        begin: Begins of the paths (3, n) [m]; a crossing there does not count.
+        end: Ends of the paths (3, n) [m]; a crossing there does not count.
+        wanted: Mask (n,) of the paths to search.
         grid: The mold's search structure.
     """
     count = begin.shape[1]
@@ -72,7 +72,7 @@ def _no_crossings(count: int) -> Crossings:
 
 
 def _trace_ways(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchGrid) -> Crossings:
-    """What is seen along a few ways (3, lanes), side by side."""
+    """The crossings of a few paths (3, lanes), computed side by side."""
     path = end - begin
     length = jnp.sqrt(dot(path, path))
     unit = path / jnp.maximum(length, jnp.finfo(length.dtype).tiny)[None]
@@ -100,7 +100,7 @@ def _trace_ways(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchG
 def _first_crossing(
     begin: jax.Array, unit: jax.Array, low: jax.Array, high: jax.Array, cell: jax.Array, grid: SearchGrid
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Where each way (lanes,) first crosses a triangle of its cell between two distances [m], which, and from where."""
+    """The first crossing of each path (lanes,) between two distances [m] in its cell: distance, triangle, side."""
     first, end = grid.start[cell], grid.start[cell + 1]
     tolerance = 1e3 * jnp.finfo(unit.dtype).eps
 
@@ -118,7 +118,7 @@ def _first_crossing(
         gamma, delta = dot(away, dual1), dot(away, dual2)
         inside = (gamma >= -tolerance) & (delta >= -tolerance) & (gamma + delta <= 1.0 + tolerance)
         closer = (first + k < end) & ~level & inside & (met > low) & (met <= high) & (met < best)
-        # All three hear the same, also where rounding decides.
+        # All three use the same mask, also where rounding decides.
         closer = materialize(closer)
         new = met, grid.number[row], jnp.where(slope < 0.0, 1, -1)
         return k + 1, tuple(jnp.where(closer, a, b) for a, b in zip(new, (best, chosen, side), strict=True))

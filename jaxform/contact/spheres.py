@@ -1,4 +1,4 @@
-"""Where nodes are expected within the next steps: the bounding spheres of the search for contact.
+"""Bounding spheres of the positions in which nodes are expected within the next steps, for the contact search.
 
 A sphere lies about the middle of a node's expected path, with a margin for what its neighbours hand on and for a start
 from rest. A list of candidates holds until a node is about to leave its sphere.
@@ -28,10 +28,9 @@ _FEWEST_STEPS = 16  # that a list is made for
 
 @pytree
 class BoundingSpheres:
-    """Where the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
+    """Spheres in which the nodes are expected: centers (3, n_node) and radii (n_node,) [m].
 
-    Each with the place in the grid's lists where the triangles begin that it may meet, and where they end; and whether
-    the mold may be in it.
+    Each has the begin and end in the grid's lists of the triangles that it may meet, and whether the mold may be in it.
     """
 
     center: jax.Array
@@ -42,7 +41,7 @@ class BoundingSpheres:
 
     @classmethod
     def from_lists(cls, arrays: tuple[jax.Array, jax.Array, jax.Array]) -> BoundingSpheres:
-        """As `CandidateLists` has them."""
+        """The spheres from the arrays of `CandidateLists`."""
         real, (begin, end), (near,) = arrays
         return cls(real[:3], real[3], begin, end, near)
 
@@ -56,15 +55,15 @@ class ListHorizon(NamedTuple):
 
     @property
     def halvings(self) -> jax.Array:
-        """How often there may be half as many."""
+        """The number of times that the steps may be halved."""
         return jnp.floor(jnp.log2(jnp.maximum(self.steps / _FEWEST_STEPS, 1.0))).astype(self.length.dtype)
 
     def steps_in_attempt(self, attempt: jax.Array) -> jax.Array:
-        """How many the list is made for, in an attempt."""
+        """The number of steps that the list is made for, in an attempt."""
         return self.steps * jnp.exp2(-jnp.minimum(attempt, self.halvings))
 
     def travel(self, steps: jax.Array | float) -> jax.Array:
-        """How far [m] the fastest node goes in so many: a slow one may become so fast meanwhile."""
+        """The distance [m] of the fastest node in so many steps: a slow one may become as fast meanwhile."""
         return steps * self.length * self.speed
 
 
@@ -81,18 +80,18 @@ def bounding_spheres(
     blocks: jax.Array,
     into: Sequence[jax.Array],
 ) -> tuple[tuple[jax.Array, jax.Array, jax.Array], jax.Array, jax.Array]:
-    """The spheres, as `CandidateLists` has them, and the clear distance (n_node,) before any triangle is looked at.
+    """The spheres, as `CandidateLists` has them, and the clear distance (n_node,) before any triangle is checked.
 
-    And how many triangles are to be looked at.
+    Also the number of triangles to check.
 
     Args:
         nodes: Positions, velocities and whether nodes are free, as in `list_candidates`.
         ahead: The steps to come.
-        attempt: Its number.
+        attempt: Number of the attempt.
         grid: The mold's search structure.
         skip_far: As in `list_candidates`.
-        blocks: How many blocks of nodes are in use.
-        into: What is written over.
+        blocks: Number of node blocks in use.
+        into: Workspace that is overwritten.
     """
     steps, scale = ahead.steps_in_attempt(attempt), jnp.exp2(jnp.minimum(ahead.halvings - attempt, 0.0))
     duration, longest, least = steps * ahead.length, 0.5 * ahead.travel(steps), ahead.travel(_LEAP)
@@ -120,7 +119,7 @@ def bounding_spheres(
 def _nearby_range(
     center: jax.Array, radius: jax.Array, cell: jax.Array, grid: SearchGrid
 ) -> tuple[jax.Array, jax.Array]:
-    """Where the triangles that spheres (n,) may meet begin in the lists, and where they end."""
+    """Begin and end in the lists (n,) of the triangles that spheres (n,) may meet."""
 
     def range_in(level: SearchGrid | FarCells, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
         kind = jnp.clip(jnp.ceil(CLASSES * radius / level.reach).astype(jnp.int32) - 1, 0, CLASSES - 1)
@@ -141,7 +140,7 @@ def candidate_squares(
     into: jax.Array,
     blocks: jax.Array,
 ) -> jax.Array:
-    """The squares (5, n_node) of `Candidates`, in its order, of nodes (velocities, free), written `into` room."""
+    """The squares (5, n_node) of `Candidates`, in its order, of nodes (velocities, free), written `into` workspace."""
     duration = ahead.length * ahead.steps_in_attempt(attempt)
     leap, way = ahead.travel(_LEAP), ahead.travel(LOOK_EVERY)
 

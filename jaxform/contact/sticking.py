@@ -1,6 +1,6 @@
 """Sticking contact: which nodes cross which triangle of the mold in a step, and where they land (paper, 3.2).
 
-Only those of the listed pairs are tested that the watch says. The choice of the triangle carries no gradient; the
+Only the listed pairs that the broad phase selects are tested. The choice of the triangle carries no gradient; the
 landing point is then computed differentiably from it, and since it is the point where the path meets the triangle, its
 gradient is that of the time of impact.
 """
@@ -51,11 +51,11 @@ def _paths_meet(
 
 
 class Landing(NamedTuple):
-    """Where the nodes are after contact.
+    """The nodes after contact.
 
-    The number of the step in which each landed (n_node,); the kinetic energy lost so far [J]. Where it is kept, the
-    impact (6, n_node): where each node that landed was before that step [m], and the velocity that it came with [m/s].
-    Where the tool moves, the work that it did on nodes as they landed [J].
+    Also the number of the step in which each came into contact (n_node,), and the kinetic energy lost so far [J]. Where
+    it is kept, the impact (6, n_node): the position [m] of each such node before that step, and its velocity [m/s].
+    Where the tool moves, the work that it did on nodes as they came into contact [J].
     """
 
     nodes: Nodes
@@ -87,13 +87,13 @@ def apply_contact(
 
     Args:
         landing: The state after the step as if there were no mold; `loss` is the kinetic energy lost so far [J].
-        now: The step. Before it, a node was its length at its velocity away. Kept nowhere, the positions before
-            need not be copied.
+        now: The step. The positions before it follow from the velocities and its length, so that they need not be
+            copied.
         due: The blocks of the list with nodes that can touch in this step.
-        mass: (n_node,) [kg].
+        mass: Nodal masses (n_node,) [kg].
         candidates: The list.
         tool: The mold and its search structure.
-        room: From `no_hits`, for nodes' meetings. It is given back as it was.
+        room: Workspace for the nodes' hits, from `no_hits`. It is returned as it was.
     """
     touch = touch_distance(tool.grid)
     return lax_cond_once(
@@ -104,7 +104,7 @@ def apply_contact(
 
 
 def apply_known_contact(landing: Landing, now: ContactStep, chosen: jax.Array, mass: jax.Array, mold: Mold) -> Landing:
-    """The same where it is known on which triangle each node lands in this step, -1 for none; differentiable."""
+    """Puts nodes on the known triangle that each meets in this step, -1 for none; differentiable."""
 
     def pull(landing: Landing, now: ContactStep, mass: jax.Array, mold: Mold) -> Landing:
         return place_on_mold(landing, now, mass, mold, chosen)
@@ -114,9 +114,9 @@ def apply_known_contact(landing: Landing, now: ContactStep, chosen: jax.Array, m
 
 
 class _NodePaths(NamedTuple):
-    """What nodes did in a step: where they are now (3, n_node) [m], at what velocity [m/s], and for how long [s].
+    """The nodes' paths in a step: positions at its end (3, n_node) [m], velocities [m/s], and its length [s].
 
-    And the frame of the tool, in which their paths are looked at; None where it rests.
+    Also the frame of the tool, in which the paths are computed; None where the tool rests.
     """
 
     after: Any
@@ -126,7 +126,7 @@ class _NodePaths(NamedTuple):
 
     def path_ends(self, node: jax.Array) -> tuple[Vector, Vector]:
         """Begin and end of nodes' (n,) paths, each three times (n,) [m]."""
-        # The barriers keep what is looked up, and worked out from it, for all its uses.
+        # The barriers keep the values that are looked up, and those computed from them, for all their uses.
         looked_up = gather_columns(self.after, node), gather_columns(self.velocities, node)
         after, velocities = materialize(looked_up)
         if self.frame is not None:
@@ -152,10 +152,10 @@ def _block(
 
 
 class FirstHits(NamedTuple):
-    """What nodes meet in a step.
+    """The first triangles that nodes meet in a step.
 
-    The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, in a list,
-    and how many they are.
+    The least beta, infinite where none is met, and its triangle (n_node,), then -1; the nodes that meet any, as a list,
+    and their number.
     """
 
     beta: jax.Array
@@ -165,7 +165,7 @@ class FirstHits(NamedTuple):
 
 
 def no_hits(node_count: int, real: jnp.dtype) -> FirstHits:
-    """Before a step: nothing is met yet. One step leaves it to the next as it was, so that it is made once."""
+    """The hits before a step: none. Each step leaves this workspace as it was, so that it is made once."""
     number, listed = jnp.full(node_count, -1, jnp.int32), jnp.zeros(node_count + 1, jnp.int32)
     return FirstHits(jnp.full(node_count, jnp.inf, real), number, listed, jnp.int32(0))
 
@@ -190,7 +190,7 @@ def _first_hits(
 
 
 def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array, jax.Array]) -> FirstHits:
-    """What was met so far, with a block's pairs that meet: one by one, since they are few.
+    """The hits so far, updated with a block's pairs that meet: one by one, since they are few.
 
     A scatter would keep XLA from compiling the window's steps into one function.
     """
@@ -210,7 +210,7 @@ def _update_hits(found: FirstHits, block: tuple[jax.Array, jax.Array, jax.Array,
         pair = k, here, entry(beta, k), entry(triangle, k), entry(best, here), entry(chosen, here)
         k, here, own, number, least, last = materialize(pair)
         better = (own < least) | (own == least) & (number > last)
-        # What is listed already is written over by the next one.
+        # A node that is listed already is overwritten by the next one.
         nodes = put(nodes, here[None], count)
         best = put(best, jnp.where(better, own, least)[None], here)
         chosen = put(chosen, jnp.where(better, number, last)[None], here)
