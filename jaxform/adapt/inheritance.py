@@ -1,4 +1,4 @@
-"""What the parts of a bisected element inherit from it, and in which basis."""
+"""Inheritance of stress and other element quantities by the parts of a bisected element, and its basis."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxform.sheet.discretization import RefinedMesh
 
 
 class Ancestry(NamedTuple):
-    """Where a mesh's elements come from in an earlier one.
+    """The ancestors of a mesh's elements in an earlier mesh.
 
     Attributes:
         element: The element of the earlier mesh that each lies in (n_element,).
@@ -25,7 +25,7 @@ class Ancestry(NamedTuple):
 
 
 def find_ancestry(before: RefinedMesh, after: RefinedMesh, forest: BisectionHierarchy) -> Ancestry:
-    """Where the elements of a mesh come from in the mesh `before`."""
+    """The ancestors of a mesh's elements in the mesh `before`."""
     old = jnp.arange(before.element.size) < before.element_count
     slot = jnp.full(forest.bound.size, -1, jnp.int32)
     slot = slot.at[jnp.where(old, before.element, forest.bound.size)].set(

@@ -1,12 +1,12 @@
-"""New nodes: in the middle of their edges and moving as these did, but near the mold at rest; at the mold put there.
+"""Insertion of new nodes: in the middle of their edges with these' velocity; at rest near the mold, and put on it.
 
-Where an element cut a corner of the mold, the middle of its side may be beyond. What is beyond is told from where its
-edge's ends are, which is on the near side: the way from there crosses the mold. Such a node is put to the nearest place
-of the mold; one on the mold sticks where its edge's ends do; one before it is free. One that lay on the mold when the
-run began is there still.
+Where an element cut a corner of the mold, the middle of its side may penetrate it. This is detected from its edge's
+ends, which are on the near side: the path from there crosses the mold. Such a node is put on the nearest place of the
+mold; one on the mold sticks where its edge's ends do; one before it is free. One that was in contact when the run began
+still is.
 
-Places are taken one after the other, and an edge's ends come before its middle: new nodes are worked through in
-blocks of places, and only as far as there are any.
+Places are assigned in order, and an edge's ends come before its middle: new nodes are processed in blocks of places,
+and only as far as there are any.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _Insertions(NamedTuple):
         return put(values, jnp.where(self.new, own, self.block_of(values)), self.begin)
 
     def join_ends(self, outside: list[jax.Array], join: Callable[..., jax.Array], depth: int) -> jax.Array:
-        """What is joined from the values (..., n) at both ends of the edges: those outside, at new nodes its own."""
+        """Joins the values (..., n) at both ends of the edges: `outside`, or where an end is new, its own join."""
         inside = [jnp.clip(end - self.begin, 0, self.new.size - 1) for end in self.ends]
         newer = [self.new & (end >= self.begin) & self.new[at] for end, at in zip(self.ends, inside, strict=True)]
 
@@ -73,7 +73,7 @@ class _Insertions(NamedTuple):
 
         start = join(*outside), newer[0] | newer[1]
         if self.differentiable:
-            # At most as often as there can be generations at one border; mostly there are one or two.
+            # At most as often as there can be generations at one window boundary; mostly there are one or two.
             return jax.lax.scan(generation, start, length=depth)[0][0]
         return jax.lax.while_loop(
             lambda carry: jnp.any(carry[1]), lambda carry: (join_again(carry[0]), is_waiting(carry[1])), start
@@ -105,15 +105,15 @@ def insert_nodes(
     *,
     differentiable: bool = True,
 ) -> State:
-    """The state with the nodes that a finer mesh has more: their places, how they move, and whether they stick.
+    """The state with the additional nodes of a finer mesh: their places, velocities, and whether they stick.
 
     Args:
         state: The state, with its own mesh.
         mesh: The finer mesh.
         scene: The scene.
-        adaptivity: How it is refined.
-        volumes: Of all triangles of the forest (n_triangle,) [m^3].
-        differentiable: Whether loops have as many passes as there is room for; else they end with the new nodes.
+        adaptivity: Its adaptive refinement.
+        volumes: Volumes of all triangles of the forest (n_triangle,) [m^3].
+        differentiable: Whether loops have as many passes as the capacity; else they end with the new nodes.
     """
     forest, old, tool = adaptivity.forest, state.refined_mesh, scene.tool
     size = min(BLOCK, mesh.node.size)
@@ -154,7 +154,7 @@ def insert_nodes(
 
 
 def present_frame(state: State, scene: Scene) -> ToolFrame | None:
-    """The tool's frame of now; None where it rests."""
+    """The tool's frame at the present time; None where the tool rests."""
     return None if scene.motion is None else scene.motion.frame(state.time - state.control.last_length, state.time)
 
 
@@ -224,7 +224,7 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Bisect
 
 
 class _NodeViews(NamedTuple):
-    """What new nodes (n,) see of the mold from the sheet: where they look from (3, n) [m], and what is between."""
+    """Paths from the sheet to new nodes (n,): their begins (3, n) [m], and their crossings with the mold."""
 
     begin: jax.Array
     seen: Crossings
@@ -233,7 +233,7 @@ class _NodeViews(NamedTuple):
 def _place_on_mold(
     nodes: Nodes, births: _Insertions, tool: Tool, adaptivity: Adaptivity, older: _PreviousMesh, time: jax.Array
 ) -> Nodes:
-    """The nodes with those of the block's new ones put on the mold that are on it, or beyond it; near it, at rest."""
+    """The nodes with the block's new ones put on the mold where they touch or penetrate it; near it, at rest."""
     (mold, grid), (limits, forest) = tool, adaptivity
     points, stuck = births.block_of(nodes.positions), births.block_of(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
@@ -280,9 +280,9 @@ def _outlook(
     tool: Tool,
     forest: BisectionHierarchy,
 ) -> _NodeViews:
-    """What new nodes at points (3, n) [m] see from an older node, which is on the sheet's side of the mold.
+    """Paths to new nodes at points (3, n) [m] from an older node, which is on the sheet's side of the mold.
 
-    One that flies is looked from; of nodes that stick, one that is known to, a little before its wall.
+    A path begins at a free end if there is one, else at one with a known contact triangle, a little before that.
     """
     mold, grid = tool
     first, second = (older.ancestor(end, forest) for end in births.ends)
@@ -298,9 +298,9 @@ def _outlook(
 
 
 def _is_behind(gap: jax.Array, nearest: jax.Array, seen: Crossings, mold: Mold) -> jax.Array:
-    """Of points (n,) beyond the mold whether the nearest triangle, a gap (3, n) [m] away, is the back of a thin wall.
+    """True where the triangle nearest to points (n,) beyond the mold, a gap (3, n) [m] away, is a thin part's back.
 
-    Or is not known. Its front is what the way from the sheet crosses last.
+    Also where no nearest triangle is known. The front is the triangle that the path from the sheet crosses last.
     """
     gap = jax.lax.stop_gradient(gap)
     front = jax.lax.stop_gradient(_normal(mold, jnp.maximum(seen.triangle, 0)))
@@ -322,7 +322,7 @@ def _height(points: jax.Array, mold: Mold, triangle: jax.Array) -> jax.Array:
 def _velocity_share(gap: jax.Array, size: jax.Array) -> jax.Array:
     """Share (n,) of its velocity that a new node keeps with a gap (3, n) to the mold, beside sizes (n,) [m].
 
-    A replay would jump where a node that moves on lands just before a border or just after.
+    Otherwise a replay would jump where a node comes into contact just before a window boundary or just after.
     """
     # Bounded before the root is taken, which has no slope at 0.
     distance = jnp.sqrt(jnp.maximum(dot(gap, gap), jnp.square(_CALM * size)))

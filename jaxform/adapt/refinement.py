@@ -1,7 +1,7 @@
-"""Refinement at a window's border: which elements are bisected, what their neighbours then need, and the new nodes.
+"""Refinement at a window boundary: the elements that are bisected, the closure by their neighbours, and the new nodes.
 
-Nothing but marks changes: the forest has been bisected beforehand. What is decided here is piecewise constant in the
-design; the state of the new nodes flows through from their edges' ends.
+Only marks change: the forest has been bisected beforehand. The decisions are piecewise constant in the design; the
+state of the new nodes is differentiable in that of their edges' ends.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ _SPARE_BLOCKS = 2
 def refine(
     state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None = None
 ) -> tuple[State, Discretization]:
-    """The state with more elements where the mesh needs them, at a border where it is time to look; and its body.
+    """The state refined where the mesh needs it, at a window boundary where a check is due; and its discretization.
 
-    With a schedule the mesh grows as it did when that was recorded, whatever it looks like.
+    With a schedule the mesh is refined as it was when that was recorded, whatever its shape.
 
     Args:
         state: The state; its mesh has no `side`.
         scene: The scene.
         discrete: The sheet with the state's mesh.
-        schedule: The decisions that are taken; None where the mesh decides.
+        schedule: The recorded decisions; None where the mesh decides.
     """
     mesh, adaptivity = state.mesh, scene.adaptivity
     if mesh is None or adaptivity is None:
@@ -81,9 +81,9 @@ def drop_sides(state: State) -> State:
 def refine_in_place(
     state: PackedState, scene: Scene, discrete: Discretization, active: ActiveSet
 ) -> tuple[PackedState, Discretization, ActiveSet]:
-    """The same of a state in the order of the last window's active set; no derivative is taken.
+    """Refines a state in the order of the last window's active set; no derivative is taken.
 
-    And that set: where elements have a memory, it has that of the new ones, in whose order it is to be packed anew.
+    Also returns that set: where elements have a memory, it has that of the new ones, in whose order it must be packed.
     """
     adaptivity = scene.adaptivity
     if state.mesh is None or adaptivity is None:
@@ -111,14 +111,14 @@ def _is_due(state: State | PackedState, adaptivity: Adaptivity) -> jax.Array:
 
 
 def is_refinement_due(window: jax.Array, limits: Refinement) -> jax.Array:
-    """Whether it is time to look at the mesh at the border before a window, where no schedule says so."""
+    """True where a check of the mesh is due at the boundary before a window, without a schedule."""
     return window % -(-limits.interval // SHORT_WINDOW) == 0
 
 
 def _planned_queue(
     state: State, _: Discretization, adaptivity: Adaptivity, planned: jax.Array
 ) -> tuple[jax.Array, Queue]:
-    """What is bisected (n_triangle,) where that is planned by now, and those of it that are not yet."""
+    """Windows of the triangles' bisection (n_triangle,), with those planned by now, and the queue of the new ones."""
     mesh, forest = state.refined_mesh, adaptivity.forest
     new = planned & (mesh.split_at == NEVER)
     return jnp.where(new, state.windows, mesh.split_at), make_queue(*compact_indices(new, mesh.element.size), forest)
@@ -127,7 +127,7 @@ def _planned_queue(
 def _requested_queue(
     state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene
 ) -> tuple[jax.Array, Queue]:
-    """What is bisected (n_triangle,) for what the mesh looks like, and those of it that are not yet."""
+    """Windows of the triangles' bisection (n_triangle,), with those that the mesh requests, and their queue."""
     mesh = state.refined_mesh
     place, count = compact_indices(_mark_elements(state, discrete, adaptivity, scene), mesh.element.size)
     return close_queue(mesh.split_at, mesh.element[place], count, adaptivity.forest, state.windows)
@@ -136,9 +136,9 @@ def _requested_queue(
 def _within_reach(
     first: Vector, edge1: Vector, edge2: Vector, bend: Bend, grid: SearchGrid, reach: jax.Array
 ) -> jax.Array:
-    """By how much a bent part of the mold is within reach [m] of triangles (n,) with such edges [m].
+    """Distance (n,) [m] by which a bent part of the mold is within reach of triangles (n,) with such edges [m].
 
-    The reach is so many times their longest side.
+    The reach is a multiple of their longest side.
     """
     square = functools.reduce(jnp.maximum, (dot(side, side) for side in (edge1, edge2, minus(edge2, edge1))))
     middle = jnp.stack([p + (a + b) / 3.0 for p, a, b in zip(first, edge1, edge2, strict=True)])
@@ -147,15 +147,15 @@ def _within_reach(
 
 
 def can_enlarge_capacity(adaptivity: Adaptivity) -> bool:
-    """Whether the forest has more elements than there is room for."""
+    """True where the forest has more elements than the capacity."""
     limits, forest = adaptivity
     return limits.elements < forest.root_count << forest.depth
 
 
 def fitted(scene: Scene, used: int) -> Scene:
-    """A scene with room for somewhat more elements than were `used` in a run of it: what is not used takes time too.
+    """A scene with capacity for somewhat more elements than were `used` in a run: unused capacity takes time too.
 
-    A scene without refinement, or with no more room than that, is as it was.
+    A scene without refinement, or with no more capacity than that, is unchanged.
     """
     if scene.adaptivity is None:
         return scene
@@ -178,7 +178,7 @@ def _replace_adaptivity(scene: Scene, adaptivity: Adaptivity) -> Scene:
 
 
 def enlarge_capacity(scene: Scene, adaptivity: Adaptivity, state: State) -> tuple[Scene, State]:
-    """A scene with twice the room for elements, and a state that found too little as it was before it did."""
+    """A scene with twice the capacity for elements, and the state as it was before the capacity was exceeded."""
     more, mesh = (
         _enlarge(adaptivity, capacities.refined_capacity(2 * adaptivity.limits.elements) // BLOCK),
         state.refined_mesh,
@@ -205,7 +205,7 @@ def _pad(values: jax.Array, count: int) -> jax.Array:
 
 
 def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivity, scene: Scene) -> jax.Array:
-    """Elements (element_room,) that should be bisected for what they and their neighbours look like."""
+    """Mask (element_room,) of the elements to bisect for their own and their neighbours' shape."""
     state, discrete, adaptivity, scene = jax.lax.stop_gradient((state, discrete, adaptivity, scene))
     (limits, forest), mesh, frame = adaptivity, state.refined_mesh, present_frame(state, scene)
     positions = state.nodes.positions if frame is None else frame.places(state.nodes.positions)
@@ -232,7 +232,7 @@ def _mark_elements(state: State, discrete: Discretization, adaptivity: Adaptivit
 
 
 def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, grid: SearchGrid | None) -> jax.Array:
-    """Unit normal, thickness [m], and by how much a bent part of the mold is within the base reach [m] (5, room)."""
+    """Unit normal, thickness [m], and distance by which a bent part of the mold is in base reach [m] (5, capacity)."""
     elements, bend = discrete.whole.elements, adaptivity.forest.bend
     rows = membrane.unstack_rows(positions)
     thickness = discrete.thickness[discrete.whole.element]
@@ -254,7 +254,7 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
 
 
 def _is_bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.Array) -> jax.Array:
-    """Whether a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
+    """True where a normal of an element (n,) or of a neighbour is far from the mean of the group's (paper, 3.3)."""
     normal = own[0], own[1], own[2]
     beside = []
     for side in neighbor:
@@ -270,7 +270,7 @@ def _is_bent(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, angle: jax.
 
 
 def _is_uneven(own: jax.Array, neighbor: jax.Array, shapes: jax.Array, jump: jax.Array) -> jax.Array:
-    """Whether an element (n,) is that much thicker or thinner than a neighbour."""
+    """True where the thickness ratio of an element (n,) and a neighbour exceeds 1 + `jump`."""
     uneven = jnp.zeros(own.shape[1], bool)
     for side in neighbor:
         other = shapes[3][jnp.maximum(side, 0)]
@@ -288,7 +288,7 @@ def _bisect_queue(
     queue: Queue,
     active: ActiveSet | None,
 ) -> tuple[State, Discretization]:
-    """The state with the queue's triangles bisected, where there is room for that; else its status says so."""
+    """The state with the queue's triangles bisected within the capacity; else its status reports the overflow."""
     mesh = state.refined_mesh
     fits = (mesh.element_count + queue.count <= mesh.element.size) & (
         mesh.node_count + queue.node_count <= mesh.node.size
@@ -306,7 +306,7 @@ def _bisect_queue(
 
 
 def _inherit_state(new: State, state: State, mesh: RefinedMesh, forest: BisectionHierarchy) -> State:
-    """The state on a new mesh, with what its elements have from those of the old one."""
+    """The state on a new mesh, with the quantities that its elements inherit from the old ones."""
     if state.memory is None and state.heat is None:
         return new
     ancestors = find_ancestry(state.refined_mesh, mesh, forest)

@@ -1,6 +1,6 @@
-"""Bisecting triangles of the forest in the program: which more are needed, and the lists of what there then is.
+"""Bisection of the forest's triangles in the compiled program: their closure, and the updated lists of the mesh.
 
-One triangle after the other, by loops that end when the triangles do: at a border few are bisected of many. XLA
+Triangles are processed one by one, in loops that end with the last: few of many are bisected at a window boundary. XLA
 compiles such loops without scatters into one function each, so that a triangle takes well under a microsecond; all
 lists change in place, and nothing is as long as the forest. There is nothing to differentiate here.
 """
@@ -25,9 +25,9 @@ class Queue:
     """Triangles to be bisected.
 
     Attributes:
-        triangle: Their numbers (room,), ascending, so that parents come before their parts; then the largest number.
-        count: How many there are; more than there is room for where some are missing.
-        node_count: How many nodes they bring.
+        triangle: Their numbers (capacity,), ascending, so that parents precede their parts; then the largest number.
+        count: Their number; it exceeds the capacity where some are missing.
+        node_count: Number of nodes that they add.
     """
 
     triangle: jax.Array
@@ -36,12 +36,12 @@ class Queue:
 
 
 def empty_queue(room: int) -> Queue:
-    """Nothing to be bisected."""
+    """A queue without triangles."""
     return Queue(jnp.full(room, NEVER, jnp.int32), jnp.int32(0), jnp.int32(0))
 
 
 def make_queue(found: jax.Array, count: jax.Array, forest: BisectionHierarchy | bisection.TriangleForest) -> Queue:
-    """A queue of triangles (room,) of which `count` are meant, in any order; closed already."""
+    """A queue of triangles (capacity,) of which the first `count` are used, in any order; closed already."""
     there = jnp.arange(found.size) < count
     triangle = jnp.sort(jnp.where(there, found, NEVER))
     own = jnp.where(there, found, 0)
@@ -56,15 +56,15 @@ def close_queue(
     forest: BisectionHierarchy | bisection.TriangleForest,
     window: jax.Array,
 ) -> tuple[jax.Array, Queue]:
-    """What is bisected (n_triangle,) when those wanted are, so that no node hangs on a side; and those that are new.
+    """Windows of the triangles' bisection (n_triangle,), closed so that no node hangs; and the queue of the new ones.
 
-    With a triangle its partner is bisected, and what has bisected parts is so itself. The least such set, so it does
-    not depend on the order in which they are wanted.
+    With a triangle its partner and its parent are bisected. This is the least such set, so that it does not depend on
+    the order of the wanted triangles.
 
     Args:
-        split_at: The window at whose border each triangle was bisected; NEVER where it was not.
-        wanted: Numbers of triangles (room,), those that are none at or above n_triangle.
-        count: How many of these are to be looked at.
+        split_at: The window at whose boundary each triangle was bisected; NEVER where it was not.
+        wanted: Numbers of triangles (capacity,); unused entries are n_triangle or more.
+        count: Number of these that are processed.
         forest: The forest.
         window: The present one.
     """
@@ -77,7 +77,7 @@ def close_queue(
         before = _read_entry(split_at, number)
         new = meant & (before == NEVER)
         split_at = _write_entry(split_at, jnp.where(new, window, before), number)
-        # The last entry is for whatever is not meant.
+        # The last entry is for triangles that are not added.
         queue = _write_entry(queue, number, jnp.where(new, jnp.minimum(count, room), room))
         return split_at, queue, count + new.astype(jnp.int32)
 
@@ -103,7 +103,7 @@ _Growing = tuple[jax.Array, jax.Array, jax.Array]  # split_at, the queue with a 
 
 
 def bisect_mesh(mesh: RefinedMesh, queue: Queue, forest: BisectionHierarchy) -> RefinedMesh:
-    """The mesh with the queue's triangles bisected, for which there must be room; `split_at` is left to the caller."""
+    """The mesh with the queue's triangles bisected, within the capacity; `split_at` is left to the caller."""
 
     def bisect(i: jax.Array, mesh: RefinedMesh) -> RefinedMesh:
         triangle = _read_entry(queue.triangle, i)
@@ -121,7 +121,7 @@ def add_sides(mesh: RefinedMesh, forest: BisectionHierarchy) -> RefinedMesh:
 
 
 def initial_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
-    """The mesh when a run begins: that of the scene, fine at once where its tables say so."""
+    """The mesh when a run begins: that of the scene, refined at once where its tables say so."""
     mesh, forest = first_mesh(scene, adaptivity), adaptivity.forest
     if forest.fine_at_once is None:
         return mesh
