@@ -74,7 +74,7 @@ _ON_MOLD = 2 / 3  # of an element, that touches the mold while it still moves
 
 
 def validate_cooling(given: Cooling | None, fields: Collection[str], mold: Mold | None) -> Cooling | None:
-    """How a scene cools, with arrays for numbers.
+    """The cooling of a scene, with arrays for numbers.
 
     Raises:
         InputError: It is none, a number is out of its range, or a field has the name of the temperature.
@@ -131,7 +131,7 @@ def coldest_temperature(
 ) -> tuple[jax.Array | None, float]:
     """The temperature (n_node,) [degC] that windows are planned for, and by how much the sheet cools at most [K].
 
-    Of a thin wall at the end, in the air and beside the mold.
+    They are computed for a thin wall at the end, in the air and beside the mold.
     """
     temperature = parison.temperature
     if cooling is None or temperature is None:
@@ -247,7 +247,7 @@ def _replace_values[T](part: T, values: dict[str, Any]) -> T:
 
 
 def _shapes(key: str, function: Any, *arguments: Any) -> Any:
-    """The shapes of what a user's function gives; it is not worked out."""
+    """The shapes of the output of a user's function, which is not evaluated."""
     try:
         return jax.eval_shape(function, *arguments)
     except (TypeError, ValueError, AttributeError) as error:

@@ -1,8 +1,8 @@
-"""How a run begins at the mold: what of the sheet lies on it, what is through it, and where the mesh is fine at once.
+"""Contact at the start of a run: nodes on the mold, sheets through it, and elements that are refined at once.
 
-Molds from CAD have a flange in the sheet's plane, to the rounding of the file. What lies on it at the start sticks
-there from the start on; at the edge of an opening the sheet is held within an element, so the mesh is refined there
-before it moves. On the host.
+Molds from CAD have a flange in the sheet's plane, to the rounding of the file. Nodes in contact with it stick from the
+start on; at the edge of an opening the sheet is held within an element, so the mesh is refined there before it moves.
+On the host.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _CHUNK = 2_000_000  # pairs of node and triangle looked at together
 
 
 class InitialContact(NamedTuple):
-    """What of a sheet lies on the mold.
+    """The initial contact of a sheet with the mold.
 
-    Signed numbers (n_node,) as `State.wall`, 0 where a node does not lie on it; and the nodes' places (n_node, 3) [m],
-    of those that do on the mold.
+    Signed triangle numbers (n_node,) as `State.wall`, 0 where a node is not in contact; and the nodes' positions
+    (n_node, 3) [m], on the mold for those in contact.
     """
 
     wall: NDArray[np.int32]
@@ -43,12 +43,12 @@ class InitialContact(NamedTuple):
 def find_initial_contact(
     parison: Parison, triangles: NDArray[np.integer], pushes: np.ndarray, mold: Mold, grid: SearchGrid
 ) -> InitialContact:
-    """Which nodes lie on the mold, to a hundredth of the sheet's thickness.
+    """Finds the nodes in contact with the mold, to a hundredth of the sheet's thickness.
 
     Args:
         parison: The sheet; of a refined one, all its nodes.
         triangles: Those that the nodes belong to (n_triangle, 3); of a refined sheet, of all levels.
-        pushes: Pressures, of which the first that is not 0 tells which way the sheet is pushed.
+        pushes: Pressures; the sign of the first that is not 0 is the direction of the push.
         mold: The mold.
         grid: Its search structure.
     """
@@ -76,7 +76,7 @@ def find_initial_contact(
 
 
 def tolerance(parison: Parison, grid: SearchGrid) -> float:
-    """Distance [m] within which a node lies on the mold.
+    """Distance [m] within which a node is in contact with the mold.
 
     It is small beside the thickness, but not below what single precision tells apart, in which files have numbers.
     """
@@ -116,14 +116,14 @@ def _contact_pairs(
 
 
 def _normals(positions: Array, triangles: NDArray[np.integer]) -> Array:
-    """Of the sheet at its nodes (n_node, 3), of length 1; 0 where there is no triangle."""
+    """Unit normals of the sheet at its nodes (n_node, 3); 0 where there is no triangle."""
     edge1, edge2 = (positions[triangles[:, k]] - positions[triangles[:, 0]] for k in (1, 2))
     normal = _sum_to_nodes(np.cross(edge1, edge2), triangles, len(positions))
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
 def _inward_directions(positions: Array, triangles: NDArray[np.integer]) -> Array:
-    """From each node to the middles of its triangles, added up (n_node, 3) [m]."""
+    """Sums of the vectors from each node to the middles of its triangles (n_node, 3) [m]."""
     count = _sum_to_nodes(np.ones((len(triangles), 1)), triangles, len(positions))
     return _sum_to_nodes(positions[triangles].mean(1), triangles, len(positions)) - count * positions
 
@@ -137,8 +137,8 @@ def _sum_to_nodes(values: Array, triangles: NDArray[np.integer], count: int) -> 
 def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, grid: SearchGrid) -> None:
     """Refuses a sheet that is through the mold.
 
-    What touches it to the tolerance of `find_initial_contact` is not: what is through it still is when the sheet is
-    moved by as much to either side.
+    A sheet that touches it within the tolerance of `find_initial_contact` is accepted: a sheet through the mold still
+    is when moved by as much to either side.
 
     Raises:
         InputError: If a side of an element crosses the mold.
@@ -171,13 +171,13 @@ def find_initial_bisections(
 ) -> NDArray[np.int32]:
     """Triangles of the forest that are bisected before the run begins, ascending: closed, so that no node hangs.
 
-    Those that lie on the mold in part, up to the deepest level; those near a bend of the mold up to the base level.
+    Those partly in contact, up to the deepest level; those near a bend of the mold, up to the base level.
 
     Args:
         forest: The forest, with its nodes where they are when the run begins.
-        lying: Which nodes lie on the mold, as `Precomputed` has it (n_node,).
+        lying: Initial contact of the nodes (n_node,), as `Precomputed.initial_contact`.
         refinement: Its limits.
-        bend: Where it is bent, as `TriangleForest.bend` of the scene has it.
+        bend: Distance to the mold's bent parts, as in `BisectionHierarchy.bend`.
         grid: The mold's search structure.
     """
     level, corners = forest.level(), forest.positions[forest.triangles]
@@ -195,7 +195,7 @@ def find_initial_bisections(
 
 
 def _partly_in_contact(forest: bisection.TriangleForest, wall: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Triangles (n_triangle,) of which some nodes lie on the mold and others do not, those of their parts included."""
+    """Triangles (n_triangle,) of which some nodes are in contact and others are not, those of their parts included."""
     lies = wall != 0
     some = (lies & ~forest.clamped)[forest.triangles].any(1)
     each = (lies | forest.clamped)[forest.triangles].all(1)
@@ -208,7 +208,7 @@ def _partly_in_contact(forest: bisection.TriangleForest, wall: NDArray[np.int32]
 
 
 def _reachable_triangles(wanted: NDArray[np.bool_], forest: bisection.TriangleForest) -> NDArray[np.bool_]:
-    """Those wanted whose parents are bisected, from level to level; without what only closure asks for."""
+    """Those wanted whose parents are bisected, from level to level; without those that only closure requires."""
     for level in range(1, forest.depth + 1):
         first, last = (forest.root_count * ((1 << k) - 1) for k in (level, level + 1))
         above = forest.root_count * ((1 << (level - 1)) - 1)
@@ -217,7 +217,7 @@ def _reachable_triangles(wanted: NDArray[np.bool_], forest: bisection.TriangleFo
 
 
 def _bend_distance(places: Array, bend: Bend, grid: SearchGrid) -> Array:
-    """Distance (n,) [m] from places (n, 3) to the mold's bends, as the run sees it."""
+    """Distance (n,) [m] from places (n, 3) to the mold's bends, as the run computes it."""
     shape = int(bend.parts) * np.asarray(grid.shape)
     width = float(grid.width) / int(bend.parts)
     index = np.clip(np.floor((places - np.asarray(grid.corner, float)) / width).astype(int), 0, shape - 1)

@@ -1,4 +1,4 @@
-"""What a mesh can be refined to, built before a run: its forest in arrays, and where the mold is bent."""
+"""Refinement's setup before a run: the forest in arrays, and the distance to bent parts of the mold."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST_BEND_CELLS = 500_000  # where the distance to such a bend is kept
 
 
 def reserve_capacity(refinement: Refinement, forest: bisection.TriangleForest, fine: np.ndarray | None) -> Refinement:
-    """With room for half as many elements again as there are when the run begins."""
+    """The refinement with capacity for half as many elements again as there are when the run begins."""
     if fine is None or not len(fine):
         return refinement
     least = min(3 * (forest.root_count + len(fine)) // 2, forest.root_count << forest.depth)
@@ -31,7 +31,7 @@ def reserve_capacity(refinement: Refinement, forest: bisection.TriangleForest, f
 
 
 def check_capacity(refinement: Refinement, count: int) -> None:
-    """Raises InputError where there is no room for so many elements."""
+    """Raises InputError where so many elements exceed the capacity."""
     if refinement.elements < count:
         remedy = f"make room for the {count} elements that there are at first, and more"
         raise InputError("is too little", remedy, "refinement.elements", refinement.elements)

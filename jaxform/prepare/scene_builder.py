@@ -57,20 +57,20 @@ def build_scene(
 
     Args:
         parison: The sheet.
-        material: Its law; a number of it may have a value at each node of the parison (..., n_node).
+        material: The material model; a number of it may have a value at each node of the parison (..., n_node).
         pressure: The pressure history, or any other loading.
         solver: Options of the time integration.
         mold: The mold; None for free inflation.
-        refinement: Where the mesh becomes finer; None where it stays as it is.
-        forest: Of the parison's mesh, where the parison has its nodes already; else it is built here, and new nodes
-            have the mean thickness of their edges' ends.
+        refinement: Adaptive refinement; None for a fixed mesh.
+        forest: Forest of the parison's mesh, where the parison has its nodes already; else it is built here, and new
+            nodes have the mean thickness of their edges' ends.
         fields: Nodal fields that the sheet carries, by name; with a value at each node of the parison.
-        cooling: How the sheet cools; None where it keeps its temperature.
+        cooling: Cooling of the sheet; None where it keeps its temperature.
         fill: Whether the mold is to be filled: where a fifth of its depth is left open, the status of a run says so.
-        part: Which of the formed sheet is the part, from `make_part`: what statistics, objectives and pictures count;
-            all of it by default.
+        part: The part of the formed sheet, from `make_part`, to which statistics, objectives and pictures refer; all of
+            it by default.
         name: What the scene is called.
-        frames: At how many moments the run is to be looked at; it can be at the borders of its windows.
+        frames: Number of moments at which the run is to be observed, which are boundaries of its windows.
         store: Where the mold's search structure is kept between runs; nowhere by default.
 
     Raises:
@@ -160,7 +160,7 @@ def build_scene(
 
 
 def _assembly(positions: np.ndarray, triangles: np.ndarray, refinement: Refinement | None) -> Assembly:
-    """In pairs, unless the elements will be others."""
+    """The assembly of nodal forces: in pairs, unless refinement changes the elements."""
     if refinement is not None:
         return make_assembly(triangles, len(positions))
     return make_paired_assembly(positions, triangles)
@@ -192,7 +192,7 @@ def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def _place_on_mold(
     parison: Parison, triangles: np.ndarray, pushes: np.ndarray, mold: Mold, grid: SearchGrid
 ) -> tuple[Parison, jax.Array | None]:
-    """The parison with what lies on the mold exactly there; and which nodes (n_node,) those are, None where none."""
+    """The parison with its nodes in contact exactly on the mold; and the initial contact (n_node,), None if none."""
     found = initial_contact.find_initial_contact(parison, triangles, pushes, mold, grid)
     if not np.any(found.wall):
         return parison, None
@@ -233,14 +233,14 @@ def _box(mold: Mold, positions: np.ndarray) -> SceneBox:
 
 
 def _search_grid(mold: Mold, positions: np.ndarray, triangles: np.ndarray, store: Store | None = None) -> SearchGrid:
-    """Made for nodes that move a quarter of an element's side within a window: a tenth of the speed of sound."""
+    """The grid for nodes that move a quarter of an element's side within a window: a tenth of the speed of sound."""
     corners = positions[triangles]
     side = float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
     return build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles), 0.25 * side, store)
 
 
 def _pairs_per_node(mold: Mold | None, grid: SearchGrid | None) -> int:
-    """Room for pairs: a node that moves far over a fine mold meets many of its triangles in a window."""
+    """Capacity for pairs: a node that moves far over a fine mold meets many of its triangles in a window."""
     if mold is None or grid is None or grid.far is None:
         return PAIRS_PER_NODE
     corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]

@@ -1,4 +1,4 @@
-"""How far a sheet will be stretched, about: for laws that stiffen steeply, whose steps depend on it. On the host."""
+"""Estimate of a sheet's largest stretch: for laws that stiffen steeply, whose steps depend on it. On the host."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _MARGIN = 2.0  # of the pressure, for a sheet that swings beyond its equilibrium
 def expected_stretch(parison: Parison, material: Law, pushes: np.ndarray, mold: Mold | None) -> float:
     """The stretch that a sheet reaches over most of its area, at most `LARGEST_STRETCH`.
 
-    The pressure stretches it no further than to where a sphere of its size bears that, and a mold lets it go no
-    further than to its own walls.
+    The pressure stretches it no further than a sphere of its size that is in equilibrium, and a mold no further than
+    to its own surface.
 
     Args:
         parison: The sheet.

@@ -1,4 +1,4 @@
-"""How many windows a run may take, how long they are, and how long its first step is."""
+"""Number and length of the windows that a run may take, and the length of its first step."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PLANNED_TO_TAKEN, _LEAST_WINDOWS = 4, 16  # as a rule; and how many windows a r
 
 
 def stiffens_steeply(material: Law) -> bool:
-    """Whether steps at the largest stretch are so much shorter than at first that no run is planned for it."""
+    """True where steps at the largest stretch are so much shorter than at first that no run is planned for it."""
     first, last = (
         float(_stiffest_step(as_real(1.0), material, as_real(stretch))) for stretch in (1.0, LARGEST_STRETCH)
     )
@@ -34,10 +34,10 @@ def stiffens_steeply(material: Law) -> bool:
 
 
 def plan_windows(bound: jax.Array, material: Law, solver: Solver, expected: float | None = None) -> int:
-    """Enough short windows for the step that the stiffest strain up to stretch 6 would ask for.
+    """The number of short windows for the step that the stiffest strain up to stretch 6 requires.
 
-    Or up to the stretch that is expected, of a law that stiffens steeply: where it is stiffer, windows become longer
-    (`dynamics.window_end`). As many as there is always room for are planned in any case.
+    For a law that stiffens steeply, up to the expected stretch: where it is stiffer, windows become longer
+    (`dynamics.window_end`). A number for which there is always capacity is planned in any case.
     """
     stretch = as_real(LARGEST_STRETCH if expected is None else expected)
     step = float(solver.safety) * float(_stiffest_step(as_real(np.asarray(bound).max()), material, stretch))
@@ -54,13 +54,13 @@ def plan_windows(bound: jax.Array, material: Law, solver: Solver, expected: floa
 
 
 def spare_windows(grid: SearchGrid | None, cooling: float = 0.0) -> int:
-    """For some that contact cuts short when nodes fly through the mold, some that are retried, and cooling [K]."""
+    """The number of spare windows: for contact that cuts them short as nodes cross the mold, retries, cooling [K]."""
     spare = 32 + int(np.ceil(cooling / MOST_COOLING))
     return spare if grid is None else spare + round(2 * float(grid.size) / float(grid.reach))
 
 
 def tool_steps(motion: Motion | None, grid: SearchGrid | None, end_time: float, step: float) -> float:
-    """How many steps of a run are due to a mold that moves, beyond those of a length [s] that it would take at rest."""
+    """The number of a run's steps due to a moving mold, beyond those of a length [s] that it would take at rest."""
     if motion is None or grid is None:
         return 0.0
     time = np.minimum(np.asarray(motion.time, float), end_time)
@@ -71,7 +71,7 @@ def tool_steps(motion: Motion | None, grid: SearchGrid | None, end_time: float, 
 def longest_window(planned: int, frames: int, *, steep: bool = False) -> int:
     """Steps of the longest window, so that of so many planned short ones there are enough that are taken.
 
-    Where a steep law is planned for what is expected, windows can become longer whatever the plan.
+    Where a steep law is planned for the expected stretch, windows can become longer whatever the plan.
     """
     planned *= LONG_WINDOW // SHORT_WINDOW if steep else 1
     # Steps are not all alike, so there are twice as many windows as frames.
@@ -82,9 +82,9 @@ def longest_window(planned: int, frames: int, *, steep: bool = False) -> int:
 
 
 def first_step(scene: Scene) -> float:
-    """How long the first step is at least [s]: what the elements bound it to before they stretch.
+    """A lower bound on the first step [s]: from the elements' bounds before they stretch.
 
-    What a run measures is up to twice as long. This needs no program of the mesh's size.
+    The step that a run measures is up to twice as long. This needs no program of the mesh's size.
     """
     forest = scene.tables.forest
     active = np.arange(len(scene.parison.triangles))
@@ -97,7 +97,7 @@ def first_step(scene: Scene) -> float:
 
 
 def _stiffness_at_once(square: jax.Array, modes: Modes) -> jax.Array:
-    """What viscous modes add at most [Pa] where a sheet is stretched at once along both axes, with these squares."""
+    """Largest stiffness [Pa] that viscous modes add to a sheet stretched at once along both axes, with these squares."""
     none, one = jnp.zeros_like(square), jnp.ones_like(square)
     g = square, none, square
     unit = jnp.stack([one, none, one])
