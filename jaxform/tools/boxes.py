@@ -1,4 +1,4 @@
-"""Which triangles of two sets may meet, by cells that are made for one look. On the host."""
+"""Pairs of triangles of two sets that may meet, found by cells that are made for one search. On the host."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _PieceBoxes(NamedTuple):
         return cls(*bounding_boxes(pieces), owner)
 
     def cells(self, corner: Array, width: float, shape: Integers) -> _PieceCells:
-        """Where each is: in at most two cells along each axis."""
+        """The cells of each piece: at most two along each axis."""
         first, last = (np.floor((end - corner) / width).astype(np.int64) for end in (self.low, self.high))
         found = []
         for step in np.ndindex(2, 2, 2):

@@ -1,4 +1,4 @@
-"""How a male mold stands: from which side the sheet comes, the height of its base, what stands above. On the host."""
+"""Pose of a male mold: the side from which the sheet comes, the height of its base, the body above. On the host."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DIRECTIONS = ["+z", "+y", "+x", "-z", "-y", "-x"]
 
 @dataclass(frozen=True)
 class Buck:
-    """A male mold as it stands.
+    """A male mold and its pose.
 
     Attributes:
         view: The mold as the sheet sees it: turned so that pressure pushes to +z.
@@ -55,12 +55,12 @@ class Buck:
 
     @property
     def height(self) -> float:
-        """Of the body above the platen [m]."""
+        """Height of the body above the platen [m]."""
         return self.base - self.top
 
     @property
     def volume(self) -> float:
-        """Of the body and what is hidden below it [m^3]."""
+        """Volume of the body and of what is hidden below it [m^3]."""
         return float((self.base - self.view.height[self.body]).sum()) * self.view.pixel**2
 
 
@@ -111,11 +111,11 @@ def direction_name(direction: Array) -> str:
 
 
 def find_buck(mold: Mesh, direction: Array | None = None) -> Buck:
-    """How a male mold stands.
+    """Finds the pose of a male mold.
 
     Args:
         mold: Welded.
-        direction: From which side the sheet comes (3,), in the file's axes; found by default.
+        direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes; found by default.
 
     Raises:
         InputError: Nothing stands above a base.

@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 Integers = NDArray[np.integer]
 
 SEAM = 1e-4
-"""Of the mold's size: rims as near to each other as that are a seam, not holes."""
+"""Distance, relative to the mold's size, within which rims are a seam, not holes."""
 _CHORDS = 0.1  # of the edge's length, that a seam may be open besides
 _STEP = 4.0  # pixels, from one look under the sheet's edge to the next
 _SPECK = 5e-7  # of the square of the mold's size, an area: less is no hole
@@ -49,7 +49,7 @@ def cover(found: Opening, polygon: Array, mold: Mesh) -> Covers:
 
     Args:
         found: The opening.
-        polygon: Of the sheet, counter-clockwise, in the plane of the view (k, 2) [m].
+        polygon: Outline of the sheet, counter-clockwise, in the plane of the view (k, 2) [m].
         mold: Welded, not turned.
     """
     turned = mold.positions @ found.view.turn.T
@@ -94,7 +94,7 @@ def _fans(turned: Array, triangles: Integers, found: Opening, size: float) -> li
 
 
 def _lies_before(found: Opening, cap: Mesh) -> bool:
-    """Whether a cap lies before what is seen: the end of a lip is around a hollow, not around a hole in it."""
+    """True when a cap lies before the visible surface: the end of a lip is around a hollow, not around a hole."""
     places = cap.positions[cap.triangles].mean(1)
     size = volumes.areas(np.insert(cap.positions[:, :2], 2, 0.0, axis=1), cap.triangles)
     deep = found.view.sample(found.view.height, places[:, :2])
@@ -103,7 +103,7 @@ def _lies_before(found: Opening, cap: Mesh) -> bool:
 
 
 def find_seams(turned: Array, edges: Integers, near: float) -> Mask:
-    """Along which rim edges (n,) another one runs, beside their middles."""
+    """Mask (n,) of the rim edges along which another one runs, beside their middles."""
     from scipy.spatial import KDTree
 
     begin, side = turned[edges[:, 0]], turned[edges[:, 1]] - turned[edges[:, 0]]
@@ -137,7 +137,7 @@ def fan(edges: Array) -> Mesh:
 
 
 def _curtain(found: Opening, polygon: Array, size: float) -> tuple[list[Mesh], float]:
-    """Walls down from the sheet's edge where nothing is under it, and how long they are [m]."""
+    """Surfaces down from the sheet's edge where nothing is under it, and their length [m]."""
     view = found.view
     along = _edge_points(polygon, _STEP * view.pixel)
     near, deep = view.sample(view.local_minimum(), along), view.sample(_deepest(view), along)
@@ -173,7 +173,7 @@ def _deepest(view: Heights) -> Array:
 
 
 def _patches(view: Heights, polygon: Array) -> list[Mesh]:
-    """Covers on what one sees through, at the height of what is around it."""
+    """Covers on see-through holes, at the height of their surroundings."""
     through = ~np.isfinite(view.height) & masks.dilate(view.inside_polygon(polygon), -2)
     part, count = masks.label_parts(through)
     made = []

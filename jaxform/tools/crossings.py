@@ -1,6 +1,6 @@
-"""Where segments and triangles cross the mold. On the host.
+"""Crossings of segments and triangles with the mold. On the host.
 
-What may meet is looked up in the mold's search grid, box by box, so that a sheet of n elements is compared with a few
+Candidates are looked up in the mold's search grid, box by box, so that a sheet of n elements is compared with a few
 triangles each, however many there are.
 """
 
@@ -27,7 +27,7 @@ _STEEP = 1e-9  # of the mold's size: a path that changes its height over a trian
 
 
 class PiecePairs(NamedTuple):
-    """Which of the given pieces (n,) may meet which triangles of the mold (n,)."""
+    """Pairs of a given piece (n,) and a triangle of the mold (n,) that may meet."""
 
     piece: NDArray[np.int64]
     triangle: Integers
@@ -56,10 +56,10 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     """Pairs of pieces, with k corners (n, k, 3) [m], and mold triangles whose boxes overlap, part by part.
 
     Args:
-        corners: Of segments, with k = 2, or of triangles, with k = 3. The boxes are widened by the margin [m].
-        mold_corners: Of the mold's triangles (n_triangle, 3, 3) [m].
+        corners: Corners of segments, with k = 2, or of triangles, with k = 3. The boxes are widened by the margin [m].
+        mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         grid: The mold's search structure.
-        margin: What the boxes are widened by [m].
+        margin: Margin [m] by which the boxes are widened.
     """
     cells = _cells(grid)
     mold_low, mold_high = bounding_boxes(mold_corners)
@@ -107,7 +107,7 @@ def bounding_boxes(corners: Array) -> tuple[Array, Array]:
 
 
 def all_columns(columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which rows (n,) are true in each of a few columns (n, k)."""
+    """Mask (n,) of the rows that are true in each of a few columns (n, k)."""
     return functools.reduce(np.logical_and, columns.T)
 
 
@@ -122,10 +122,10 @@ def expand_ranges(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.i
 
 
 def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
-    """What of segments or triangles may be in a box, in parts that are no longer, and which each is part of.
+    """Pieces of segments or triangles that may be in a box, none longer than `longest`, and the owner of each.
 
-    They are halved again and again, and what is outside is left out each time: of one that is far larger than the box
-    little is cut small.
+    They are halved repeatedly, and pieces outside are dropped each time: of one that is far larger than the box little
+    is cut small.
     """
     owner = np.arange(len(corners))
     while True:
@@ -147,7 +147,7 @@ def _longest(sides: Array) -> float:
 
 
 def _halve_segments(corners: Array, longest: float) -> tuple[Array, NDArray[np.int64]]:
-    """Segments (n, 2, 3) [m] of which those that are longer are halved, and which each is part of."""
+    """Segments (n, 2, 3) [m] of which those that are longer are halved, and the owner of each piece."""
     long = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1) > longest
     middle = corners[long].mean(1)
     first, second = np.stack([corners[long, 0], middle], 1), np.stack([middle, corners[long, 1]], 1)
@@ -156,7 +156,7 @@ def _halve_segments(corners: Array, longest: float) -> tuple[Array, NDArray[np.i
 
 
 def crosses(begin: Array, end: Array, corners: Array) -> NDArray[np.bool_]:
-    """Whether segments from `begin` to `end`, (n, 3) each, cross triangles (n, 3, 3), pair by pair.
+    """True where segments from `begin` to `end`, (n, 3) each, cross triangles (n, 3, 3), pair by pair.
 
     One that ends in a triangle's plane ends below it; one in it does not cross it.
     """
@@ -176,7 +176,7 @@ def crosses(begin: Array, end: Array, corners: Array) -> NDArray[np.bool_]:
 
 
 def intersect(one: Array, other: Array) -> NDArray[np.bool_]:
-    """Whether triangles (n, 3, 3) and others (n, 3, 3) cut each other, pair by pair."""
+    """True where triangles (n, 3, 3) and others (n, 3, 3) cut each other, pair by pair."""
     result = np.zeros(len(one), bool)
     apart = _on_one_side(one, other)
     rest = np.flatnonzero(~apart)
@@ -189,7 +189,7 @@ def intersect(one: Array, other: Array) -> NDArray[np.bool_]:
 
 
 def _on_one_side(one: Array, other: Array) -> NDArray[np.bool_]:
-    """Whether all corners of triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair."""
+    """True where triangles (n, 3, 3) are on one side of the planes of others (n, 3, 3), pair by pair."""
     normal = np.cross(other[:, 1] - other[:, 0], other[:, 2] - other[:, 0])
     height = np.einsum("nkj,nj->nk", one - other[:, :1], normal)
     return all_columns(height > 0) | all_columns(height < 0)
@@ -215,7 +215,7 @@ def proper_crossings(
 def _crosses_inside(
     begin: Array, end: Array, mold_corners: Array, pairs: PiecePairs, margin: float, steep: float
 ) -> NDArray[np.bool_]:
-    """Whether segments cross triangles, pair by pair, inside both by the relative margin and by more than `steep`."""
+    """True where segments cross triangles, pair by pair, inside both by the relative margin, more than `steep`."""
     corners = mold_corners[pairs.triangle]
     b, path = begin[pairs.piece], (end - begin)[pairs.piece]
     d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -1,4 +1,4 @@
-"""How far points are from the mold, or from another surface. On the host."""
+"""Distances of points from the mold, or from another surface. On the host."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class NearestPlaces(NamedTuple):
     """The places of a surface that are nearest to points.
 
     Attributes:
-        triangle: Which triangle each is in (n,).
-        place: Where it is (n, 3) [m].
-        distance: How far away (n,) [m].
-        at_rim: Whether it is on the rim of an open surface (n,), beyond which there is no wall.
+        triangle: The triangle of each place (n,).
+        place: The places (n, 3) [m].
+        distance: Distances of the points from them (n,) [m].
+        at_rim: Whether they are on the rim of an open surface (n,).
     """
 
     triangle: NDArray[np.int64]
@@ -82,7 +82,7 @@ class _TriangleGroup(NamedTuple):
 
 
 def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
-    """Pieces (n, 3, 3) [m] of triangles (n,) by their size: of the smaller ones fewer need be looked at."""
+    """Pieces (n, 3, 3) [m] of triangles (n,) by their size: of the smaller ones fewer need be checked."""
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
     middle = pieces.mean(1)
@@ -125,7 +125,7 @@ class Distances:
         """Distances (n,) [m] of points (n, 3).
 
         Zero where it is too far, or where the nearest place is on the rim of an open mold, beyond which there is no
-        wall.
+        surface.
         """
         if not len(points):
             return np.zeros(0)
@@ -140,7 +140,7 @@ class Distances:
         return np.where(rim | (nearest > self.farthest), 0.0, nearest)
 
     def largest(self, points: Array) -> tuple[float, int]:
-        """The largest of the distances of points (n, 3) [m] that `exact` gives, and which has it; 0 and -1 of none.
+        """The largest distance [m] of points (n, 3) [m] by `exact`, and the index of its point; 0 and -1 of none.
 
         Only those are measured that a quick bound does not rule out.
         """
@@ -201,7 +201,7 @@ def _length(corners: Array, length: float) -> float:
 
 
 def _rims(triangles: NDArray[np.integer], vertex_count: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which sides (n, 3), from each corner to the next, and which corners (n, 3) of triangles are on an open rim."""
+    """Masks of the triangles' sides (n, 3), from each corner to the next, and corners (n, 3) on an open rim."""
     rim = topology.boundary_edges(triangles)
     side = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
     name = np.array([vertex_count, 1], np.int64)

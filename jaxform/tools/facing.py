@@ -1,4 +1,4 @@
-"""Which surface of the mold a nearly flat sheet meets first on its way along the push, and how deep that is.
+"""The surface of the mold that a nearly flat sheet meets first on its way along the push, and its depth.
 
 A place of the mold counts where the straight way back to the sheet, against the push, meets the sheet and no other part
 of the mold. Undercuts, backs and outer faces of solids, and what lies beside the sheet do not count. On the host.
@@ -28,7 +28,7 @@ _ASKED, _MORE = 64, 4  # places, the deepest ones, whose way back is examined fi
 
 @dataclass(frozen=True)
 class Facing:
-    """What of a mold is before a nearly flat sheet.
+    """The surface of a mold before a nearly flat sheet.
 
     Attributes:
         positions: Nodes of the sheet (n_node, 3) [m].
@@ -47,7 +47,7 @@ class Facing:
     flat: Distances
 
     def heights(self, places: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """How far places (n, 3) [m] are before the sheet (n,) [m], and which are before it at all."""
+        """Distances (n,) [m] of places (n, 3) [m] before the sheet along the push, and the mask of those before it."""
         near = self.flat.nearest(_project(places, self.direction))
         corners = self.positions[self.triangles[near.triangle]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -56,7 +56,7 @@ class Facing:
         return ahead, (near.distance <= _BESIDE * self.flat.size) & (ahead > 0) & (slope != 0)
 
     def meets(self, places: Array) -> NDArray[np.bool_]:
-        """Which places of the mold (n, 3) [m] the sheet meets first on its way along the push (n,)."""
+        """Mask (n,) of the places of the mold (n, 3) [m] that the sheet meets first on its way along the push."""
         ahead, before = self.heights(places)
         found = np.flatnonzero(before)
         back = -ahead[found, None] * self.direction
@@ -65,7 +65,7 @@ class Facing:
         return before
 
     def depth(self, places: Array) -> float:
-        """How far the deepest of the places of the mold (n, 3) [m] that the sheet meets is before it [m]; 0 of none."""
+        """Largest distance [m] before the sheet of the places of the mold (n, 3) [m] that it meets; 0 of none."""
         ahead, before = self.heights(places)
         found = np.flatnonzero(before)
         order = found[np.argsort(-ahead[found], kind="stable")]
@@ -80,10 +80,10 @@ class Facing:
 
 
 def find_facing(positions: Array, triangles: Integers, push: float, mold: Mold, grid: SearchGrid) -> Facing | None:
-    """What of the mold is before a sheet; None of one that is not nearly flat, or that nothing pushes.
+    """Finds the mold's surface before a sheet; None where the sheet is not nearly flat, or nothing pushes it.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Node positions (n_node, 3) [m].
         triangles: Their elements (n_element, 3), along whose normals pressure acts.
         push: The pressure [Pa]; its sign alone counts.
         mold: The mold.

@@ -1,4 +1,4 @@
-"""Where a sheet passes through itself: the method has no contact of a sheet with itself. On the host."""
+"""Self-intersection of a sheet: the method has no contact of a sheet with itself. On the host."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _MOST_PAIRS = 600_000  # of these and others, from which the rest is not looked 
 
 
 def self_intersecting_elements(positions: Array, triangles: Integers, asked: Integers) -> NDArray[np.int64]:
-    """Which of some elements another one cuts that shares no node with them, in order.
+    """Those of the given elements that are cut by one that shares no node with them, in order.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Node positions (n_node, 3) [m].
         triangles: Their elements (n_element, 3).
         asked: Numbers of those elements (n,), the most doubtful first: where they meet very many others, these alone
-            are looked at.
+            are checked.
     """
     asked, corners = np.asarray(asked, np.int64), positions[triangles]
     if not len(asked) or _faces_one_way(corners):
         return asked[:0]
     found, pairs = _intersected_elements(corners, triangles, asked[:_FIRST])
-    # Of a sheet that burst, each element meets a thousand others: then the first ones say enough.
+    # In a sheet that burst, each element meets a thousand others: then the first ones suffice.
     if len(asked) > _FIRST and pairs <= _MOST_PAIRS:
         found = np.union1d(found, _intersected_elements(corners, triangles, asked[_FIRST:])[0])
     return found
@@ -37,7 +37,7 @@ def self_intersecting_elements(positions: Array, triangles: Integers, asked: Int
 def _intersected_elements(
     corners: Array, triangles: Integers, asked: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], int]:
-    """Which elements (n,), of all with corners (n_element, 3, 3) [m], others cut, and how many were compared."""
+    """The asked elements that others, with corners (n_element, 3, 3) [m], cut, and the number of compared pairs."""
     found, pairs = [], 0
     for place, other in overlapping_pairs(corners[asked], corners):
         pairs += len(place)
@@ -49,6 +49,6 @@ def _intersected_elements(
 
 
 def _faces_one_way(corners: Array) -> bool:
-    """Whether all elements (n, 3, 3) [m] are seen from their front, from one side: then none hides another."""
+    """True when all elements (n, 3, 3) [m] show their front to one side: then none hides another."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return bool((normal @ normal.sum(0) > 0).all())

@@ -32,7 +32,7 @@ class Planform(NamedTuple):
     """A sheet's planform in the plane of the view: one of them [m].
 
     Attributes:
-        shape: What it is.
+        shape: The disc, rectangle or corners.
         flange: Whether it lies on the mold all round, beyond the opening.
     """
 
@@ -53,7 +53,7 @@ class Planform(NamedTuple):
 
 @dataclass(frozen=True)
 class _FitRegion:
-    """What the fits look at: the view, what is to be covered, its points (n, 2) [m], and whether a flange is there."""
+    """Input of the fits: the view, the pixels to cover, their points (n, 2) [m], and whether a flange is there."""
 
     view: Heights
     covered: Mask
@@ -62,7 +62,7 @@ class _FitRegion:
     width: float
 
     def contains(self, polygon: Array) -> bool:
-        """Whether a polygon lies on the mold."""
+        """True when a polygon lies on the mold."""
         wanted = self.view.inside_polygon(polygon)
         return bool(wanted.sum() and (wanted & self.view.inside).sum() >= _WITHIN * wanted.sum())
 
@@ -72,7 +72,7 @@ def fit_planform(found: Opening, vertices: Array, triangles: Integers) -> Planfo
 
     Args:
         found: The opening.
-        vertices: The mold's (n, 3) [m], not turned.
+        vertices: Vertices of the mold (n, 3) [m], not rotated.
         triangles: Vertex numbers (m, 3).
 
     Raises:
@@ -91,7 +91,7 @@ def outline(found: Opening, vertices: Array, triangles: Integers) -> Array:
 
     Args:
         found: The opening.
-        vertices: The mold's (n, 3) [m], not turned.
+        vertices: Vertices of the mold (n, 3) [m], not rotated.
         triangles: Vertex numbers (m, 3).
 
     Raises:

@@ -1,4 +1,4 @@
-"""How far a formed sheet is from the mold that it was to fill. On the host."""
+"""Gaps between a formed sheet and the mold that it was to fill. On the host."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _EDGE = 1e-6  # of a triangle's sides: what is looked at through an edge is hidd
 
 
 class Gap(NamedTuple):
-    """Where the mold is farthest from the sheet before it.
+    """The place of the mold that is farthest from the sheet before it.
 
     Attributes:
-        width: How far [m]; 0 where the sheet lies on all of it.
-        place: Of the mold (3,) [m].
-        element: Of the sheet, which is nearest; -1 where none is.
+        width: Its distance [m]; 0 where the sheet is in contact everywhere.
+        place: The place of the mold (3,) [m].
+        element: The nearest element of the sheet; -1 where there is none.
     """
 
     width: float
@@ -143,7 +143,7 @@ class _ViewedSheet:
         return Gap(float(near.distance[farthest]), places[farthest], int(near.triangle[farthest]))
 
     def _sees(self, nodes: Array, lift: Array, places: Array) -> NDArray[np.bool_]:
-        """Whether from eyes before nodes (n, 3, 3) [m] places (n, 3) [m] are seen, (n, 3)."""
+        """Mask (n, 3) of the places (n, 3) [m] that are visible from eyes before nodes (n, 3, 3) [m]."""
         eyes = nodes + lift
         way = places[:, None] - eyes
         seen = np.ones(eyes.shape[:2], bool)

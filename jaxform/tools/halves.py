@@ -29,7 +29,7 @@ class Plane(NamedTuple):
 
 
 def _is_closed_by(mold: Mesh) -> bool:
-    """Whether what is open of a mold is the rim of its opening: else its cut is taken for one."""
+    """True when the open edges of a mold are the rim of its opening: else its cut is taken for one."""
     edges, _ = topology.open_rims(mold.triangles, len(mold.positions))
     if not len(edges):
         return True
@@ -41,12 +41,12 @@ def _is_closed_by(mold: Mesh) -> bool:
 
 
 def _length(edges: NDArray[np.floating]) -> float:
-    """Of edges (n, 2, k) [m] together."""
+    """Total length [m] of edges (n, 2, k) [m]."""
     return float(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).sum())
 
 
 class _Lines:
-    """Where the surface of a mold ends, and where it bends sharply."""
+    """The lines on which the surface of a mold ends, and those on which it bends sharply."""
 
     def __init__(self, mold: Mesh) -> None:
         self._open = mold.positions[topology.boundary_edges(mold.triangles)]
@@ -54,9 +54,9 @@ class _Lines:
         self._tolerance = opening.FLAT * meshes.size(mold.positions)
 
     def allow_plane(self, plane: Plane) -> bool:
-        """Whether the mold may be cut in a plane: it is open there, or has an edge inside of its outline there.
+        """True when the mold may be cut in a plane: it is open there, or has an edge inside of its outline there.
 
-        Few planes show this, and to try one takes a look from all sides at a mold twice as large.
+        Few planes meet this, and a test of one takes views of a mold twice as large from all sides.
         """
         if len(self._open):
             return _length(self._lines_in_plane(plane, self._open)) >= _CUT * _length(self._open)
@@ -68,20 +68,20 @@ class _Lines:
         return bool(((middles > low) & (middles < high)).all(1).any())
 
     def _lines_in_plane(self, plane: Plane, edges: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Of edges (n, 2, 3) [m] those in the plane (k, 2, 2), without the coordinate across it."""
+        """Those of edges (n, 2, 3) [m] that are in the plane (k, 2, 2), without the coordinate across it."""
         there = (np.abs(edges[..., plane.axis] - plane.level) <= self._tolerance).all(1)
         return np.delete(edges[there], plane.axis, axis=2)
 
 
 class MoldCompletion(NamedTuple):
-    """What completes a mold, and the planes in which it is cut."""
+    """The rest of a mold, and the planes in which it is cut."""
 
     mesh: Mesh
     planes: list[Plane]
 
 
 def find_completion(mold: Mesh) -> MoldCompletion | None:
-    """What completes an open mold that has no rim by itself, but one together with its images; None where none does.
+    """The rest of an open mold that has no rim by itself, but one together with its images; None if there is none.
 
     A closed solid is whole as it is.
 

@@ -1,4 +1,4 @@
-"""Whether a mold is a cavity, into which a sheet is formed, or a buck, over which it is draped. On the host."""
+"""Kinds of molds: a cavity, into which a sheet is formed, or a buck, over which it is draped. On the host."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _HANGS = -0.9  # of a direction's z, below which what bulges to there hangs
 
 
 class Verdict(NamedTuple):
-    """What a mold is.
+    """The kind of a mold.
 
     Attributes:
         drape: Whether it is a buck.
-        doubt: What it may be as well, and how to ask for it; empty where it is clear.
-        rest: What completes a cavity that is cut in a half or a quarter.
+        doubt: The other kind that it may be, and how to request it; empty where it is clear.
+        rest: The rest of a cavity that is cut in a half or a quarter.
     """
 
     drape: bool
@@ -37,7 +37,7 @@ class Verdict(NamedTuple):
 
 
 def classify(mold: Mesh) -> Verdict:
-    """What a welded mold is."""
+    """The kind of a welded mold."""
     size = meshes.size(mold.positions)
     sides = opening.opening_sides(heights.make_viewed_surface(mold.positions, mold.triangles), size)
     rims = scans.find_rims(mold)
@@ -61,7 +61,7 @@ def _solid(mold: Mesh, sides: MoldSides, size: float) -> Verdict:
 
 
 def _volume(mold: Mesh) -> float:
-    """Of a solid as a buck [m^3]; of its box where it is none."""
+    """Volume of a solid as a buck [m^3]; that of its box where it is none."""
     try:
         return buck.find_buck(mold).volume
     except InputError:
@@ -76,7 +76,7 @@ def _held_volume(mold: Mesh) -> float:
 
 
 def _held_volume_above(view: heights.Heights) -> float:
-    """The same on the side that is seen: what is surrounded at each height."""
+    """The volume of water [m^3] held on the side that is viewed: what is surrounded at each height."""
     high, low = float(view.height.min()), float(view.height[np.isfinite(view.height)].max())
     levels = np.linspace(high, low, _LEVELS + 1)[1:]
     above = [view.height <= level for level in levels]
@@ -112,7 +112,7 @@ def _other_choice(drape: bool) -> str:
 
 
 def _is_platen(stands: Buck) -> bool:
-    """Whether what is around a body is as wide as a platen is, and nothing lies lower."""
+    """True when the surface around a body is as wide as a platen, and nothing lies lower."""
     view = stands.view
     lower = np.isfinite(view.height) & (view.height > stands.base + 2 * opening.FLAT * stands.height)
     if lower.sum() > _LOWER * view.inside.sum():

@@ -20,10 +20,10 @@ class Mold:
     """A rigid triangulated surface to which the sheet sticks; the triangles' orientation does not matter.
 
     Attributes:
-        vertices: (n_vertex, 3) [m].
+        vertices: Vertex positions (n_vertex, 3) [m].
         triangles: Vertex numbers (n_triangle, 3).
         dropped: Degenerate or duplicate triangles that were left out of the file's.
-        motion: How it moves, and with it what sticks to it; None where it rests.
+        motion: Its motion, and that of what sticks to it; None where it rests.
     """
 
     vertices: jax.Array
@@ -32,7 +32,7 @@ class Mold:
     motion: Motion | None = None
 
     def vertices_at(self, time: float) -> NDArray[np.float64]:
-        """Where its vertices (n_vertex, 3) [m] are at a time [s]; on the host."""
+        """The vertices (n_vertex, 3) [m] at a time [s]; on the host."""
         places = np.asarray(self.vertices, float)
         return places if self.motion is None else places + np.asarray(self.motion.offset(as_real(time)), float)
 

@@ -80,10 +80,10 @@ def box_insert(
 
     Args:
         size: Sides a, b [m] of the opening.
-        depth: Of the bottom [m].
+        depth: Depth of the bottom [m].
         insert_size: Sides [m] of the block where it stands on the bottom.
-        insert_height: Of the block [m], less than the depth.
-        draft: Angle [degrees] by which the walls of box and block lean back from the vertical.
+        insert_height: Height of the block [m], less than the depth.
+        draft: Angle [degrees] by which the sides of box and block lean back from the vertical.
         divisions: Every edge is cut in so many, every triangle in its square.
 
     Returns:
@@ -126,9 +126,9 @@ def bottle_half(
     """Half of a soap bottle with a handle, z >= 0, open at the neck (paper, 4.3); 1215 triangles or so.
 
     Args:
-        height: From the bottom, y = 0, to the neck [m].
-        radius: Of the body [m].
-        neck_radius: [m].
+        height: Height from the bottom, y = 0, to the neck [m].
+        radius: Radius of the body [m].
+        neck_radius: Radius of the neck [m].
         hole: Half width and half height of the handle's hole [m].
         element_size: Length of the edges [m] in the plane of the outline.
 
@@ -149,7 +149,7 @@ def bottle_half(
 
 
 def divided(mold: MoldShape, parts: int) -> MoldShape:
-    """The same surface with every edge cut in `parts` and every triangle in `parts` squared."""
+    """The surface with every edge cut in `parts` and every triangle in `parts` squared."""
     if parts == 1:
         return mold
     # Barycentric places of the corners of the small triangles, in parts, pointing up and down.

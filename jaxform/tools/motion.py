@@ -1,4 +1,4 @@
-"""Where a tool is while it moves, and its frame: contact works there, so that a tool at rest costs nothing."""
+"""Motion of a tool, and its frame: contact is computed there, so that a tool at rest costs nothing."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _SLACK = 16  # roundings of a time
 
 @pytree
 class Motion:
-    """How far a tool is from where it starts, along a straight line; it rests before its first and after its last knot.
+    """Displacement of a tool along a straight line; it rests before its first and after its last knot.
 
     Between two knots it moves as a cubic: smoothly, never beyond them, and at rest where it turns (F. N. Fritsch,
     J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
 
     Attributes:
-        direction: Of the displacement (3,), a unit vector.
+        direction: Direction of the displacement (3,), a unit vector.
         time: Knots (n_knot,) [s], increasing.
-        displacement: At the knots (n_knot,) [m]; 0 at the first.
+        displacement: Displacements at the knots (n_knot,) [m]; 0 at the first.
     """
 
     direction: jax.Array
@@ -36,7 +36,7 @@ class Motion:
     displacement: jax.Array
 
     def offset(self, time: jax.Array) -> jax.Array:
-        """How far (3,) [m] the tool is from where it starts, at a time [s]."""
+        """Displacement (3,) [m] of the tool from its start, at a time [s]."""
         width = jnp.diff(self.time)
         rise = jnp.diff(self.displacement) / width
         one, other = rise[:-1], rise[1:]
@@ -55,7 +55,7 @@ class Motion:
         return FASTEST * jnp.max(jnp.abs(jnp.diff(self.displacement) / jnp.diff(self.time)))
 
     def mean_speeds(self) -> np.ndarray:
-        """Of the stretches between knots (n_knot - 1,) [m/s]; on the host."""
+        """Mean speeds between knots (n_knot - 1,) [m/s]; on the host."""
         return np.abs(np.diff(np.asarray(self.displacement, float)) / np.diff(np.asarray(self.time, float)))
 
     def speed_from(self, time: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -67,7 +67,7 @@ class Motion:
         return here, jnp.min(jnp.where((begins > now) & (bound > here), begins, jnp.inf))
 
     def frame(self, begin: jax.Array, end: jax.Array) -> ToolFrame:
-        """That of a step from one time to another [s]."""
+        """The tool's frame in a step from one time to another [s]."""
         before, after = self.offset(begin), self.offset(end)
         length = end - begin
         still = length <= 0.0
@@ -75,18 +75,18 @@ class Motion:
 
 
 class ToolFrame(NamedTuple):
-    """A tool's frame in a step: where it is at the step's end (3,) [m], and its velocity in the step (3,) [m/s]."""
+    """A tool's frame in a step: its displacement at the step's end (3,) [m], and its velocity in it (3,) [m/s]."""
 
     offset: jax.Array
     velocity: jax.Array
 
     def places(self, positions: Any) -> Vector:
-        """Positions, three times (n,) [m], as the tool sees them at the step's end."""
+        """Positions, three times (n,) [m], in the tool's frame at the step's end."""
         x, y, z = (own - far for own, far in zip(positions, self.offset, strict=True))
         return x, y, z
 
     def speeds(self, velocities: Any) -> Vector:
-        """Velocities, three times (n,) [m/s], as the tool sees them."""
+        """Velocities, three times (n,) [m/s], relative to the tool."""
         x, y, z = (own - speed for own, speed in zip(velocities, self.velocity, strict=True))
         return x, y, z
 

@@ -1,4 +1,4 @@
-"""Where a sheet is clamped on a mold: from which side the mold is hollow, or what stands out of it. On the host."""
+"""Openings of molds: the side from which a mold is hollow, or what stands out of it. On the host."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ Mask = NDArray[np.bool_]
 Integers = NDArray[np.integer]
 
 FINE = 480
-"""Pixels of the longer side, to look at a mold."""
+"""Number of pixels of the longer side of a mold's view."""
 FLAT = 0.002
-"""Of the mold's size, what counts as one height."""
+"""Difference that counts as one height, relative to the mold's size."""
 _COARSE = 120  # pixels, to choose from where to look
 RIM = 0.8
-"""Of the edge of what is seen, what is at one height: that is a rim."""
+"""Share of a view's edge that is at one height, from which on it is a rim."""
 HOLLOW = 5e-4
-"""Of the cube of the mold's size, the volume of what is a cavity."""
+"""Least volume of a cavity, relative to the cube of the mold's size."""
 _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed over instead of into
 LEAST_RIM = 0.3
-"""The same share, of what is looked at with a warning."""
+"""The same share, from which on a side is accepted with a warning."""
 _OTHERS, _SAME = 0.2, 0.98  # of the best hollow, that others hold at least; cosine between sides that are one
 _LEVELS = 25  # heights at which a rim is looked for at first
 _ABOVE = 0.03  # of the area within a rim, that may stand above it: a few pins
@@ -55,7 +55,7 @@ class _SideView(NamedTuple):
 
 @dataclass(frozen=True)
 class Opening:
-    """Where the sheet goes.
+    """The opening of a mold, over which the sheet is clamped.
 
     Attributes:
         view: The mold as the sheet sees it: turned so that pressure pushes to +z.
@@ -64,7 +64,7 @@ class Opening:
         cavity: Pixels (ny, nx) behind the clamp plane that are to be formed.
         male: Whether the sheet is formed over what stands out, not into what is hollow.
         rim: Share of the edge that is at the height of the rim.
-        depth: Of what is formed [m].
+        depth: Depth of what is formed [m].
         others: Unit vectors (3,) to other sides, in the file's axes, on which a cavity holds nearly as much.
     """
 
@@ -86,7 +86,7 @@ def find_opening(
     Args:
         vertices: Positions (n, 3) [m], welded.
         triangles: Vertex numbers (m, 3).
-        male: Whether what stands out is looked for; by default what holds more.
+        male: Whether what stands out is searched for; by default what holds more.
         direction: Unit vector (3,) to the side from which the sheet comes; by default the best of many.
 
     Raises:
@@ -109,7 +109,7 @@ def find_opening(
 
 
 def is_rimmed(vertices: Array, triangles: Integers) -> bool:
-    """Whether a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
+    """True when a mold (n, 3) [m], (m, 3), shows a cavity within a rim, or a plug on a base, from any side."""
     size = meshes.size(vertices)
     sides = opening_sides(heights.make_viewed_surface(vertices, triangles), size)
     best = sides.raised if sides.male else sides.hollow
@@ -117,7 +117,7 @@ def is_rimmed(vertices: Array, triangles: Integers) -> bool:
 
 
 class MoldSides(NamedTuple):
-    """The look at the most hollow side, and at the one from which most stands out; directions (3,) to other hollows."""
+    """Views of the most hollow side, and of the one from which most stands out; directions (3,) to other hollows."""
 
     hollow: _SideView
     raised: _SideView
@@ -125,7 +125,7 @@ class MoldSides(NamedTuple):
 
     @property
     def male(self) -> bool:
-        """Whether much more stands out than is hollow."""
+        """True when much more stands out than is hollow."""
         return self.raised.raised > _FAVOUR * self.hollow.hollow
 
 
@@ -133,8 +133,8 @@ def opening_sides(surface: heights.ViewedSurface, size: float, direction: Array 
     """The sides from which a mold may be formed.
 
     Args:
-        surface: The mold's.
-        size: The mold's [m].
+        surface: Surface of the mold.
+        size: Size of the mold [m].
         direction: Unit vector (3,) to the only side that counts; all by default.
     """
     turns = (
@@ -153,7 +153,7 @@ def _has_rim(looks: list[_SideView]) -> list[_SideView]:
 
 
 def _first_best(looks: list[_SideView], of: Callable[[_SideView], float]) -> _SideView:
-    """Of nearly the same the first, which is along an axis: a flange that is a little uneven is not tilted."""
+    """The first of nearly equal views, which is along an axis: a flange that is a little uneven is not tilted."""
     return next(look for look in looks if of(look) >= _NEARLY * max(map(of, looks)))
 
 
@@ -175,9 +175,9 @@ def _male(look: _SideView, size: float) -> Opening:
 
 
 def _limit_to_rim(look: _SideView, size: float) -> _SideView:
-    """The look within the rim of what holds most, without what is outside of that rim; else the look as it is.
+    """The view within the rim of what holds most, without what is outside of that rim; else the view as it is.
 
-    So handles, lips and skirts do not count, and a rim may stand above the flange that surrounds it.
+    Thus handles, lips and skirts do not count, and a rim may stand above the flange that surrounds it.
     """
     view, tolerance = look.view, FLAT * size
     level = _brim(view, tolerance)
@@ -208,7 +208,7 @@ def _brim(view: Heights, tolerance: float) -> float | None:
 
 
 def _held_volume(view: Heights, level: float) -> float:
-    """What is held [m pixels] of water that stands at a height [m]."""
+    """Volume [m pixels] of the water that is held when it stands at a height [m]."""
     ground = view.height <= level
     held = masks.fill_holes(ground) & ~ground & np.isfinite(view.height)
     return float((view.height[held] - level).sum())
@@ -229,7 +229,7 @@ def _enclosing_rims(view: Heights, level: float, tolerance: float) -> Mask:
 
 
 def _remove_specks(deep: Mask, height: Array) -> Mask:
-    """Without holes through a flange: small ones, and those without a bottom beside hollows with one."""
+    """The mask without holes through a flange: small ones, and those without a bottom beside hollows with one."""
     part, count = masks.label_parts(deep)
     area, bottom = (np.bincount(part[some], minlength=count + 1) for some in (deep, deep & np.isfinite(height)))
     large = area >= _SPECK * area.max()
@@ -237,7 +237,7 @@ def _remove_specks(deep: Mask, height: Array) -> Mask:
 
 
 def _view_side(view: Heights, size: float) -> _SideView:
-    """The rim's height is the one that most of the edge has."""
+    """The view of a side; its rim's height is the one that most of the edge has."""
     tolerance = FLAT * size
     level, share = view.edge_level(tolerance)
     some = view.inside & np.isfinite(view.height)

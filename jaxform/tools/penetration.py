@@ -1,12 +1,11 @@
-"""Whether a sheet is through the mold, and how far. On the host.
+"""Penetration of a mold by a sheet. On the host.
 
-Nodes never pass the mold, but an element can span a convex edge of it and cut it. Which side of the mold a place is on
-is told by how often the way to it crosses the mold, from a node whose side is known: that which sticks to the mold is
-on the side from which it came. So neither the mold's triangles need turn the same way, nor must all that is on one
-part of a mold be on one side of it: a sheet may well lie on both sides of a flange.
+Nodes never pass the mold, but an element can span a convex edge of it and cut it. The side of the mold on which a place
+is follows from how often the path to it crosses the mold, from a node whose side is known: a stuck node is on the side
+from which it came. So neither the mold's triangles need turn the same way, nor must all that is on one part of a mold
+be on one side of it: a sheet may well be in contact with both sides of a flange.
 
-To stand clear of what it lies on, the sheet is looked at lifted: what sticks, by a millionth of the mold's size to the
-side from which it came.
+For this check stuck nodes are lifted off the mold, by a millionth of the mold's size to the side from which they came.
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ _MOST_DIVIDED = 8192  # elements, the deepest by their middles, that are measure
 
 
 class Penetration(NamedTuple):
-    """How far a sheet is beyond the mold [m]: its nodes, its elements, and where these are deepest (3,) [m].
+    """Penetration depths of a sheet [m]: of its nodes, of its elements, and where these are deepest (3,) [m].
 
-    Of a sheet that burst, how many elements are so large that they were not measured; and the ribs of the mold that
-    it passed through, which may be far higher than its elements are deep in them.
+    Also the number of elements of a burst sheet that are too large to be measured, and the ribs of the mold that the
+    sheet passed through, which may be far higher than its elements are deep in them.
     """
 
     nodes: float
@@ -53,12 +52,12 @@ class Penetration(NamedTuple):
 
     @property
     def deepest(self) -> float:
-        """How far the sheet is beyond the mold [m], the height of ribs that it passed through included."""
+        """Largest penetration depth [m], the height of ribs that the sheet passed through included."""
         return max(self.elements, self.ribs.height)
 
     @property
     def deepest_place(self) -> Array:
-        """Where that is (3,) [m]."""
+        """Place of the largest penetration depth (3,) [m]."""
         return self.ribs.place if self.ribs.height > self.elements else self.place
 
 
@@ -71,7 +70,7 @@ def penetration(
     grid: SearchGrid | None = None,
     resting: Array | None = None,
 ) -> Penetration:
-    """How far a sheet is beyond the mold.
+    """Measures the penetration of the mold by a sheet.
 
     Args:
         positions: Of the nodes (n_node, 3) [m].
@@ -79,8 +78,8 @@ def penetration(
         wall: What each node sticks to (n_node,), see `Result.wall`.
         mold: The mold.
         grid: The mold's search structure; made here by default.
-        resting: Of nodes that are where they began, the unit direction (n_node, 3) away from where the pressure pushes
-            them; 0 of the others. Where they lie on the mold, that is the side on which they are, whatever `wall` says.
+        resting: Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; 0 of the
+            others. Where they are in contact, that is the side on which they are, whatever `wall` says.
     """
     mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     size = float(np.ptp(mold_corners, axis=(0, 1)).max())
@@ -123,7 +122,7 @@ def _limit_elements(corners: Array, mold_corners: Array, reach: float) -> NDArra
 
 
 def resting_directions(start: Array, end: Array, triangles: Integers, pressure: float) -> Array:
-    """Of nodes that are where they began, the unit direction (n_node, 3) from which the pressure pushes; else 0.
+    """Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; else 0.
 
     Args:
         start: Where the nodes began (n_node, 3) [m].
@@ -141,7 +140,7 @@ def resting_directions(start: Array, end: Array, triangles: Integers, pressure: 
 def _lift(
     positions: Array, wall: Integers, landed: NDArray[np.bool_], mold_corners: Array, size: float
 ) -> tuple[Array, float]:
-    """What lifts the nodes that landed off the mold (n_node, 3) [m], and how far they are below its planes [m]."""
+    """Vectors that lift nodes in contact off the mold (n_node, 3) [m], and the nodes' depth below its planes [m]."""
     node = np.flatnonzero(landed)
     normal = contact_normals(wall[node], mold_corners)
     height = np.einsum("ij,ij->i", positions[node] - mold_corners[np.abs(wall[node]) - 1, 0], normal)
@@ -151,9 +150,9 @@ def _lift(
 
 
 def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> tuple[float, Array]:
-    """How deep the cut elements, with corners (n, 3, 3) [m], are beyond the mold, and where (3,) [m].
+    """Largest depth [m] of the cut elements, with corners (n, 3, 3) [m], beyond the mold, and its place (3,) [m].
 
-    The side of the nodes (n_node,) is negative beyond the mold, and the larger the surer it is.
+    The side of the nodes (n_node,) is negative beyond the mold; its magnitude is its certainty.
     """
     row, about = np.arange(len(corners)), distances.upper_bounds(corners.mean(1))
     if len(row) > _MOST_DIVIDED:
@@ -176,7 +175,7 @@ def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> t
 
 
 def _points_beyond_mold(ways: Ways, row: Integers, shares: Array, side: Array) -> NDArray[np.bool_]:
-    """Which points (n, p), at shares (p, 3) of the corners of cut elements (n,), are beyond the mold."""
+    """Mask (n, p) of the points, at shares (p, 3) of the corners of cut elements (n,), that are beyond the mold."""
     here = np.where(ways.cross_oddly(row, shares), -1.0, 1.0)
     return np.einsum("ncp,nc->np", here, side[ways.triangles[row]]) < 0
 

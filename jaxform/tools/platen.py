@@ -27,12 +27,12 @@ _RINGS, _SECTORS, _CELLS = 12, 72, 24  # of a platen's mesh: gaps are measured a
 
 
 class Site(NamedTuple):
-    """Where a sheet is clamped.
+    """The sheet over a male mold, and the platen around it.
 
     Attributes:
-        planform: Of the sheet, in the plane of the view.
-        margin: From the body to the frame [m].
-        platen: What was added around the body, as the mold's file has it [m]; None where the mold has its own.
+        planform: Planform of the sheet, in the plane of the view.
+        margin: Distance from the body to the frame [m].
+        platen: The surface added around the body, as the mold's file has it [m]; None where the mold has its own.
     """
 
     planform: Planform
@@ -58,7 +58,7 @@ def fit_site(buck: Buck) -> Site:
 
 
 def _lies_before(planform: Planform, buck: Buck) -> bool:
-    """Whether a sheet lies before the mold."""
+    """True when a sheet lies before the mold."""
     # Pixels outside of the view count too.
     wanted = abs(outlines.area(planform.polygon)) / buck.view.pixel**2
     return bool((buck.view.inside_polygon(planform.polygon) & buck.view.inside).sum() >= _WITHIN * wanted)

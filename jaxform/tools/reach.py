@@ -1,4 +1,4 @@
-"""Which triangles are in reach of the cells of a uniform grid. On the host, in NumPy, many triangles at once.
+"""Pairs of a uniform grid's cells and the triangles in their reach. On the host, in NumPy, vectorized.
 
 A triangle is taken apart into lines of cells: layer by layer along one axis, line by line along another, and along the
 third its plane says between which cells it is in reach. So a long sliver, an oblique plane and a small triangle are all
@@ -121,7 +121,7 @@ def _lines(local: _Local, far: float) -> Iterator[tuple[Integers, Integers, Inte
 
 
 def _within_layer(local: _Local, triangle: Integers, layer: Integers, far: float) -> tuple[Array, Array]:
-    """Between where along the second axis triangles are (n,), (n,), as far as they are in reach of a layer's middle."""
+    """Intervals (n,), (n,) of triangles along the second axis, as far as they are in reach of a layer's middle."""
     low, high = np.full(len(layer), np.inf), np.full(len(layer), -np.inf)
     for k in range(3):
         begin, end = local.corners[k], local.corners[(k + 1) % 3]

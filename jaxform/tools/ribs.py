@@ -31,10 +31,10 @@ class Ribs(NamedTuple):
     """Ribs and pins that a sheet passed through.
 
     Attributes:
-        count: In how many places, sides of elements or elements.
-        height: How high the highest stands above the sheet [m].
-        width: How wide that one is where it is crossed [m].
-        place: Where that is (3,) [m].
+        count: Number of places, which are sides of elements or elements.
+        height: Height of the highest above the sheet [m].
+        width: Width of that one where it is crossed [m].
+        place: Place of that crossing (3,) [m].
     """
 
     count: int
@@ -44,7 +44,7 @@ class Ribs(NamedTuple):
 
 
 NO_RIBS = Ribs(0, 0.0, 0.0, np.zeros(3))
-"""Where a sheet passed through none."""
+"""The value for a sheet that passed through none."""
 
 
 class _Spots(NamedTuple):
@@ -61,11 +61,11 @@ def find_ribs(
     """The ribs and pins that a sheet passed through.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m], lifted off the mold.
+        positions: Node positions (n_node, 3) [m], lifted off the mold.
         away: Unit vectors off the mold (n_node, 3), of nodes that stick to it or are held.
-        sticking: Which nodes do (n_node,).
+        sticking: Mask (n_node,) of these nodes.
         ways: Inside the elements that the mold cuts.
-        mold_corners: Of the mold's triangles (n_triangle, 3, 3) [m].
+        mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         grid: The mold's search structure.
     """
     row, triangle = ways.pairs()
@@ -120,9 +120,9 @@ def _between_crossings(
 
 
 def _faces_opposite(positions: Array, rows: Integers, normal: Array, enter: Integers) -> NDArray[np.bool_]:
-    """Whether the surfaces by which sides enter the mold and leave it (n,) look opposite ways, as those of a rib do.
+    """True where the surfaces by which sides enter and leave the mold (n,) face opposite ways, as those of a rib do.
 
-    A side also cuts the corner of what stands up wide, between two walls that look aside.
+    A side also cuts the corner of a wide feature, between two surfaces that face sideways.
     """
     along = positions[rows[enter, 1]] - positions[rows[enter, 0]]
     inwards, outwards = (np.einsum("ij,ij->i", normal[number], along) for number in (enter, enter + 1))
@@ -169,7 +169,7 @@ def _escaping_spots(place: Array, width: Array, way: Array, off: Array) -> _Spot
 
 
 def _heights(spots: _Spots, mold_corners: Array, grid: SearchGrid) -> Array:
-    """How far (n,) [m] it is from places in the mold to its surface, the way up; 0 where there is none."""
+    """Distances (n,) [m] from places in the mold up to its surface; 0 where there is none."""
     size = float(np.ptp(mold_corners, axis=(0, 1)).max())
     begin, end = spots.place, spots.place + 2 * size * spots.way
     share = np.full(len(begin), np.inf)

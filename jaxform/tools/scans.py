@@ -25,7 +25,7 @@ class Rims(NamedTuple):
     """Open rims of a mold.
 
     Attributes:
-        edges: Of all (k, 2), vertex numbers.
+        edges: Edges of all rims (k, 2), vertex numbers.
         rim: The number (k,) of the rim of each.
         spanned: Vector areas (n_rim, 3) [m^2], without sense.
     """
@@ -90,7 +90,7 @@ def _vector_area(positions: Array, edges: Integers) -> Array:
 
 
 def facing_fraction(mold: Mesh, direction: Array) -> float:
-    """How much of a surface faces a direction (3,): from -1 to 1 of the area that it has across it.
+    """The share of a surface that faces a direction (3,): from -1 to 1 of the area that it has across it.
 
     Parts whose triangles turn differently are made to turn as most of their area does.
     """
@@ -117,7 +117,7 @@ def outward_direction(mold: Mesh, rims: Rims) -> Array:
 
 
 def faces_outward(mold: Mesh, direction: Array) -> bool | None:
-    """Whether a surface that bulges to a direction (3,) faces it by how its triangles turn; None where they say not."""
+    """True when a surface that bulges to a direction (3,) faces it by its triangles' orientation; None if undecided."""
     share = facing_fraction(mold, direction)
     return None if abs(share) < _FACES else share > 0
 
@@ -147,7 +147,7 @@ def _lines(rims: Rims) -> list[Integers]:
 
 
 def _outer(mold: Mesh, rims: Rims, turned: Array) -> NDArray[np.bool_]:
-    """Which rims are outer ones: of those of one piece the one that is nearest to the base."""
+    """Mask of the outer rims: of those of one piece the one that is nearest to the base."""
     piece = topology.components(mold.triangles, len(turned))
     depth = np.array([turned[line][..., 2].mean() for line in _lines(rims)])
     owner = np.array([piece[line[0, 0]] for line in _lines(rims)])

@@ -1,4 +1,4 @@
-"""Where the mold's triangles are: a uniform grid, built once on the host, for the mold does not move.
+"""Search structure of the mold's triangles: a uniform grid, built once on the host, for the mold does not move.
 
 Space is cut into cubes. Each cell near the mold lists every triangle within a certain distance (the *reach*) of it,
 and every cell holds a lower bound on the distance from anywhere inside it to the mold. A node far away is then
@@ -144,7 +144,7 @@ def _stored_lists(corners: Array, frame: CellFrame, store: Store | None) -> Mapp
 
 
 def _lists(corners: Array, frame: CellFrame) -> dict[str, NDArray[Any]]:
-    """What a grid's cells hold: `bound`, `start`, `ends` and `listed`."""
+    """The contents of a grid's cells: `bound`, `start`, `ends` and `listed`."""
     from scipy import sparse  # not needed where the lists are kept
 
     cell, triangle, distance = pairs_in_reach(corners, frame)
@@ -182,7 +182,7 @@ def _frame(corners: Array, travel: float) -> CellFrame:
 
 
 def _most_listed(triangle_count: int) -> int:
-    """How many entries cells' lists may have."""
+    """The largest number of entries of the cells' lists."""
     in_all, each = _MOST_LISTED
     return max(in_all, each * triangle_count)
 
@@ -199,7 +199,7 @@ def _estimate_listed(corners: Array, width: float, reach: float) -> float:
 
 
 def _moves_far(frame: CellFrame, travel: float) -> bool:
-    """Whether a sheet moves beyond the reach of cells that a fine mold made small."""
+    """True when a sheet moves beyond the reach of cells that a fine mold made small."""
     return frame.reach < _REACH["coarse"] * frame.width and 1.5 * travel > frame.reach * (1 + _SLACK)
 
 

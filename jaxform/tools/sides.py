@@ -1,7 +1,7 @@
-"""Which nodes of a sheet are beyond the mold. On the host.
+"""Nodes of a sheet that are beyond the mold. On the host.
 
-A way inside an element from one place to another changes sides as often as it crosses the mold. Nodes that landed on
-the mold are on the side from which they came; from them sides are carried on over the sheet, node by node.
+A path inside an element from one place to another changes sides as often as it crosses the mold. Nodes in contact with
+the mold are on the side from which they came; from them sides are propagated over the sheet, node by node.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def contact_normals(wall: Integers, mold_corners: Array) -> Array:
 
 
 class Ways:
-    """Ways inside the elements that the mold cuts.
+    """Paths inside the elements that the mold cuts.
 
     Attributes:
         element: The elements (n_cut,), in order.
@@ -62,14 +62,14 @@ class Ways:
         return np.repeat(np.arange(len(self.element)), self._count), self._triangle
 
     def cross_oddly(self, row: Integers, shares: Array) -> NDArray[np.bool_]:
-        """Whether ways cross the mold an odd number of times.
+        """True where paths cross the mold an odd number of times.
 
         Args:
             row: Cut elements (n,), as in `element`.
-            shares: Of their corners in the places where ways end (p, 3).
+            shares: Shares of their corners in the places where paths end (p, 3).
 
         Returns:
-            For the ways from each of the three corners to each place, (n, 3, p).
+            Mask (n, 3, p) of the paths from each of the three corners to each place.
         """
         ends = np.einsum("pc,nck->npk", shares, self._corners[row])
         count = self._count[row]
@@ -90,14 +90,14 @@ class Ways:
 def penetrating_nodes(
     triangles: Integers, ways: Ways, landed: NDArray[np.bool_], trust: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
-    """Which nodes (n_node,) are beyond the mold.
+    """Mask (n_node,) of the nodes that are beyond the mold.
 
     Args:
         triangles: The sheet's elements (n_element, 3).
-        ways: Those inside the elements that the mold cuts.
+        ways: Paths inside the elements that the mold cuts.
         landed: Nodes (n_node,) that stick to the mold, on the side from which they came. Where there are none, most of
             the sheet is on its right side.
-        trust: What a node's word counts (n_node,).
+        trust: Weights of the nodes in the vote on their neighbours' side (n_node,).
     """
     edge, weight = _sides_of_edges(triangles, ways, landed)
     if not np.any(weight < 0):
@@ -110,7 +110,7 @@ def penetrating_nodes(
     side = np.where(landed | _majority_side(edge, weight, landed), trust, 0.0)
     unknown = np.flatnonzero(side == 0)
     while len(unknown):
-        # A node is on the side that most of its neighbours that are known say.
+        # A node is on the side of most of its neighbours that are known.
         told = np.sign((graph @ side)[unknown])
         if not told.any():
             break
@@ -138,7 +138,7 @@ def _sides_of_edges(triangles: Integers, ways: Ways, landed: NDArray[np.bool_]) 
 
 
 def _majority_side(edge: NDArray[np.int64], weight: Array, landed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Of each part of the sheet that has not landed anywhere, the most nodes (n_node,) on one side of the mold."""
+    """Mask (n_node,) of the largest group on one side of the mold, in each part of the sheet without contact."""
     count = len(landed)
     part = topology.connected_parts(edge[:, 0], edge[:, 1], count)
     one, other = edge[weight > 0].T

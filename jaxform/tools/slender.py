@@ -129,7 +129,7 @@ def _edge_points(corners: Array, along: Array) -> tuple[Array, Array]:
 
 
 def _is_near(points: Array, inside: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
-    """Which pixels of a map are within so many pixels of points (n, 2)."""
+    """Mask of a map's pixels that are within so many pixels of points (n, 2)."""
     marked = np.zeros_like(inside)
     if not len(points):
         return marked

@@ -1,4 +1,4 @@
-"""How deep a male mold is undercut: what a sheet that comes from one side does not see. On the host."""
+"""Undercuts of a male mold: surfaces that are hidden from a sheet that comes from one side. On the host."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _PIXELS = 480  # of the longer side
 
 
 class Undercut(NamedTuple):
-    """Where a mold recedes farthest under what is above it.
+    """The place where a mold recedes farthest under what is above it.
 
     Attributes:
-        depth: How far, sideways [m].
-        place: Where, in the file's axes (3,) [m].
+        depth: Its depth, sideways [m].
+        place: The place, in the file's axes (3,) [m].
     """
 
     depth: float
@@ -36,7 +36,7 @@ def deepest_undercut(buck: Buck, mold: Mesh) -> Undercut | None:
     """The deepest undercut above the platen; None where there is none.
 
     Args:
-        buck: How the mold stands.
+        buck: The mold in its pose.
         mold: The mold (n, 3) [m], not turned, its rims closed.
     """
     turn = buck.view.turn
