@@ -1,4 +1,4 @@
-"""Diagrams in axes of one's own: each function draws into `ax`, or into new axes of pyplot, and returns the axes."""
+"""Diagrams in the caller's axes: each function draws into `ax`, or into new axes of pyplot, and returns the axes."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def part(
 
     Args:
         result: The part.
-        scene: What was simulated.
+        scene: The simulated scene.
         ax: Matplotlib axes with `projection="3d"`; new ones by default.
         edges: Whether the elements' edges are drawn.
-        mold: Whether the mold is.
-        limits: Range of the colours [mm]; by default that of what was formed.
+        mold: Whether the mold is drawn.
+        limits: Range of the colours [mm]; by default that of the formed elements.
         bar: Whether a colour bar is added.
 
     Returns:
@@ -62,9 +62,9 @@ def wall(result: Result, scene: Scene, ax: Any = None, **style: Any) -> Any:
 
     Args:
         result: The part.
-        scene: What was simulated.
+        scene: The simulated scene.
         ax: Matplotlib axes; new ones by default.
-        style: Of matplotlib's `plot`, such as `color` and `label`.
+        style: Keywords of matplotlib's `plot`, such as `color` and `label`.
 
     Returns:
         The axes.
@@ -87,10 +87,10 @@ def sheet(scene: Scene, values: ArrayLike | None = None, ax: Any = None, *, labe
 
     Args:
         scene: The scene.
-        values: At the nodes (n_node,), such as a gradient with respect to the thickness.
+        values: Values at the nodes (n_node,), such as a gradient with respect to the thickness.
         ax: Matplotlib axes; new ones by default.
-        label: Of the colour bar.
-        bar: Whether one is added.
+        label: Label of the colour bar.
+        bar: Whether a colour bar is added.
 
     Returns:
         The axes.
@@ -125,7 +125,7 @@ def pressure(scene: Scene, ax: Any = None, **style: Any) -> Any:
     Args:
         scene: The scene.
         ax: Matplotlib axes; new ones by default.
-        style: Of matplotlib's `plot`, such as `color` and `label`.
+        style: Keywords of matplotlib's `plot`, such as `color` and `label`.
 
     Returns:
         The axes.
@@ -144,12 +144,12 @@ def pressure(scene: Scene, ax: Any = None, **style: Any) -> Any:
 
 
 def convergence(history: Sequence[Mapping[str, Any]], ax: Any = None, **style: Any) -> Any:
-    """Draws what a search gained over what it cost: the deviation from the target, else the objective.
+    """Draws the gain of a search over its cost: the deviation from the target, else the objective.
 
     Args:
         history: Rows of the search, `Design.history`, with the columns of history.csv.
         ax: Matplotlib axes; new ones by default.
-        style: Of matplotlib's `plot`, such as `color` and `label`.
+        style: Keywords of matplotlib's `plot`, such as `color` and `label`.
 
     Returns:
         The axes.

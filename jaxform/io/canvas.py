@@ -18,7 +18,7 @@ _DPI = 100
 
 
 class Line(NamedTuple):
-    """A line or points of a diagram: places (n,), and matplotlib's words for how they look."""
+    """A line or points of a diagram: places (n,), and matplotlib's keywords for their style."""
 
     across: Array
     up: Array
@@ -26,7 +26,7 @@ class Line(NamedTuple):
 
 
 class Diagram(NamedTuple):
-    """Lines over one another, and what the axes are called."""
+    """Lines in one diagram, and the labels of its axes."""
 
     lines: list[Line]
     across: str
@@ -57,7 +57,7 @@ def draw_part(path: str | Path, part: PartPicture) -> None:
 
 
 def warm_up() -> None:
-    """Imports and sets up what a picture needs, half of what a first one takes."""
+    """Imports and sets up the libraries for drawing, which takes half the time of a first picture."""
     new_figure(1, 1, "").add_axes((0, 0, 1, 1), projection="3d")
 
 
@@ -74,7 +74,7 @@ def new_figure(width: float, height: float, title: str) -> Any:
 
 
 def draw_bar(figure: Any, colors: Any, axes: Any, label: str, walls: Sequence[Array]) -> None:
-    """The colour bar, which says where walls [mm] are thinner or thicker than its range."""
+    """The colour bar, which marks whether walls [mm] are thinner or thicker than its range."""
     every = np.concatenate(walls)
     below, above = every.min() < 0.999 * colors.norm.vmin, every.max() > 1.001 * colors.norm.vmax
     extend = "both" if below and above else "min" if below else "max" if above else "neither"

@@ -1,4 +1,4 @@
-"""Where scene and study files are found, and their text as tables. Imports nothing heavy."""
+"""Lookup of scene and study files, and their text as tables. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Source:
     """A scene or study file that was read.
 
     Attributes:
-        file: What to call it in messages.
-        path: Where it is.
+        file: Name in messages.
+        path: Path of the file.
         data: Its tables, as they stand in the file.
     """
 
@@ -46,8 +46,8 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> So
 
     Args:
         name_or_path: A built-in name or the path of a TOML file.
-        kind: What is looked for.
-        folder: What a relative path is relative to; by default the working directory.
+        kind: The kind to look for.
+        folder: Base of a relative path; by default the working directory.
 
     Raises:
         InputError: There is no such file, it cannot be read, or it is not TOML.
@@ -63,7 +63,7 @@ def read(name_or_path: str | Path, kind: Kind, folder: Path | None = None) -> So
 
 
 def kind_of(name_or_path: str | Path) -> Kind:
-    """Whether a name or file is a scene or a study; what is neither counts as a scene."""
+    """The kind of a name or file: "scene" or "study"; a scene where it is neither."""
     name = str(name_or_path)
     if name in built_in("scene"):
         return "scene"
@@ -120,7 +120,7 @@ def _tables(path: Path, file: str) -> dict[str, Any]:
 
 
 def _check_keys(text: str, file: str) -> None:
-    """Raises where a dotted key is so long that the reader takes time and memory with the square of its parts."""
+    """Raises for a dotted key so long that reading it takes time and memory quadratic in the number of its parts."""
     found = _LONG_KEY.search(text)
     if found:
         line = text.count("\n", 0, found.start()) + 1

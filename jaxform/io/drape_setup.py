@@ -26,14 +26,14 @@ _SPECK = 0.02  # of the body's area: the smallest parts that are less together d
 
 @dataclass(frozen=True)
 class Drape:
-    """A buck, and what is around it.
+    """A buck and its surroundings: platen, covers and undercut.
 
     Attributes:
-        buck: As it stands.
-        site: Of the sheet.
-        added: What completes the mold, as its file has it [m]: platen, walls down to it, covers on holes; None where
-            nothing does.
-        holes: How many holes were covered.
+        buck: The buck in its orientation.
+        site: Place of the sheet.
+        added: Additions to the mold, in its file's axes [m]: platen, walls down to it, covers on holes; None where
+            there are none.
+        holes: Number of covered holes.
         undercut: The deepest one, in the file's axes [m]; None where there is none.
     """
 
@@ -58,11 +58,11 @@ class Drape:
 
     @property
     def draw(self) -> float:
-        """About how many times its area the sheet gets: it lines the body's sides besides."""
+        """Approximate area stretch of the sheet, which also lines the sides of the body."""
         return 1.0 + 2 * self.buck.height / max(self.narrowest + self.site.margin, 1e-12)
 
     def stroke(self, thickness: float) -> float:
-        """How far the mold moves [m], with a sheet of a thickness [m]: until the frame is on the platen."""
+        """Stroke of the mold [m] for a sheet of this thickness [m]: until the frame is on the platen."""
         return self.buck.height + clearance(thickness) - _REST * thickness
 
     def opening(self, thickness: float) -> Opening:
@@ -72,12 +72,12 @@ class Drape:
 
 
 def clearance(thickness: float) -> float:
-    """Between the sheet, of a thickness [m], and the top of the mold at first [m]."""
+    """Initial clearance [m] between a sheet of this thickness [m] and the top of the mold."""
     return 0.5 * thickness
 
 
 def drape(mold: Mesh, direction: Array | None) -> Drape:
-    """How a sheet is draped over a welded mold; from a given side (3,), in the file's axes, or the best.
+    """Setup for draping a sheet over a welded mold, from a given side (3,), in the file's axes, or from the best one.
 
     Raises:
         InputError: Nothing stands above a base.
@@ -109,7 +109,7 @@ def warn(made: Drape, scale: float) -> None:
 
 
 def lines(made: Drape) -> Iterator[str]:
-    """What was found, in words."""
+    """Description of the setup, line by line."""
     side = buck.direction_name(made.buck.direction)
     on = "on the platen of the file" if made.site.platen is None else "on a platen that is added (platen.stl)"
     yield f"taken for a buck, {on}: the sheet comes from {side} of the file and is draped over it"

@@ -28,8 +28,8 @@ def nodal_field(path: str | Path, name: str, positions: Array, key: str = "") ->
     Args:
         path: The file; its positions are initial positions in m, or it has such as point data `reference` [m].
         name: The field, point data of one number per node.
-        positions: Where it is wanted [m], shape (n, 3).
-        key: Where the file is named, for messages.
+        positions: Positions at which it is evaluated [m], shape (n, 3).
+        key: Key that names the file, for messages.
 
     Returns:
         The field, shape (n,), in the unit of the file.

@@ -40,11 +40,11 @@ class SceneDocument:
     """A validated scene file.
 
     Attributes:
-        file: What to call it in messages.
-        folder: What its relative paths are relative to.
+        file: Name in messages.
+        folder: Base of its relative paths.
         data: Its tables, as they stand in the file.
-        model: The same, validated, with defaults filled in.
-        path: Where it is; None of a scene that was made of tables.
+        model: The validated tables, with defaults filled in.
+        path: Path of the file; None for a scene made of tables.
     """
 
     file: str
@@ -64,10 +64,10 @@ class StudyDocument:
     """A validated study file.
 
     Attributes:
-        file: What to call it in messages.
-        folder: What its relative paths are relative to.
+        file: Name in messages.
+        folder: Base of its relative paths.
         data: Its tables, as they stand in the file.
-        model: The same, validated, with defaults filled in.
+        model: The validated tables, with defaults filled in.
         scene: The scene that it varies.
     """
 
@@ -92,7 +92,7 @@ def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDoc
 
     Args:
         name_or_path: A built-in name or the path of a TOML file.
-        folder: What a relative path is relative to; by default the working directory.
+        folder: Base of a relative path; by default the working directory.
 
     Raises:
         InputError: There is no such scene, or a key or value in it is wrong.
@@ -122,13 +122,13 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
 
     Args:
         document: The scene.
-        store: Where expensive host work is kept between runs; nowhere by default.
+        store: Store for expensive host work between runs; none by default.
 
     Raises:
         InputError: A mesh cannot be read or simulated, or values do not fit together.
 
     Warns:
-        InputWarning: What can be simulated is hardly meant: units, a mold on the wrong side, open seams.
+        InputWarning: The scene has a likely error, but can be simulated: units, a mold on the wrong side, open seams.
     """
     scene = build_unchecked(document, store)
     review_scene(scene, document)
@@ -136,13 +136,13 @@ def build(document: SceneDocument, store: Store | None = None) -> Scene:
 
 
 def review_scene(scene: Scene, document: SceneDocument) -> None:
-    """Warns of what in a document's scene can be simulated, but is hardly meant."""
+    """Warns of likely errors in a document's scene that can be simulated."""
     warn_of_scene(scene, document.file, document.model)
     warn_of_thin_features(scene, document.file)
 
 
 def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scene:
-    """As `build`, but it is left to the caller to `review_scene` the scene."""
+    """The scene of a document, like `build`, but without `review_scene`, which is left to the caller."""
     model = document.model
     with error_context(document.file):
         pressure, solver = model.pressure, model.solver
@@ -232,15 +232,16 @@ def _refinement(
 
 
 def default_capacity(roots: int) -> int:
-    """Room for elements where none is asked for: for as many as the paper's scenes end with, and not much more.
+    """Default capacity for elements: as many as the paper's scenes end with, and not much more.
 
-    A run with too little takes more, but compiles again; room that is not used takes time, so large meshes get less.
+    A run increases a capacity that is too small, but compiles again. Unused capacity takes time, so large meshes get
+    less.
     """
     return max(16 * roots, min(max(2300, 32 * roots), 8192))
 
 
 def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet) -> NDArray[np.float64] | float:
-    """What may vary over the sheet: a number, or values at its nodes (n_node,)."""
+    """A quantity that may vary over the sheet: a number, or values at its nodes (n_node,)."""
     if isinstance(table, schema.ProfileTable):
         return build_profile(table, key).over(sheet.positions)
     if isinstance(table, schema.NumberProfile):

@@ -24,14 +24,14 @@ class FitCurve(NamedTuple):
     """One measured column and its fit.
 
     Attributes:
-        panel: What is drawn together: the label of its y axis.
+        panel: Label of the y axis; curves with the same one share a diagram.
         across: The label of the x axis.
-        label: What the curve is called.
+        label: Name of the curve.
         at: Places of the measurements (n,), in the unit of the label.
-        measured: (n,), in the unit of the panel's label.
-        fitted: (n,), of the same.
+        measured: Measured values (n,), in the unit of the panel's label.
+        fitted: Fitted values (n,), in the same unit.
         line: Places and values (k,) each of the line to draw; None for the fitted rows.
-        logarithmic: Whether the x axis is.
+        logarithmic: Whether the x axis is logarithmic.
     """
 
     panel: str
@@ -45,7 +45,7 @@ class FitCurve(NamedTuple):
 
 
 def material_text(table: Mapping[str, Any], words: Sequence[str]) -> str:
-    """The table `[material]` as TOML, its modes as `[material.viscous]`, below comments of a line each."""
+    """The table `[material]` as TOML, its Maxwell branches as `[material.viscous]`, below comments of a line each."""
     lines = ["# " + " ".join(text.split()) for text in words]
     lines += ["[material]", *(f"{key} = {inline(value)}" for key, value in table.items() if key != "viscous")]
     if "viscous" in table:
@@ -68,12 +68,12 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 
 def fit_picture(path: Path, title: str, curves: Sequence[FitCurve]) -> None:
-    """Measurements as dots and the fit as lines, a diagram for each kind of test; below, how far it is off.
+    """Measurements as dots and the fit as lines, a diagram for each kind of test; below, their differences.
 
     Args:
-        path: Where the PNG goes.
-        title: Above all.
-        curves: What was measured and fitted.
+        path: Path of the PNG.
+        title: Title above all diagrams.
+        curves: Measured and fitted curves.
     """
     panels = list(dict.fromkeys((curve.panel, curve.across) for curve in curves))
     figure = new_figure(max(8.0, 6.5 * len(panels)), 8.0, title)

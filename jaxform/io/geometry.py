@@ -1,4 +1,4 @@
-"""Sheets and molds of scene files; what takes long to mesh is kept between runs."""
+"""Sheets and molds of scene files; meshes that take long are kept between runs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def build_sheet(
 
     Args:
         document: The scene.
-        store: Where it is kept; nowhere by default.
+        store: Store for the sheet; none by default.
         find_mold: Gives the document's mold, where it is there already or will be needed again.
     """
     find_mold = find_mold or functools.cache(lambda: build_mold(document, store))
@@ -59,7 +59,7 @@ def build_sheet(
 
 
 def _arrays(shape: shapes.Sheet | molds.MoldShape) -> Arrays:
-    """What a shape is made of, but for what it would do."""
+    """The arrays of a shape, by name."""
     return {name: value for name, value in vars(shape).items() if isinstance(value, np.ndarray)}
 
 
@@ -118,7 +118,7 @@ def _shape_of_files(document: SceneDocument, table: schema.FileMold, names: Sequ
 
 
 def build_part(document: SceneDocument, mold: Mold | None) -> Part | None:
-    """Which of the formed sheet is the part, as the document's [part] says; None without one.
+    """The part of the formed sheet that the document's [part] selects; None without one.
 
     Raises:
         InputError: It names a file that is none of the mold's, or the box has no inside.
@@ -132,13 +132,13 @@ def build_part(document: SceneDocument, mold: Mold | None) -> Part | None:
 
 
 def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold | None) -> Any:
-    """Which triangles of the mold (n_triangle,) are of the wanted files."""
+    """Mask of the mold's triangles (n_triangle,) that belong to the wanted files."""
     table = document.model.mold
     if mold is None or not isinstance(table, schema.FileMold):
         raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
     names = _paths(table)
     chosen = _shape_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)])
-    # Their triangles are told by their middles: welding and what is left out leave these where they are.
+    # Triangles are identified by their centroids, which do not depend on welding or on triangles left out.
     middles = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)].mean(1)
     near = _SAME * meshes.size(middles)
     from scipy.spatial import KDTree  # takes a tenth of a second to import

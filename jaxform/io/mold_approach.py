@@ -1,4 +1,4 @@
-"""Whether a mold that moves comes to the sheet. On the host."""
+"""Distance of a moving mold from the sheet. On the host."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Array = NDArray[np.float64]
 _NEAR = 1e-4  # of the sheet's size: a mold that touches it at first may well pull it along
 _SAME = 1e-3  # of a distance: one that is as much less is nearer
 _FARTHER = 0.02  # of the sheet's size, that a mold moves off
-_TIMES = 21  # at which one looks where the mold is
+_TIMES = 21  # times at which the distance of the mold is measured
 
 
 class Approach(NamedTuple):
-    """How near a mold that moves is to the sheet as it was at first.
+    """Distances of a moving mold from the initial sheet.
 
     Attributes:
-        first: At first [m].
-        nearest: At its nearest [m].
-        last: When it ends [m].
-        end: When that is [s].
+        first: Distance at the start [m].
+        nearest: Smallest distance [m].
+        last: Distance at the end of the motion [m].
+        end: Time of that end [s].
     """
 
     first: float
@@ -37,7 +37,7 @@ class Approach(NamedTuple):
 
 
 def measure_approach(scene: Scene) -> Approach | None:
-    """How near the mold of a scene comes to the sheet; None where it does not move."""
+    """Distances of a scene's mold from the initial sheet; None where it does not move."""
     if scene.mold is None or scene.motion is None:
         return None
     sheet = np.asarray(scene.parison.positions, float)[np.unique(np.asarray(scene.parison.triangles))]

@@ -37,11 +37,11 @@ def write_result(
     The files come first; what is measured then completes the summary, so that nothing is lost where it is stopped.
 
     Args:
-        scene: What was simulated.
+        scene: The simulated scene.
         result: The part.
-        folder: Where to write.
+        folder: Folder for the files.
         warned: Warnings that were given before; they come first in the summary's.
-        amend: Makes the summary that is written of that of the part; the same by default.
+        amend: Function that changes the summary before it is written; none by default.
         there: Whether `write_at_once` has written the files already.
 
     Returns:
@@ -79,7 +79,7 @@ def _write_summary(
     warned: Sequence[str],
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None,
 ) -> dict[str, Any]:
-    """Writes the summary of a part, amended, with what was warned of before it first, and returns it."""
+    """Writes the amended summary of a part, with earlier warnings first, and returns it."""
     summary = summary | {"warnings": [*warned, *summary["warnings"]]}
     if amend is not None:
         summary = amend(summary)
@@ -122,7 +122,7 @@ def write_part(scene: Scene, result: Result, path: str | Path) -> None:
 
 
 def _temperature(parison: Parison, count: int, now: jax.Array | None = None) -> dict[str, np.ndarray]:
-    """The sheet's temperature [degC] at its first nodes, where it has one: that of now, or what it has at first."""
+    """The sheet's temperature [degC] at its first nodes, where it has one: the present one, or the initial one."""
     temperature = parison.temperature if now is None else now
     return {} if temperature is None else {"temperature": np.asarray(temperature, float)[:count]}
 
@@ -157,15 +157,15 @@ def write_sheet(scene: Scene, path: str | Path) -> None:
 
 @dataclass
 class Frames:
-    """Writes the part every so often: so many frames, evenly from the sheet before the first step to the end.
+    """Writes frames of the part at even intervals, from the sheet before the first step to the end.
 
-    A single frame is that of the end. A mold that moves is written where it is in each of them.
+    A single frame is that of the end. A moving mold is written at its position in each of them.
 
     Attributes:
-        folder: Where frames.pvd goes, and the folder of the frames.
-        count: How many.
-        times: Of the frames written so far [s].
-        failure: Why no more can be written; told at the end, when the results are safe.
+        folder: Folder of frames.pvd, and of the folder of the frames.
+        count: Number of frames.
+        times: Times of the frames written so far [s].
+        failure: The error that stopped writing; reported at the end, when the results are written.
     """
 
     folder: Path
@@ -174,7 +174,7 @@ class Frames:
     failure: OSError | InputError | None = None
 
     def begin(self, scene: Scene) -> None:
-        """Writes the sheet before the first step, where there is more than one frame; a list from before goes."""
+        """Writes the sheet before the first step, where there is more than one frame; a previous list is removed."""
         (self.folder / "frames.pvd").unlink(missing_ok=True)
         if self.count > 1:
             write_sheet(scene, self._next(scene, 0.0))
@@ -210,7 +210,7 @@ class Frames:
         return [(time, f"frames/{_name(what, index)}") for index, time in enumerate(self.times)]
 
     def _next(self, scene: Scene, time: float) -> Path:
-        """Where the frame of a time [s] goes; the mold's is written."""
+        """Path for the frame at a time [s]; writes that of a moving mold."""
         folder, index = self.folder / "frames", len(self.times)
         folder.mkdir(exist_ok=True)
         self.times.append(time)
@@ -225,12 +225,12 @@ def _name(what: str, index: int) -> str:
 
 
 def _moving_mold(scene: Scene) -> Mold | None:
-    """Its mold, if that moves."""
+    """The mold of a scene, if it moves."""
     return scene.mold if scene.mold is not None and scene.mold.motion is not None else None
 
 
 def _valid(value: Any) -> Any:
-    """The same with null for numbers that are not finite, which JSON does not have."""
+    """A copy with null for numbers that are not finite, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _valid(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -40,8 +40,8 @@ def thickness_picture(
     """The formed part in colours of its wall, and the wall along a meridian or section.
 
     Args:
-        path: Where the PNG goes.
-        scene: What was simulated.
+        path: Path of the PNG.
+        scene: The simulated scene.
         result: The part.
         reference: An exact solution to dot over it: `initial_radius` [m], `arc` [m] from the axis, `thickness_ratio`.
     """
@@ -49,7 +49,7 @@ def thickness_picture(
 
 
 def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | None = None) -> PartPicture:
-    """What is in the picture of a formed part, as arrays; the arguments are those of `thickness_picture`."""
+    """Content of a formed part's picture, as arrays; the arguments are those of `thickness_picture`."""
     scene, result = drop_unused(scene, result)
     part = restrict_to_part(result, scene)[0]
     thin = thinnest_element(part, scene)
@@ -58,10 +58,10 @@ def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | No
 
 
 def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
-    """Deviation from the target (the objective where there is none), and the wall, over what a search took.
+    """Deviation from the target (the objective where there is none), and the wall, over the cost of a search.
 
     Args:
-        path: Where the PNG goes.
+        path: Path of the PNG.
         history: Rows of the search, with the columns of history.csv.
     """
     figure = canvas.new_figure(14, 5.5, "")
@@ -94,10 +94,10 @@ def design_picture(path: str | Path, before: Part, after: Part, target: float | 
     """A design before and after: parts, initial thickness, wall and pressure.
 
     Args:
-        path: Where the PNG goes.
-        before: Scene and part to begin with.
+        path: Path of the PNG.
+        before: Initial scene and part.
         after: Scene and part of the design.
-        target: Wall thickness that is wanted everywhere [m], or None.
+        target: Uniform target thickness [m], or None.
     """
     designed = _designed_field(before[0], after[0])
     before, after = drop_unused(*before), drop_unused(*after)
@@ -129,8 +129,8 @@ def stages_picture(path: str | Path, scene: Scene, results: Sequence[Result]) ->
     """The part at several times, side by side, in colours of its wall.
 
     Args:
-        path: Where the PNG goes.
-        scene: What was simulated.
+        path: Path of the PNG.
+        scene: The simulated scene.
         results: The part at each time.
     """
     parts = [drop_unused(scene, result) for result in results]
@@ -169,7 +169,7 @@ def _part_words(words: str, part: Part) -> str:
 
 
 def wall_scale(parts: Sequence[Part]) -> tuple[float, float]:
-    """Range of the colours [mm], shared by all that are drawn: of what was formed, not of flanges that stayed flat."""
+    """Range of the colours [mm], shared by all drawn parts: of formed elements, not of flanges that stayed flat."""
     walls, areas = [], []
     for scene, result in parts:
         start, end = np.asarray(scene.parison.positions, float), np.asarray(result.positions, float)
@@ -245,7 +245,7 @@ def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:
 
 
 def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
-    """What varies over the sheet and was changed, as its key and in words; None where the thickness was."""
+    """Key and label of the field over the sheet that was changed; None without one, or where the thickness was."""
     if not np.array_equal(before.parison.thickness, after.parison.thickness):
         return None
     varying = {f"material.{name}": name for name, values in after.material.zones.items() if values.ndim == 1}
@@ -259,7 +259,7 @@ def _designed_field(before: Scene, after: Scene) -> tuple[str, str] | None:
 
 
 def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> None:
-    """A map of what is at a key of a scene (n_node,) over the sheet before it is formed."""
+    """A map of the values at a key of a scene (n_node,) over the sheet before it is formed."""
     places, values = 1e3 * np.asarray(scene.parison.positions, float), np.asarray(number_at(scene, key), float)
     first, second = np.sort(np.argsort(np.ptp(places, axis=0))[1:])
     triangles = np.asarray(scene.parison.triangles)

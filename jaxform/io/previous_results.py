@@ -1,4 +1,4 @@
-"""Results that an earlier run left in its folder, as far as later ones need them."""
+"""Results of an earlier run, read from its folder, that later runs need."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ def render(folder: Path, path: Path) -> None:
     """Draws the part in a folder of results: thickness in colours and lines.
 
     Args:
-        folder: What `jaxform simulate` or `jaxform optimize` wrote.
-        path: The picture, PNG.
+        folder: Folder of results of `jaxform simulate` or `jaxform optimize`.
+        path: Path of the picture, PNG.
 
     Raises:
         InputError: PyVista is not installed or cannot draw here, or there are no results.
@@ -79,7 +79,7 @@ def _surface(pyvista: Any, positions: Array, triangles: NDArray[np.integer]) -> 
 
 
 def _whole(surface: Any, planes: dict[int, float]) -> Any:
-    """With its images in symmetry planes [m]."""
+    """The surface with its images in symmetry planes [m]."""
     for axis, level in planes.items():
         normal = np.eye(3)[axis]
         surface = surface.merge(surface.reflect(normal, point=1e3 * level * normal)).clean()
@@ -93,7 +93,7 @@ def _part(pyvista: Any, results: Results) -> Any:
 
 
 def _range(part: StoredPart) -> tuple[float, float]:
-    """Of the colours [mm]."""
+    """Range of the colours [mm]."""
     area, formed = formed_element_areas(part)
     low, high = color_range(part.cells["thickness"][formed], area)
     return 1e3 * low, 1e3 * high

@@ -15,7 +15,7 @@ _MOST = 0.98  # of the formed area, the colours tell apart; the thickest have on
 
 
 def formed_elements(start: Array, end: Array, triangles: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Which elements (n,) were formed, and are no flange that stayed flat; all, where none moved.
+    """Mask of the elements (n,) that were formed, unlike a flange that stayed flat; all where none moved.
 
     Args:
         start: Initial positions (n_node, 3) [m].
@@ -30,7 +30,7 @@ def formed_elements(start: Array, end: Array, triangles: NDArray[np.integer]) ->
 def counted_elements(
     start: Array, end: Array, triangles: NDArray[np.integer], part: NDArray[Any] | None
 ) -> NDArray[np.bool_]:
-    """As `formed_elements`, of the part alone where a mask of it (n,) is given; all of the part, where none moved."""
+    """Mask like `formed_elements`, within a part's mask (n,) if given; the whole part where none of it moved."""
     formed = formed_elements(start, end, triangles)
     if part is None or not np.any(part):
         return formed
@@ -39,7 +39,7 @@ def counted_elements(
 
 
 def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float, float]:
-    """Range that colours show, of values (n,) and their areas: from the least to what most of the area is below."""
+    """Range that colours show, of values (n,) and their areas: from the least to one that most of the area is below."""
     order = np.argsort(values)
     share = np.cumsum(area[order]) / area.sum()
     last = min(int(np.searchsorted(share, most)), len(values) - 1)
@@ -49,6 +49,6 @@ def color_range(values: Array, area: Array, most: float = _MOST) -> tuple[float,
 
 
 def distinguishable_points(across: Array, up: Array) -> NDArray[np.int64]:
-    """Which of many points (n,) are drawn: one in each place that the eye tells from others."""
+    """Indices of the points to draw, out of many: one in each place that the eye can distinguish."""
     cells = [np.round(_FINENESS * (x - x.min()) / (np.ptp(x) or 1.0)).astype(np.int64) for x in (across, up)]
     return np.unique(cells[0] * (_FINENESS + 1) + cells[1], return_index=True)[1]

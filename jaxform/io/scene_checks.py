@@ -1,4 +1,4 @@
-"""What a scene looks like before it runs, and what in it is hardly meant: units, sides, overlap, loads. On the host."""
+"""Survey of a scene before it runs, and warnings of likely errors: units, sides, overlap, loads. On the host."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FLAT = 1e-3  # of the sheet's size: as near as that to its surface a mold lies 
 _HARDLY = 0.01  # of the mold's area, or of the sheet's
 _BARE, _HOLE = 0.05, 0.025  # of the sheet, with no mold before it, and of its size, the radius of such a place
 _EXPOSED = 0.2  # of the sheet, with mold only behind it
-_MOST_STRETCHED = 6.0  # times, to which a law is looked at
+_MOST_STRETCHED = 6.0  # times, up to which a material model is checked
 _FACING = 0.5  # length of the mean normal, from which a sheet can be looked at from one side
 _PIXELS = 200  # of the longer side of the sheet, for the overlap
 _THIN, _THICK = 1.5e-5, 0.2  # of a sheet's size, its thickness
@@ -60,7 +60,7 @@ class Spot(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """What a scene looks like before it runs.
+    """Survey of a scene before it runs.
 
     Attributes:
         sheet: Box of the whole sheet, images in symmetry planes included.
@@ -90,12 +90,12 @@ class Survey(NamedTuple):
 
     @property
     def faces(self) -> bool:
-        """Whether the sheet can be looked at from one side."""
+        """True if the sheet as a whole faces one direction."""
         return bool(np.linalg.norm(self.push) >= _FACING)
 
     @property
     def direction(self) -> str:
-        """Where the pressure pushes the sheet, in words."""
+        """Direction in which the pressure pushes the sheet, in words."""
         if not self.faces:
             return "outwards" if self.outwards else "inwards"
         axis = int(np.argmax(np.abs(self.push)))
@@ -106,7 +106,7 @@ class Survey(NamedTuple):
 
 @memoize
 def survey(scene: Scene) -> Survey:
-    """Looks at a scene."""
+    """The survey of a scene."""
     positions, triangles = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     planes = sections.symmetry_planes(scene)
     used = positions[np.unique(triangles)]
@@ -171,7 +171,7 @@ def _reflect_into_part(points: Array, planes: dict[int, float], used: Array) -> 
 
 
 def _heights(points: Array, middle: Array, unit: Array) -> Array:
-    """How far points (n, 3) [m] are in front of the nearest elements with these middles and normals."""
+    """Signed distances [m] of points (n, 3) [m] in front of the nearest elements with these centroids and normals."""
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
     nearest = KDTree(middle).query(points, workers=-1)[1]
@@ -181,7 +181,7 @@ def _heights(points: Array, middle: Array, unit: Array) -> Array:
 def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Spot]:
     """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind.
 
-    And the widest round spot of it that has none before it.
+    Also the widest round spot of it that has none before it.
     """
     axis = facing / np.linalg.norm(facing)
     across = np.linalg.svd(axis[None])[2][1:]
@@ -210,12 +210,12 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, S
 
 
 def warn_of_scene(scene: Scene, file: str = "", tables: Any = None) -> None:
-    """Warns of what can be simulated but is hardly meant: joints, units, sides, loads.
+    """Warns of likely errors in a scene that can be simulated: joints, units, sides, loads.
 
     Args:
         scene: The scene.
         file: The file that it was read from.
-        tables: What that file says, as its schema has it.
+        tables: Validated tables of that file.
     """
     sheet = getattr(tables, "parison", None)
     path = getattr(sheet, "path", None)
@@ -252,7 +252,7 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
 
 
 def _warn_of_law(scene: Scene, file: str) -> None:
-    """Of a law whose energy falls where a sheet is stretched more, equally both ways: it does not pull back there."""
+    """Warns of a material model whose energy decreases with equibiaxial stretch: its stress is then compressive."""
     stretch = np.linspace(1.0, _MOST_STRETCHED, 501)
     energy = np.asarray(equibiaxial_energy(scene.law.elastic, as_real(np.square(stretch))), float)
     falls = np.flatnonzero(np.diff(energy) < 0.0)
@@ -301,7 +301,7 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
 
 
 def _warn_of_bare(seen: Survey, overlap: float, bare: Spot, file: str) -> None:
-    """Of what the pressure would blow past the mold, or through it."""
+    """Warns of sheet that the pressure would blow past the mold, or through it."""
     if 1 - overlap < _BARE and bare.radius < _HOLE * seen.sheet.size:
         return
     share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold before it"
@@ -321,7 +321,7 @@ def _warn_of_side(seen: Survey, boxes: str, file: str) -> None:
 
 
 def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tuple[str, str]:
-    """What the units may be, and what to do, where a mold is so many times as large as the sheet."""
+    """Likely units, and the remedy, for a mold that is so many times as large as the sheet."""
 
     def fits(factor: float) -> bool:
         return 1 / _GUESS <= ratio * factor <= _GUESS
@@ -345,5 +345,5 @@ def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tupl
 
 
 def _unit_mismatch(ratio: float, factors: dict[str, float], units: str) -> float:
-    """How badly units fit; millimetres, which most files have, come first."""
+    """Misfit of units; millimetres, which most files have, come first."""
     return 0.0 if units == "millimetres" else abs(float(np.log(ratio * factors[units]))) + 1e-9

@@ -17,11 +17,11 @@ from jaxform.tools.opening import Opening
 Array = NDArray[np.float64]
 
 STIFFNESS, ALPHA, DENSITY = 0.02e6, 0.1, 1000.0
-"""Of the placeholder material, a hot thermoplastic sheet: c [Pa], alpha, density [kg/m^3]."""
+"""Parameters of the placeholder material, a hot thermoplastic sheet: c [Pa], alpha, density [kg/m^3]."""
 VACUUM = 0.9e5
 """The pressure difference [Pa] that a vacuum has at most."""
 PROCESSES = ("vacuum", "pressure")
-"""What pushes the sheet: a vacuum, of at most 0.9 bar, or compressed air."""
+"""Sources of the pressure: a vacuum, of at most 0.9 bar, or compressed air."""
 _CORNER = 0.5  # elements: the radius to which corners are filled, so that stiffer materials fill them too
 _RE_ENTRANT = (
     1.3  # the same of an outline, over whose re-entrant edges a sheet folds, and blows up where it is not held
@@ -39,24 +39,24 @@ class Draft:
 
     Attributes:
         scale: Metres per unit of the mold's file.
-        units: The same in words, and what else it may be.
-        guessed: Whether the scale was.
+        units: The unit in words, and its alternatives.
+        guessed: Whether the scale was guessed.
         size: Box of the mold as it is in the file (3,).
-        rotate: Of the mold [degrees] (3,).
-        translate: Of the mold [m] (3,).
+        rotate: Rotation of the mold [degrees] (3,).
+        translate: Translation of the mold [m] (3,).
         found: The opening.
-        planform: Of the sheet, where the mold is in the view.
-        polygon: Of the sheet (k, 2) [m] where the scene has it.
-        rest: What completes a mold that is cut in a half or a quarter, as its file has it [m]; None where it is whole.
-        covers: What closes the mold, as its file has it [m].
-        width: Of the sheet [m], the shorter way.
+        planform: Planform of the sheet, in the axes of the view.
+        polygon: Polygon of the sheet (k, 2) [m] in the scene.
+        rest: Images that complete a mold cut in a half or a quarter, as its file has it [m]; None where it is whole.
+        covers: Covers that close the mold, as its file has it [m].
+        width: Width of the sheet [m], the shorter side.
         pocket: Half the width of the smallest pocket [m].
-        slit: The same of the widest slits, which are left open; None where there are none.
-        thickness: Of the sheet [m].
-        element_size: [m]
-        process: What pushes the sheet, one of `PROCESSES`.
-        drape: How the sheet is draped over a buck; None for a cavity.
-        doubt: What the mold may be as well; empty where that is clear.
+        slit: Half the width of the widest slits [m], which are left open; None where there are none.
+        thickness: Thickness of the sheet [m].
+        element_size: Size of the elements [m].
+        process: Source of the pressure, one of `PROCESSES`.
+        drape: Setup for draping over a buck; None for a cavity.
+        doubt: Alternative kind of the mold; empty where that is clear.
     """
 
     scale: float
@@ -81,7 +81,7 @@ class Draft:
 
     @property
     def pressure(self) -> float:
-        """The pressure [Pa]: what fills the corners, at most what a vacuum has where that pushes.
+        """The pressure [Pa] that fills the corners, limited to that of a vacuum where that is the source.
 
         At most what a slit bears too, as thick as the sheet is at first: blown into one it goes in at one place,
         spreads below what is still above it, and meets itself.
@@ -98,7 +98,7 @@ class Draft:
 
     @property
     def limited(self) -> bool:
-        """Whether a vacuum has less than the pressure that fills the corners."""
+        """True if a vacuum has less than the pressure that fills the corners."""
         return self.pressure == self._most
 
     def corner(self, pressure: float) -> float:
@@ -119,12 +119,12 @@ class Draft:
 
     @property
     def draw(self) -> float:
-        """About how many times its area the sheet gets: bottom and walls of the cavity over its opening."""
+        """Approximate area stretch of the sheet: bottom and walls of the cavity over its opening."""
         return 1.0 + 2 * self.found.depth / self.pocket if self.drape is None else self.drape.draw
 
     @property
     def ramp(self) -> float:
-        """How long the pressure rises [s]."""
+        """Rise time of the pressure [s]."""
         if self.drape is not None:
             return round_digits(_PRESSING * self._time)
         # A shallow mold is touched early, and until then the pressure has to rise as slowly.
@@ -133,17 +133,17 @@ class Draft:
 
     @property
     def stroke_time(self) -> float:
-        """How long the mold moves before the pressure rises [s]; 0 where it rests."""
+        """Duration of the mold's motion before the pressure rises [s]; 0 where it rests."""
         return 0.0 if self.drape is None else round_digits(_STROKE * self._time)
 
     @property
     def damping(self) -> float:
-        """Of the solver [1/s]."""
+        """Damping of the solver [1/s]."""
         return round_digits(_DAMPING / self._time)
 
     @property
     def levels(self) -> int:
-        """How often elements near bends of the mold are bisected: 0 where the mesh is fine enough."""
+        """Levels of bisection for elements near bends of the mold; 0 where the mesh is fine enough."""
         # Two bisections halve an element's sides.
         return 2 if self.element_size > 2 * self.pocket / _FEWEST else 0
 
@@ -154,11 +154,11 @@ class Draft:
 
 @dataclass(frozen=True)
 class UserChoices:
-    """What the user says of a first scene; None where it is to be found.
+    """The user's choices for a first scene; None where a choice is left to the program.
 
     Attributes:
         scale: Metres per unit of the files; by default guessed from the mold's size.
-        thickness: Of the sheet [m]; by default in proportion to its width.
+        thickness: Thickness of the sheet [m]; by default in proportion to its width.
         drape: Whether the mold is a buck.
         direction: Unit vector (3,) to the side from which the sheet comes, in the file's axes.
         process: One of `PROCESSES`.

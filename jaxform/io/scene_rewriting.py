@@ -33,7 +33,7 @@ def write_scene(
         changes: New values at dotted keys: plain values, or arrays; arrays of what varies over the sheet,
             parison.thickness (n_node,) [m] and numbers of the material (..., n_node), go into mesh files beside the
             scene file.
-        folder: Where to write.
+        folder: Folder to write to.
         name: The name of the scene file.
 
     Returns:
@@ -59,7 +59,7 @@ def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulat
 
     Args:
         document: The scene.
-        folder: Where to write.
+        folder: Folder to write to.
         name: The name of the scene file.
 
     Returns:
@@ -77,7 +77,7 @@ def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulat
 
 
 def _has_tables(text: str, data: Mapping[str, Any]) -> bool:
-    """Whether a text in TOML has these tables."""
+    """True if a text is TOML with exactly these tables."""
     try:
         return tomllib.loads(text) == data
     except ValueError:

@@ -19,7 +19,7 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.tools.halves import MoldCompletion
 
 COVERS, IMAGES, PLATEN = "covers.stl", "images.stl", "platen.stl"
-"""The files of what closes a mold, of what completes one that is cut, and of the platen on which a buck stands."""
+"""Names of the files of a mold's covers, of the images that complete a cut mold, and of a buck's platen."""
 
 _CONTENT = {
     COVERS: "the covers of the mold's holes",
@@ -83,7 +83,7 @@ def _names(folder: Path, paths: Sequence[Path]) -> list[str]:
 
 
 def _is_one_of(file: Path, paths: Sequence[Path]) -> bool:
-    """Whether a file is there and is one of others, by whatever name."""
+    """True if a file exists and is one of these paths, by any name."""
     return file.exists() and any(path.samefile(file) for path in paths)
 
 
@@ -160,7 +160,7 @@ def _pressure(made: Draft) -> list[str]:
 
 
 def _filling_comments(made: Draft) -> list[str]:
-    """What the pressure fills, as comments."""
+    """Comments on the corners that the pressure fills."""
     if made.limited:
         return [f"# {vacuum_text(made).capitalize()}.", "# --process pressure has no such limit."]
     if made.slit is not None:
@@ -171,7 +171,7 @@ def _filling_comments(made: Draft) -> list[str]:
 
 
 def vacuum_text(made: Draft) -> str:
-    """What a vacuum fills, in words."""
+    """Description of the corners that a vacuum fills."""
     radius, bar = 1e3 * made.corner(made.pressure), 1e-5 * made.pressure
     fills = f"a vacuum of {bar:.2g} bar fills corners down to a radius of about {radius:.2g} mm"
     return f"{fills}; down to an element takes {1e-5 * made.filling:.2g} bar"
@@ -212,7 +212,7 @@ def _pose(made: Draft) -> str:
 
 
 def _motion(made: Draft) -> list[str]:
-    """How a buck moves into the sheet; nothing for a cavity."""
+    """The table of a buck's motion into the sheet, as lines; empty for a cavity."""
     if made.drape is None:
         return []
     return [
@@ -238,7 +238,7 @@ def shape_text(made: Draft) -> str:
 
 
 def covers_text(made: Draft) -> str:
-    """What the covers close, in words."""
+    """Description of the openings that the covers close."""
     holes, gaps = made.covers.holes, made.covers.gaps
     some = [f"{holes} hole{'s' if holes > 1 else ''}{_wall_holes_text(made)}"] if holes else []
     if gaps:
@@ -256,7 +256,7 @@ def _wall_holes_text(made: Draft) -> str:
 
 
 def _part(made: Draft, names: Sequence[str]) -> list[str]:
-    """Which of the sheet is the part: not what lies on flange, platen and covers."""
+    """The table [part], as lines; it excludes the sheet on flange, platen and covers."""
     near = min(made.thickness, 0.1 * made.found.depth)
     on, at, side = "the platen", -near, "below"
     if made.drape is None:

@@ -1,4 +1,4 @@
-"""What is seen of parts, sheets and molds: their surfaces, with images in symmetry planes, for views to draw."""
+"""Visible surfaces of parts, sheets and molds, with images in symmetry planes, for views to draw."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def part_view(
     """The part in colours of its wall, what is cut off it in grey, with the mold in grey behind it.
 
     Args:
-        scene: What was simulated.
+        scene: The simulated scene.
         result: The part, of used nodes and elements alone.
         scale: Range of the colours [mm].
         edges: Draw the elements' edges.
@@ -62,7 +62,7 @@ def sheet_view(scene: Scene) -> View:
 
 
 def hangs_before(scene: Scene) -> bool:
-    """Whether a sheet that a moving mold meets is drawn with z down, so that a buck stands up and is below it."""
+    """True if a sheet that a moving mold meets is drawn with z down, so that a buck stands up below it."""
     corners = np.asarray(scene.parison.positions, float), np.asarray(scene.parison.triangles)
     along = nodal_normals(*corners)[:, 2].sum() * scene.strongest_push()
     return bool(scene.motion is not None and along > 0)
@@ -73,7 +73,7 @@ def mirror_points(scene: Scene, points: Array, open_front: bool = False) -> list
 
     Args:
         scene: The scene, which knows the planes.
-        points: In the modelled part.
+        points: Points in the modelled part.
         open_front: Leave one image out where there are four, for a look inside.
     """
     planes = sections.symmetry_planes(scene)
@@ -91,9 +91,9 @@ def mirror_points(scene: Scene, points: Array, open_front: bool = False) -> list
 
 
 def _hangs(scene: Scene, result: Result) -> bool:
-    """Whether the part is drawn with z down: as one sees it from where the sheet was, before the mold.
+    """True if the part is drawn with z down: seen from the initial side of the sheet, in front of the mold.
 
-    One looks into a cavity, and onto a buck. What is inflated freely stands up, but for sheets that are cut open.
+    The view is into a cavity, or onto a buck. A freely inflated sheet stands up, unless it is cut open.
     """
     start = np.asarray(scene.parison.positions, float)
     rise = (np.asarray(result.positions, float) - start)[:, 2].mean()

@@ -1,4 +1,4 @@
-"""Whether a mold has ribs or pins that are thinner than the elements of the sheet. On the host, before a run."""
+"""Check for ribs and pins of a mold that are thinner than the elements of the sheet. On the host, before a run."""
 
 from __future__ import annotations
 

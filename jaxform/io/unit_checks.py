@@ -1,4 +1,4 @@
-"""What in a scene's numbers is hardly meant: units of material, temperatures and motion. On the host."""
+"""Warnings of likely errors in the units of material, temperatures and motion. On the host."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WAVE = 8.0  # times c over the density: the square of the speed of a wave along
 
 
 def warn_of_units(scene: Scene, file: str = "") -> None:
-    """Warns of numbers that are hardly meant, as far as they are of the material, of temperatures and of motion."""
+    """Warns of likely unit errors in numbers of the material, of temperatures and of motion."""
     _warn_of_modes(scene, file)
     _warn_of_shift(scene, file)
     if scene.cooling is not None and scene.parison.temperature is not None:
@@ -59,7 +59,7 @@ def _warn_of_shift(scene: Scene, file: str) -> None:
 
 
 def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) -> None:
-    """Of air or a mold that are warmer than the sheet, and of those that look like kelvin."""
+    """Warns of air or a mold that is warmer than the sheet, or whose temperature looks like kelvin."""
     for name in ("air", "mold"):
         value, key = float(getattr(cooling, f"{name}_temperature")), f"cooling.{name}_temperature"
         if float(getattr(cooling, name)) == 0.0:
@@ -80,7 +80,7 @@ def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) 
 
 
 def _warn_of_motion(scene: Scene, file: str) -> None:
-    """Of a mold that is faster than waves in the sheet."""
+    """Warns of a mold that is faster than waves in the sheet."""
     if scene.motion is None:
         return
     speed = scene.motion.mean_speeds().max()

@@ -17,8 +17,8 @@ class Units(NamedTuple):
     """A unit of length.
 
     Attributes:
-        scale: In metres.
-        name: In words.
+        scale: The unit in metres.
+        name: Name of the unit.
         others: Other units that the file may have, as `--scale` says them.
     """
 

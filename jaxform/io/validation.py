@@ -1,4 +1,4 @@
-"""How tables of a file are checked: strict types, known keys, and one clear line about the first thing wrong."""
+"""Validation of a file's tables: strict types, known keys, and one clear line about the first error."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Table(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, data: Any) -> Any:
-        """Before all else: a misspelt key explains the missing one."""
+        """Reports unknown keys first: a misspelt key explains the missing one."""
         for key in data if isinstance(data, dict) else ():
             if key in cls.later:
                 raise validation_error("is not there yet", cls.later[key], key)
@@ -97,9 +97,9 @@ def validation_error(problem: str, remedy: str, key: str = "", value: Any = None
     """The error to raise in a validator.
 
     Args:
-        problem: What is wrong, in words.
-        remedy: What to do about it.
-        key: Where, below the table that is validated.
+        problem: Description of the error.
+        remedy: Remedy for the error.
+        key: Key below the table that is validated.
         value: The offending value, where it is not the one that is validated.
     """
     return PydanticCustomError("wrong", "wrong", {"problem": problem, "remedy": remedy, "key": key, "value": value})
@@ -108,13 +108,13 @@ def validation_error(problem: str, remedy: str, key: str = "", value: Any = None
 def choice(
     key: str, known: Sequence[str], later: Sequence[str] = (), usual: str | None = None
 ) -> tuple[Discriminator, BeforeValidator]:
-    """What makes a union of tables one that `key` chooses from; tag each table with `<value of key>`.
+    """Annotations for a union of tables from which `key` chooses; tag each table with `<value of key>`.
 
     Args:
         key: The key that names the kind of table.
         known: Its values.
         later: Values that a later version will know.
-        usual: What it is where the key is missing; None where it must not be.
+        usual: Value where the key is missing; None where the key is required.
     """
     options = f"use {', '.join(known)}"
 
@@ -171,7 +171,7 @@ def _input_error(error: ErrorDetails) -> InputError:
 
 
 def _dotted_key(location: Sequence[int | str]) -> str:
-    """Such as parison.thickness.at[2]; the tags of unions left out."""
+    """The key as text, such as parison.thickness.at[2]; the tags of unions left out."""
     text = ""
     for part in location:
         if isinstance(part, int):

@@ -46,14 +46,14 @@ class DrawnSurface(NamedTuple):
 
 
 class View(NamedTuple):
-    """What is seen from outside.
+    """Content of a view from outside.
 
     Attributes:
-        surfaces: From behind to the front.
+        surfaces: Surfaces, from back to front.
         outline: Lines (n, 2, 3) [mm] behind them, thin and grey; None where there are none.
-        hangs: Whether z points down, so that one looks into what hangs, or onto what stands up towards -z.
-        turned: Whether y is reversed as well, so that it is no mirror image: of what has no symmetry planes.
-        scale: Range of the numbers that colours show.
+        hangs: Whether z points down, for a view into a hanging part, or onto one that stands up towards -z.
+        turned: Whether y is reversed as well, so that the view is no mirror image: for parts without symmetry.
+        scale: Range of the values that colours show.
         mark: A place (3,) [mm] to mark as the minimum, or None.
     """
 
@@ -80,7 +80,7 @@ def draw(axes: Any, view: View) -> Any:
 
 
 def _color_faces(surface: DrawnSurface, colors: Any) -> DrawnSurface:
-    """With colours for its numbers, and grey where there is none."""
+    """The surface with colours for its values, and grey where there is none."""
     if surface.paint.ndim == 2:
         return surface
     paint = np.asarray(colors.to_rgba(surface.paint))[:, :3]
@@ -171,9 +171,9 @@ def _project(axes: Any, faces: Array) -> tuple[Array, Array]:
 
 
 def _image(surface: DrawnSurface, corners: Array, depth: Array, width: int, height: int, finer: int) -> Array:
-    """Colours of a surface and how much it covers (height, width, 4), looked at in so many times as many pixels.
+    """Colours of a surface and its coverage (height, width, 4), sampled in so many times as many pixels.
 
-    The corners are in these finer pixels. What is covered in part is less opaque.
+    The corners are in these finer pixels. Partly covered pixels are less opaque.
     """
     faces, wide = surface.faces, finer * width
     kept = None if surface.open_at is None else _is_behind(surface)
@@ -200,7 +200,7 @@ def _image(surface: DrawnSurface, corners: Array, depth: Array, width: int, heig
 
 
 def _is_behind(surface: DrawnSurface) -> Callable[[raster.Hits], NDArray[np.bool_]]:
-    """Which hits of a surface that is cut open are not between the eye and both planes."""
+    """A function for the mask of a cut-open surface's hits that are not between the eye and both planes."""
 
     def is_visible(found: raster.Hits) -> NDArray[np.bool_]:
         front = np.ones(len(found.triangle), bool)
@@ -213,7 +213,7 @@ def _is_behind(surface: DrawnSurface) -> Callable[[raster.Hits], NDArray[np.bool
 
 
 def _is_on_edge(corners: Array, triangle: NDArray[np.integer], weights: Array) -> NDArray[np.bool_]:
-    """Which pixels (n,), with weights (3, n), are on the edges of triangles that are large enough to have some."""
+    """Mask of pixels (n,), with weights (3, n), on the edges of triangles that are large enough to show them."""
     side = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     twice = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])

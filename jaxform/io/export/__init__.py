@@ -1,4 +1,4 @@
-"""Walls for the next analysis: what a format is called, and what writes it. A new format is a file and a line here."""
+"""Walls for the next analysis: names and writers of formats. A new format is a file and a line here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Format(NamedTuple):
     """A format of files.
 
     Attributes:
-        ending: Of its files' names.
+        ending: Ending of its files' names.
         write: Writes a wall to a path.
     """
 
@@ -30,7 +30,7 @@ FORMATS = {
     "vtu": Format(".vtu", vtu.write),
     "csv": Format(".csv", table.write),
 }
-"""By the name that `jaxform export --to` takes."""
+"""Formats by their names for `jaxform export --to`."""
 
 
 def write_wall(wall: WallSurface, path: Path, name: str) -> None:

@@ -12,7 +12,7 @@ from jaxform.io.export import text
 from jaxform.io.export.wall import WallSurface
 
 MATERIAL = "WALL"
-"""What the section's material is called; the file that includes this one says what it is."""
+"""Name of the section's material, which the file that includes this one defines."""
 
 
 def write(path: Path, wall: WallSurface) -> None:
@@ -33,13 +33,13 @@ def keywords(
     """Lines of an input file.
 
     Args:
-        wall: What the head tells of.
-        kind: Of the elements, as `S3`.
+        wall: The wall that the head describes.
+        kind: Type of the elements, such as `S3`.
         elements: Node numbers from 0 (m, k).
-        positions: Of the nodes (n, 3) [m].
-        thickness: Of the nodes (n,) [m].
+        positions: Positions of the nodes (n, 3) [m].
+        thickness: Thickness at the nodes (n,) [m].
         sets: Node numbers by name.
-        more: What the section's line has after its thickness.
+        more: Text after the thickness in the section's line.
     """
     number = np.arange(1, len(positions) + 1)
     yield from (f"** {line}" for line in text.head(wall, len(positions) - len(wall.positions)))

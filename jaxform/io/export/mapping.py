@@ -31,14 +31,14 @@ _ALIKE = 10.0  # times as large as the part, or as small, a mesh may be
 
 
 class Coverage(NamedTuple):
-    """How a mesh lies on a formed part.
+    """Coverage of a mesh by a formed part, and of the part by the mesh.
 
     Attributes:
         mesh: Share of the mesh's area that lies on the part.
         part: Share of the part's volume that has a place on the mesh.
         farthest: Largest distance [m] of the mesh from the part.
-        scaled: What the thickness was multiplied by, so that the volume is the part's.
-        volume: Of the part [m^3], where it has a place on the mesh.
+        scaled: Factor that the thickness was multiplied by, so that the volume is the part's.
+        volume: Volume of the part [m^3] that has a place on the mesh.
     """
 
     mesh: float
@@ -48,7 +48,7 @@ class Coverage(NamedTuple):
     volume: float
 
     def __str__(self) -> str:
-        """The same in words."""
+        """The coverage as a sentence."""
         return (
             f"{100 * self.mesh:.4g} % of the mesh lies on the part, its farthest place about "
             f"{1e3 * self.farthest:.3g} mm away, and {100 * self.part:.4g} % of the part's volume has a place on it; "
@@ -88,15 +88,15 @@ def read_target(path: Path, scale: float) -> Mesh:
 
 
 def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Coverage]:
-    """The wall on another mesh, and how that lies on the part.
+    """The wall on another mesh, and the coverage of that by the part.
 
     Every place of the mesh takes the thickness of the nearest place of the part, also where that is far away. All are
     then multiplied by one number, so that the mesh has the part's volume where each lies on the other.
 
     Args:
-        wall: The part's.
+        wall: Wall of the part.
         mesh: The mesh, positions in m.
-        name: What to call the mesh in messages.
+        name: Name of the mesh in messages.
 
     Raises:
         InputError: The mesh is somewhere else, or is no single surface.

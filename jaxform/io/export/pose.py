@@ -30,12 +30,12 @@ _AGREED = 0.8  # of what is nearest to the part, so much has normals to one side
 
 
 class Pose(NamedTuple):
-    """How a scene places the files of its mold.
+    """Pose of a scene's mold: scale, rotation and displacement of its files.
 
     Attributes:
         scale: Metres per unit of their lengths.
         turn: Rotation (3, 3).
-        shift: Displacement (3,) [m], then; at the end of the run, of a mold that moves.
+        shift: Displacement (3,) [m] after the rotation; of a moving mold, that at the end of the run.
         files: The files.
     """
 
@@ -45,11 +45,11 @@ class Pose(NamedTuple):
     files: tuple[Path, ...]
 
     def place(self, positions: Array) -> Array:
-        """Where places (n, 3) [m] of the files are in the scene."""
+        """Positions in the scene [m] of points (n, 3) [m] of the files."""
         return positions @ self.turn.T + self.shift
 
     def contains_file(self, path: Path) -> bool:
-        """Whether a file is one of the mold's, or a copy of one."""
+        """True if a file is one of the mold's, or a copy of one."""
         return any(disk.is_file(file) and filecmp.cmp(file, path, shallow=False) for file in self.files)
 
 
@@ -84,7 +84,7 @@ def match_fraction(wall: WallSurface, positions: Array, triangles: NDArray[np.in
 
 
 def fits_better_posed(wall: WallSurface, mesh: Mesh, posed: Array, otherwise: Mesh) -> bool:
-    """Whether a mesh follows the part where the scene's pose takes it, and less where it is."""
+    """True if a mesh matches the part clearly better in the scene's pose than where it is."""
     return match_fraction(wall, posed, mesh.triangles) > _BETTER + match_fraction(
         wall, otherwise.positions, otherwise.triangles
     )
@@ -93,16 +93,16 @@ def fits_better_posed(wall: WallSurface, mesh: Mesh, posed: Array, otherwise: Me
 def contact_side(
     wall: WallSurface, mesh: Mesh, reach: float, whole: bool = True
 ) -> tuple[Mesh, NDArray[np.int64], float]:
-    """Of a closed solid the side on which the part lies; any other mesh as it is, or without what is not near the part.
+    """The side of a closed solid on which the part lies; any other mesh unchanged, or only its region near the part.
 
     Args:
-        wall: The part's.
-        mesh: The mesh, where the part is [m].
-        reach: What is farther from the part than this gets no wall [m].
-        whole: Whether a mesh that is no closed solid is taken as it is.
+        wall: Surface of the part.
+        mesh: The mesh, in the position of the part [m].
+        reach: Largest distance from the part [m] at which the mesh gets a wall.
+        whole: Whether a mesh that is no closed solid is returned unchanged.
 
     Returns:
-        The mesh of that side, the nodes (n,) of the other that it has, and its share of the area.
+        The mesh of that side, the indices (n,) of its nodes in the given mesh, and its share of the area.
     """
     every = np.arange(len(mesh.positions), dtype=np.int64)
     closed = not len(topology.boundary_edges(mesh.triangles))

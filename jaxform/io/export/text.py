@@ -11,11 +11,11 @@ from jaxform.io.export.wall import WallSurface
 
 
 def head(wall: WallSurface, middles: int = 0) -> list[str]:
-    """Lines in which a file says what it holds, without the marks of comments.
+    """Lines that describe the content of a file, without the marks of comments.
 
     Args:
-        wall: What is written.
-        middles: How many nodes the file has in the middles of sides, beside those of the wall.
+        wall: The wall that is written.
+        middles: Number of mid-side nodes in the file, besides those of the wall.
     """
     low, high = (1e3 * float(value) for value in (wall.thickness.min(), wall.thickness.max()))
     # Names of scenes and files may have any characters; solvers read comments in one line and ASCII.

@@ -29,14 +29,15 @@ class WallSurface:
     """A wall as a surface of triangles.
 
     Attributes:
-        positions: Of the nodes [m], shape (n, 3).
+        positions: Positions of the nodes [m], shape (n, 3).
         triangles: Node numbers from 0, shape (m, 3).
-        thickness: At the nodes [m], shape (n,), linear between them: area times thickness is the volume of the wall.
-        element_thickness: Of the triangles [m], shape (m,), with the same volume.
-        reference: Where each node was in the initial sheet [m], shape (n, 3).
-        held: Which nodes (n,) were clamped, or lay on the mold from the start.
+        thickness: Thickness at the nodes [m], shape (n,), linear between them: area times thickness is the volume of
+            the wall.
+        element_thickness: Thickness of the triangles [m], shape (m,), with the same volume.
+        reference: Position of each node in the initial sheet [m], shape (n, 3).
+        held: Mask of the nodes (n,) that were clamped, or in contact with the mold from the start.
         planes: Axis and place [m] of the symmetry planes at which the part is cut.
-        words: What the wall is, line by line, for the head of a file.
+        words: Description of the wall, line by line, for the head of a file.
     """
 
     positions: Array
@@ -74,7 +75,7 @@ def read_wall(folder: Path, whole: bool = False) -> WallSurface:
     """The wall that a run or a search left in a folder: of the part, where the scene says which that is.
 
     Args:
-        folder: Where the results are.
+        folder: Folder of the results.
         whole: Take the whole sheet instead.
 
     Raises:
@@ -114,7 +115,7 @@ def read_wall(folder: Path, whole: bool = False) -> WallSurface:
 
 
 def _part(mesh: Mesh) -> Mesh:
-    """The elements that are of the part, and their nodes; the mesh as it is where it does not tell, or none are."""
+    """The elements of the part, and their nodes; the mesh unchanged where it does not mark them, or marks none."""
     own = mesh.cell_fields.get("part", np.zeros(0)) != 0
     if not own.any() or own.all():
         return mesh

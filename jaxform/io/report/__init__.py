@@ -29,7 +29,7 @@ def write_report(folder: str | Path) -> Path:
     """Writes report.html into a folder of results, from the files that are there.
 
     Args:
-        folder: What `jaxform simulate` or `jaxform optimize` wrote.
+        folder: Folder of results of `jaxform simulate` or `jaxform optimize`.
 
     Returns:
         The path of the report.

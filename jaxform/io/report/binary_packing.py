@@ -20,21 +20,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NOTHING = 65535
-"""The code of what is no number."""
+"""Code of a value that is no number."""
 _MANY, _FEW = NOTHING - 1, 4095
 _CELLS = 1023  # along a side of space, between which places are ordered
 _LEVEL = 6  # of deflate: more takes twice the time for a hundredth
 
 
 class Parcel:
-    """Arrays that are packed together, and what describes them.
+    """Arrays that are packed together, and their description.
 
     Attributes:
-        described: By name, how each array is unpacked.
+        described: Layout of each array for unpacking, by name.
     """
 
     def __init__(self) -> None:
-        """Of nothing yet."""
+        """Create an empty parcel."""
         self.described: dict[str, dict[str, Any]] = {}
         self._bytes: list[bytes] = []
         self._size = 0
@@ -43,10 +43,10 @@ class Parcel:
         """Packs numbers (n,) or (n, k), to a 65534th of the range of each column.
 
         Args:
-            name: What to call it.
+            name: Name of the array.
             values: The numbers; those that are not finite come out as NaN.
             relative: All are positive, and the error is the same part of each instead.
-            coarse: To a 4095th instead, which takes half the room.
+            coarse: To a 4095th instead, which takes half the space.
         """
         columns = np.atleast_2d(np.asarray(values, np.float64).T)
         with np.errstate(all="ignore"):
@@ -112,7 +112,7 @@ def _quantise(values: Array, most: int) -> tuple[NDArray[np.int64], float, float
 
 
 def _valid(value: Any) -> Any:
-    """The same with null for numbers that are not finite, which JSON does not have."""
+    """A copy with null for numbers that are not finite, which JSON does not have."""
     if isinstance(value, Mapping):
         return {key: _valid(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

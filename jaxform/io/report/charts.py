@@ -1,4 +1,4 @@
-"""The diagrams of the page, packed: the wall along the part, and what a search did."""
+"""The diagrams of the page, packed: the wall along the part, and the history of a search."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _wall(results: Results, parcel: Parcel) -> Chart:
 
 
 def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) -> list[Chart]:
-    """What the search changed in the sheet, its thickness or temperature, over the place there; none of another."""
+    """Chart of the thickness or temperature that the search changed, over the initial sheet; empty without one."""
     changed = [name for name in _DESIGNED if name in best.nodal and not _same(start.nodal.get(name), best.nodal[name])]
     if not changed:
         return []
@@ -124,18 +124,18 @@ def _chart(title: str, x: str, y: str, series: list[dict[str, Any]], *, zero: bo
 
 
 def _pack(parcel: Parcel, name: str, across: Array, up: Array) -> dict[str, str]:
-    """Packs points, and says under which name."""
+    """Packs points; returns the names of their arrays."""
     parcel.add(f"chart.{name}", np.stack([across, up], axis=1))
     return {"points": f"chart.{name}"}
 
 
 def _is_cloud(curve: SectionCurve) -> bool:
-    """Whether the points of a curve are those of all nodes, which make no line."""
+    """True if the points of a curve are all nodes, which form no line."""
     return curve.label == "all nodes"
 
 
 def _visible_points(across: Array, up: Array, dots: bool) -> NDArray[np.int64]:
-    """Which points (n,) are drawn: all of a line, and of dots those that can be told from each other."""
+    """Indices of the points that are drawn: all of a line, and of dots those that can be distinguished."""
     return np.sort(distinguishable_points(across, up)) if dots and len(across) else np.arange(len(across))
 
 

@@ -24,7 +24,7 @@ _FINEST = 2048  # cells along a mold that is drawn more roughly, at first
 
 
 class Quantity(NamedTuple):
-    """Something that the part is coloured by: what is shown is `factor` times the value in the files."""
+    """A quantity that colours show: `factor` times the value in the files."""
 
     key: str
     label: str
@@ -49,7 +49,7 @@ _ALWAYS = ("thickness", "stretch_1", "stretch_2", "contact_time")  # others are 
 
 
 def pack_parts(results: Results, parcel: Parcel) -> dict[str, Any]:
-    """Packs meshes, parts and mold; returns what the page has to know of them, as plain numbers and words."""
+    """Packs meshes, parts and mold; returns their description for the page, as plain numbers and words."""
     search = results.start is not None
     end = float(results.summary.get("time") or 0.0)
     parts = _Parts(parcel, results.motion, end)
@@ -91,7 +91,7 @@ class _Parts:
         nodes, prefix = self._meshes[mesh][1], f"part{len(self.described)}"
         nodal = {name: values[nodes] for name, values in part.nodal.items() if name != "thickness"}
         if coarse and mesh == 0:
-            # Nothing but the way of the nodes is new: what touched, the end's times of contact tell.
+            # Only the positions of the nodes are new: contact follows from the final times of contact.
             nodal = {}
         if "contact_time" in nodal:
             nodal["contact_time"] = np.where(nodal["contact_time"] < 0, np.nan, nodal["contact_time"])
@@ -108,7 +108,7 @@ class _Parts:
         self.described.append({"label": label, "time": time, "mesh": mesh, "mold": self._mold_offset(time)})
 
     def _mold_offset(self, time: float) -> list[float]:
-        """How far the mold is at a time [s] from where it is in the end (3,) [m]."""
+        """Displacement of the mold (3,) [m] at a time [s], relative to its final position."""
         if self._motion is None:
             return [0.0, 0.0, 0.0]
         moments: tuple[Any, ...] = time, self._end
@@ -116,7 +116,7 @@ class _Parts:
         return (there - last).tolist()
 
     def _reorder_elements(self, part: StoredPart) -> StoredPart:
-        """The same with its elements in an order that takes little room, unless its mesh is already there."""
+        """The part with its elements in an order that takes little space, unless its mesh is already stored."""
         if any(_same_mesh(known, part) for known, _ in self._meshes):
             return part
         order = spatial_order(part.reference[part.triangles].mean(1))
@@ -162,7 +162,7 @@ def _quantities(parts: list[StoredPart]) -> list[dict[str, Any]]:
 
 
 def _values(part: StoredPart, key: str, of: str) -> Array:
-    """Of the elements (n_element,): of nodal values their mean, of times of contact that of the last corner."""
+    """Values at the elements (n_element,): the mean of nodal values, and the last of contact times."""
     if key == "area_stretch":
         return part.cells["stretch_1"] * part.cells["stretch_2"]
     if of == "elements":
@@ -184,9 +184,9 @@ def formed_element_areas(part: StoredPart) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _hangs(part: StoredPart, moved: bool) -> bool:
-    """Whether the part is drawn with z down: one looks into a sheet that rose from a plane, and onto a buck.
+    """True if the part is drawn with z down: for a view into a sheet that rose from a plane, or onto a buck.
 
-    A buck moved, and pushed the sheet to where its head is.
+    A buck moves, and pushes the sheet in the direction of its head.
     """
     rise = part.positions[:, 2] - part.reference[:, 2]
     flat = np.ptp(part.reference[:, 2]) <= 1e-6 * np.ptp(part.reference, axis=0).max()
@@ -194,7 +194,7 @@ def _hangs(part: StoredPart, moved: bool) -> bool:
 
 
 def _pack_mold(mold: Mesh, symmetry: Mapping[str, float], parcel: Parcel) -> dict[str, Any]:
-    """Packs the mold; says whether it ends at a symmetry plane, so that its images are wanted."""
+    """Packs the mold; returns whether it ends at a symmetry plane, so that its images are wanted."""
     vertices, triangles = _coarsen(mold.positions, mold.triangles)
     triangles, kept = by_first_use(triangles)
     parcel.add_triangles("mold.triangles", triangles)

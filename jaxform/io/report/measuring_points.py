@@ -1,4 +1,4 @@
-"""Where to measure a first part, and how its wall runs along it: found in results that were read back."""
+"""Measuring points for a first part, and its wall along sections, from stored results."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class MeasuringPoint(NamedTuple):
     """A place to measure the wall at.
 
     Attributes:
-        name: What it is.
-        chosen: How it was chosen, in words.
-        thickness: Of the wall there [m].
+        name: Name of the place.
+        chosen: Criterion of its choice, in words.
+        thickness: Thickness of the wall there [m].
         formed, initial: The middle of the element (3,) [m], in the part and in the initial sheet.
     """
 
@@ -36,7 +36,7 @@ class MeasuringPoint(NamedTuple):
     initial: list[float]
 
     def description(self) -> dict[str, Any]:
-        """Its name and place, which the view has to know."""
+        """Its name and place, for the view."""
         return {"name": self.name, "formed": self.formed}
 
 
@@ -74,7 +74,7 @@ def wall_curves(part: StoredPart, symmetry: Mapping[str, float], through: ArrayL
 
 
 def is_disc(part: StoredPart, symmetry: Mapping[str, float]) -> bool:
-    """Whether the initial sheet is flat and its rim a circle about the z axis."""
+    """True if the initial sheet is flat and its rim a circle about the z axis."""
     return sections.is_disc(_scene(part, symmetry))
 
 

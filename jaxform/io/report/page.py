@@ -94,7 +94,7 @@ def _recovered_rows(thin: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def quality(results: Results) -> str:
-    """The table of what a part is judged by."""
+    """The table of the key figures of a part."""
     summary = results.summary
     wall, thin = summary["thickness"], summary["thinnest"]
     planes = len(symmetry_of(results))
@@ -146,7 +146,7 @@ def to_measure(points: Sequence[MeasuringPoint]) -> str:
 
 
 def energy(summary: Mapping[str, Any]) -> str:
-    """The energy account with a bar for each term, and how far it can be trusted."""
+    """The energy balance with a bar for each term, and its error."""
     account = summary["energy"]
     works = [account.get("external_work"), account.get("tool_work", 0.0)]
     total = abs(sum(work for work in works if isinstance(work, int | float)))
@@ -212,7 +212,7 @@ def scene(results: Results) -> str:
 
 
 def _small(share: Any) -> str:
-    """A share in per cent, which below a hundredth of one is not told exactly."""
+    """A share in per cent; below a hundredth of one, only that bound."""
     return "&lt; 0.01" if isinstance(share, int | float) and 0 <= share < 1e-4 else number(share, 100, 3)
 
 
@@ -228,5 +228,5 @@ def _whole_mass(results: Results) -> float | None:
 
 
 def _times(mass: Any, results: Results) -> float | None:
-    """Of the whole part, where this is the mass of what is modelled."""
+    """Mass of the whole part, from that of the modelled part; None where it is no number."""
     return mass * 2 ** len(symmetry_of(results)) if isinstance(mass, int | float) else None

@@ -33,7 +33,7 @@ class StoredPart(NamedTuple):
     """A part as a VTU file has it.
 
     Attributes:
-        positions, reference: Of the nodes (n_node, 3) [m], at that time and in the initial sheet.
+        positions, reference: Positions of the nodes (n_node, 3) [m], at that time and in the initial sheet.
         triangles: Node numbers of the elements (n_element, 3).
         nodal: Values at the nodes (n_node,), by name.
         cells: Values of the elements (n_element,), by name.
@@ -47,7 +47,7 @@ class StoredPart(NamedTuple):
 
     @property
     def part_mask(self) -> Array | None:
-        """Which elements (n_element,) are not 0 and so of the part, as the scene's [part] says; None without one."""
+        """Values (n_element,), not 0 for elements of the part that the scene's [part] selects; None without one."""
         return self.cells.get("part")
 
 
@@ -56,13 +56,13 @@ class Results:
     """Results that a command left in a folder.
 
     Attributes:
-        summary: Of summary.json.
-        part: Of final.vtu.
-        start: Of start.vtu, the part that a search began with; None of a simulation.
+        summary: Contents of summary.json.
+        part: The part in final.vtu.
+        start: The part in start.vtu, with which a search began; None for a simulation.
         frames: Times [s] and parts before the end; only so many as a page can hold.
-        frame_count: How many there are in the folder.
-        mold: Of mold.vtu, where it is in the end; None without a mold.
-        motion: How the mold moves; None where it rests.
+        frame_count: Number of frames in the folder.
+        mold: The mold in mold.vtu, at its final position; None without one.
+        motion: Motion of the mold; None where it rests.
         scene: The scene file, its name and its text; None where there is none.
         history: Rows of history.csv; empty for a simulation.
     """

@@ -1,4 +1,4 @@
-"""Tables of the laws; each number may vary over the sheet."""
+"""Tables of the material models; each parameter may vary over the sheet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxform.io.validation import Table, allow_range, choice, declared_range, va
 
 
 def _in(law: str, key: str) -> Any:
-    """The range of a law's number, for `Annotated`."""
+    """The range of a material model's parameter, for `Annotated`."""
     return allow_range(OF_LAWS[law][key])
 
 
@@ -22,13 +22,13 @@ Density = Zoned[Annotated[float, declared_range("material.density")]]
 
 
 class Viscous(Table):
-    """Viscous modes, whose stress is added to that of the law; the law is then what is left in the end.
+    """Maxwell branches, whose stress is added to that of the material model, which is then the long-term response.
 
     Attributes:
         kind: "christensen", which follows the strain, for sheets of thermoplastic; or "maxwell", upper-convected
             Maxwell modes, for melts.
-        modulus: One number for each mode [Pa].
-        time: Relaxation time of each mode [s].
+        modulus: Modulus of each branch [Pa].
+        time: Relaxation time of each branch [s].
     """
 
     kind: Literal["christensen", "maxwell"]
@@ -52,9 +52,9 @@ class WlfShift(Table):
 
     Attributes:
         kind: The kind of shift.
-        reference: Temperature [degC] at which the law's numbers hold.
-        c1: A number; 17.44 where the reference is the glass transition.
-        c2: [K]; 51.6 where the reference is the glass transition.
+        reference: Temperature [degC] at which the material parameters hold.
+        c1: Dimensionless constant; 17.44 where the reference is the glass transition.
+        c2: Constant [K]; 51.6 where the reference is the glass transition.
     """
 
     kind: Literal["wlf"]
@@ -68,8 +68,8 @@ class ArrheniusShift(Table):
 
     Attributes:
         kind: "arrhenius" shifts times alone, "arrhenius-stiffness" all moduli as well.
-        reference: Temperature [degC] at which the law's numbers hold.
-        activation_energy: E [J/mol].
+        reference: Temperature [degC] at which the material parameters hold.
+        activation_energy: Activation energy E [J/mol].
     """
 
     kind: Literal["arrhenius", "arrhenius-stiffness"]
@@ -87,13 +87,13 @@ Shift = Annotated[
 
 
 class _LawTable(Table):
-    """What every law has.
+    """Keys that all material models share.
 
     Attributes:
         density: Mass per volume [kg/m^3].
-        viscous: Viscous modes; without them the sheet remembers nothing.
-        shift: What the sheet's temperature does; without it nothing.
-        tension_field: Whether the sheet goes slack and wrinkles where it would be compressed, instead of bearing that.
+        viscous: Maxwell branches; without them the sheet has no memory.
+        shift: Time-temperature shift; without it the sheet's temperature has no effect on its stress.
+        tension_field: Whether the sheet goes slack and wrinkles where it would otherwise be compressed.
     """
 
     density: Density
@@ -106,7 +106,7 @@ class NeoHookeanTable(_LawTable):
     """W = c (I1 - 3).
 
     Attributes:
-        model: The law.
+        model: Name of the material model.
         c: Half the shear modulus [Pa].
     """
 
@@ -118,7 +118,7 @@ class MooneyRivlinTable(_LawTable):
     """W = c [(I1 - 3) + alpha (I2 - 3)].
 
     Attributes:
-        model: The law.
+        model: Name of the material model.
         c: First coefficient [Pa].
         alpha: Ratio of the second coefficient to the first.
     """
@@ -132,7 +132,7 @@ class ModifiedMooneyRivlinTable(_LawTable):
     """W = a01 (I1 - 3) + a02 (I2 - 3)^2.
 
     Attributes:
-        model: The law.
+        model: Name of the material model.
         a01: Coefficient of I1 - 3 [Pa].
         a02: Coefficient of (I2 - 3)^2 [Pa].
     """
@@ -146,7 +146,7 @@ class YeohTable(_LawTable):
     """W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3.
 
     Attributes:
-        model: The law.
+        model: Name of the material model.
         c1: Half the shear modulus in small strain [Pa].
         c2: Coefficient of the square [Pa].
         c3: Coefficient of the cube [Pa].
@@ -162,7 +162,7 @@ class GentTable(_LawTable):
     """W = -mu j_max / 2 ln(1 - (I1 - 3) / j_max), which does not stretch beyond a limit.
 
     Attributes:
-        model: The law.
+        model: Name of the material model.
         mu: Shear modulus in small strain [Pa].
         j_max: Limit of I1 - 3; from 99 % of it on the energy goes on as a parabola.
     """
@@ -176,8 +176,8 @@ class OgdenTable(_LawTable):
     """W = sum of mu / alpha (l1^alpha + l2^alpha + l3^alpha - 3), l1 to l3 the principal stretches.
 
     Attributes:
-        model: The law.
-        mu: One number for each term [Pa]; the sum of mu alpha is twice the shear modulus in small strain.
+        model: Name of the material model.
+        mu: Modulus of each term [Pa]; the sum of mu alpha is twice the shear modulus in small strain.
         alpha: The powers, of which none is 0.
     """
 

@@ -1,4 +1,4 @@
-"""Tables of how a study searches."""
+"""Tables of the search methods of a study."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from jaxform.io.validation import NotNegative, Positive, Table, choice
 
 
 class _SearchTable(Table):
-    """What all methods share; see `optimize.Study`.
+    """Keys that all methods share; see `optimize.Study`.
 
     Attributes:
-        iterations: In all, those of the warm start and of every round included.
-        max_simulations: Stops before it costs the time of so many simulations.
-        minutes: Stops when it has taken so long.
+        iterations: Largest number in all, those of the warm start and of every round included.
+        max_simulations: Stops before the search costs the time of this many simulations.
+        minutes: Stops after this time [min].
         tolerance: Stops when five iterations together, or two rounds, gain less than this share, or the deviation from
             a target is less than it; 0.001 by default.
         gradient_tolerance: Stops when the gradient has become this share of the first one.
         goal: Stops when the objective is at most this.
         warm_start: Updates of the fixed point before the first iteration; by default as many as halve the objective,
             for a target or an even wall of which the sheet is a variable.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: Of multipliers for limits, at most.
+        starts: Number of designs, scattered about the first one; the search begins at the best.
+        rounds: Largest number of multiplier rounds for limits.
     """
 
     iterations: Count = 30
@@ -42,7 +42,7 @@ class Lbfgs(_SearchTable):
     """Limited-memory quasi-Newton method with line search.
 
     Attributes:
-        method: How it is searched for.
+        method: Name of the method.
     """
 
     method: Literal["lbfgs"] = "lbfgs"
@@ -52,8 +52,8 @@ class Adam(_SearchTable):
     """First-order method with momentum.
 
     Attributes:
-        method: How it is searched for.
-        learning_rate: Size of the first steps; from one bound to the other it is 4.
+        method: Name of the method.
+        learning_rate: Size of the first steps; the bounds are 4 apart.
     """
 
     method: Literal["adam"]
@@ -64,7 +64,7 @@ class LeastSquares(_SearchTable):
     """Levenberg-Marquardt, for few variables and a sum of squares.
 
     Attributes:
-        method: How it is searched for.
+        method: Name of the method.
     """
 
     method: Literal["least-squares"]
@@ -74,7 +74,7 @@ class FixedPoint(_SearchTable):
     """Thicken the sheet where the wall is thin.
 
     Attributes:
-        method: How it is searched for.
+        method: Name of the method.
     """
 
     method: Literal["fixed-point"]

@@ -11,12 +11,12 @@ from jaxform.io.validation import Length, NotNegative, Number, Positive, Table, 
 
 
 class MotionTable(Table):
-    """How the mold moves: along a straight line, smoothly from knot to knot, and with it what sticks to it.
+    """Motion of the mold along a straight line, smooth from knot to knot; nodes that stick to it move with it.
 
     Attributes:
-        direction: Of the displacement, of any length.
+        direction: Direction of the displacement, a vector of any length.
         time: Knots [s].
-        displacement: From where the mold starts, at the knots [m]; the first is 0.
+        displacement: Displacement from the initial position at the knots [m]; the first is 0.
     """
 
     direction: Triple
@@ -30,9 +30,9 @@ class RevolvedMold(Table):
     Attributes:
         shape: The kind of mold.
         profile: Points [r, z] [m] from the axis outwards.
-        segments: Around the axis.
-        motion: How it moves; at rest by default.
-        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
+        segments: Number of segments around the axis.
+        motion: Motion of the mold; at rest by default.
+        fill: Whether the mold is to be filled; if so, the status reports a gap of a fifth of the opening's depth.
     """
 
     shape: Literal["revolved"]
@@ -47,14 +47,14 @@ class BoxInsertMold(Table):
 
     Attributes:
         shape: The kind of mold.
-        size: Of the box along x and y [m].
-        depth: Of the box [m].
-        insert_size: Of the block along x and y [m].
-        insert_height: Of the block [m].
-        draft: Of all walls [degrees].
-        divisions: Into how many parts each side of a triangle is divided.
-        motion: How it moves; at rest by default.
-        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
+        size: Sides of the box along x and y [m].
+        depth: Depth of the box [m].
+        insert_size: Sides of the block along x and y [m].
+        insert_height: Height of the block [m].
+        draft: Draft angle of all walls [degrees].
+        divisions: Number of parts into which each side of a triangle is divided.
+        motion: Motion of the mold; at rest by default.
+        fill: Whether the mold is to be filled; if so, the status reports a gap of a fifth of the opening's depth.
     """
 
     shape: Literal["box-insert"]
@@ -75,13 +75,13 @@ class BottleHalfMold(Table):
 
     Attributes:
         shape: The kind of mold.
-        height: Of the bottle [m].
-        radius: Of its body [m].
-        neck_radius: Of its neck [m].
+        height: Height of the bottle [m].
+        radius: Radius of its body [m].
+        neck_radius: Radius of its neck [m].
         hole: Half width and half height of the hole of the handle [m].
         element_size: Side of a triangle [m].
-        motion: How it moves; at rest by default.
-        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
+        motion: Motion of the mold; at rest by default.
+        fill: Whether the mold is to be filled; if so, the status reports a gap of a fifth of the opening's depth.
     """
 
     shape: Literal["bottle-half"]
@@ -107,10 +107,10 @@ class FileMold(Table):
         shape: The kind of mold.
         path: A mesh file or several that are one mold, relative to the scene file.
         scale: Factor on its coordinates: 0.001 of a mesh in millimetres.
-        translate: Moved by this [m], after it was turned.
-        rotate: Turned about x, y and z, one after the other [degrees].
-        motion: How it moves; at rest by default.
-        fill: Whether it is to be filled: where a fifth of the opening's depth is left open, the status says so.
+        translate: Translation [m] after the rotation.
+        rotate: Rotation about x, y and z, one after the other [degrees].
+        motion: Motion of the mold; at rest by default.
+        fill: Whether the mold is to be filled; if so, the status reports a gap of a fifth of the opening's depth.
     """
 
     shape: Literal["file"]

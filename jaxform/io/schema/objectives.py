@@ -1,4 +1,4 @@
-"""Tables of what a study wants."""
+"""Tables of the objectives of a study."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from jaxform.io.validation import Positive, Table, choice, form
 
 
 class ObjectiveTable(Table):
-    """What all objectives share.
+    """Keys that all objectives share.
 
     Attributes:
-        weight: By how much it counts where there are several.
+        weight: Weight of the objective in a sum of several.
     """
 
     weight: Positive = 1.0
@@ -49,7 +49,7 @@ class LeastMassTable(ObjectiveTable):
 
     Attributes:
         kind: The kind of objective.
-        minimum: Of the wall [m].
+        minimum: Minimum of the wall [m].
     """
 
     kind: Literal["least-mass"]
@@ -61,7 +61,7 @@ class FormingTimeTable(ObjectiveTable):
 
     Attributes:
         kind: The kind of objective.
-        power: Of the mean of contact times: the higher, the more the last contact counts.
+        power: Power of the mean of contact times: the higher, the more the last contact counts.
     """
 
     kind: Literal["forming-time"]

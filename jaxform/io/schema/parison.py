@@ -20,13 +20,13 @@ def _given_elsewhere(given: Any) -> Any:
 
 
 class _BuiltIn(Table):
-    """What the built-in parisons share: exactly one of element_size and elements, cut planes, thickness.
+    """Keys that the built-in parisons share: exactly one of element_size and elements, cut planes, thickness.
 
     Attributes:
-        elements: About how many triangles; this or `element_size`.
-        symmetry: Which part of the sheet is simulated.
+        elements: Approximate number of triangles; this or `element_size`.
+        symmetry: Fraction of the sheet that is simulated.
         thickness: Initial thickness [m].
-        temperature: Of the sheet [degC], where the law has a shift.
+        temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.
     """
 
     elements: Count | None = None
@@ -42,9 +42,9 @@ class Disc(_BuiltIn):
 
     Attributes:
         shape: The kind of sheet.
-        radius: Of the sheet [m].
+        radius: Radius of the sheet [m].
         element_size: Side of a triangle [m], or a profile of it along the radius.
-        symmetry: Which part of the sheet is simulated; the cut planes are x = 0, and y = 0 of a quarter.
+        symmetry: Fraction of the sheet that is simulated; the cut planes are x = 0, and y = 0 of a quarter.
     """
 
     shape: Literal["disc"]
@@ -78,7 +78,7 @@ class Sphere(_BuiltIn):
 
     Attributes:
         shape: The kind of sheet.
-        radius: Of the sphere [m].
+        radius: Radius of the sphere [m].
         element_size: Side of a triangle [m].
     """
 
@@ -92,16 +92,16 @@ class BottleHalfParison(Table):
 
     Attributes:
         shape: The kind of sheet.
-        height: Of the bottle [m].
-        radius: Of the bottle's body [m].
-        neck_radius: Of its neck [m].
+        height: Height of the bottle [m].
+        radius: Radius of the bottle's body [m].
+        neck_radius: Radius of its neck [m].
         hole: Half width and half height of the hole of the handle [m].
         element_size: Side of a triangle [m].
-        swell: How far it is blown up already: 0 is flat, 1 the bottle.
+        swell: Initial inflation: 0 is flat, 1 the bottle.
         neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
-        inset: How far inside the bottle's outline it is pinched [m].
+        inset: Distance of its pinched edge inside the bottle's outline [m].
         thickness: Initial thickness [m].
-        temperature: Of the sheet [degC], where the law has a shift.
+        temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.
     """
 
     shape: Literal["bottle-half"]
@@ -125,10 +125,10 @@ class Outline(Table):
         polygon: Its corners x, y [m] in z = 0, in either order; or
         mold_rim: Whether it is the opening of the mold, in the plane of its rim.
         element_size: Side of a triangle [m], less where the planform is narrow; or
-        elements: About how many triangles.
+        elements: Approximate number of triangles.
         planes: Symmetry planes: `x` where the polygon is cut at x = 0.
         thickness: Initial thickness [m].
-        temperature: Of the sheet [degC], where the law has a shift.
+        temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.
     """
 
     shape: Literal["outline"]
@@ -170,11 +170,11 @@ class FileParison(Table):
         path: A mesh file, relative to the scene file.
         scale: Factor on its coordinates: 0.001 of a mesh in millimetres.
         flip: Turns all triangles, and so the side that the pressure pushes to.
-        clamp: What never moves: `boundary` (open edges off the symmetry planes), `none`, or `field:NAME`, where that
+        clamp: Clamped nodes: `boundary` (open edges off the symmetry planes), `none`, or `field:NAME`, where that
             nodal field is not zero.
         planes: Symmetry planes: `x` where the mesh is cut at x = 0, `x=0.15` where it is at 0.15 m.
         thickness: Initial thickness [m]; `field:NAME` is a field of the mesh itself.
-        temperature: Of the sheet [degC], where the law has a shift.
+        temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.
     """
 
     shape: Literal["file"]

@@ -1,4 +1,4 @@
-"""The table that says which of the formed sheet is the part."""
+"""The table that selects the part from the formed sheet."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class TrimTable(Table):
     """A plane across an axis at which the part is cut off.
 
     Attributes:
-        axis: Across which the plane is.
-        at: Where it is along the axis [m], in formed positions.
-        keep: Which side is the part.
+        axis: Axis normal to the plane.
+        at: Position of the plane along the axis [m], in formed positions.
+        keep: Side that is the part.
     """
 
     axis: Literal["x", "y", "z"]
@@ -25,13 +25,13 @@ class TrimTable(Table):
 
 
 class PartTable(Table):
-    """Which of the formed sheet is the part: elements that all keys hold for.
+    """Selection of the part from the formed sheet: the elements that all keys hold for.
 
     Statistics, the thinnest place, mass, objectives, pictures and exports are then of the part alone, not of what
     clamp frame, platen, flanges and covers hold.
 
     Attributes:
-        box: Lowest and highest corner [[x0, y0, z0], [x1, y1, z1]] [m] of what the middle of an element lies in, in
+        box: Lowest and highest corner [[x0, y0, z0], [x1, y1, z1]] [m] of the box for an element's centroid, in
             formed positions.
         trim: A plane at which the part is cut off.
         molds: Files of `mold.path`, by name, that the part touches: more of an element's nodes stick to these than to

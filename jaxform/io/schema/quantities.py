@@ -33,7 +33,7 @@ class ProfileTable(Table):
     Attributes:
         along: Place in the initial sheet: distance from the z axis, or a coordinate.
         at: Knots [m], increasing; the value is held beyond the first and the last.
-        value: One per knot, in the unit of the quantity.
+        value: Values, one per knot, in the unit of the quantity.
     """
 
     along: Place
@@ -52,7 +52,7 @@ class NumberProfile(Table):
     Attributes:
         along: Place in the initial sheet: distance from the z axis, or a coordinate.
         at: Knots [m], increasing; the value is held beyond the first and the last.
-        value: One per knot, in the unit and the range of the quantity.
+        value: Values, one per knot, in the unit and the range of the quantity.
     """
 
     along: Place
@@ -143,7 +143,7 @@ Zoned = Annotated[
     | Annotated[str, AfterValidator(_own_field), Tag("<own field>")],
     form(_quantity_form),
 ]
-"""A number, or what may vary over the sheet."""
+"""A number, or a quantity that may vary over the sheet."""
 Temperature = Zoned[Annotated[float, declared_range("parison.temperature")]]
 ElementSize = Annotated[
     _Number | Annotated[ProfileTable, Tag("<profile>")],
@@ -162,7 +162,7 @@ def _target_form(value: Any) -> str:
 
 
 def check_bounds(bounds: list[float]) -> list[float]:
-    """The bounds; raises unless there is room between them."""
+    """The bounds; raises unless the lower one is below the upper one."""
     if bounds[0] >= bounds[1]:
         raise validation_error("leaves no room", "give the lower bound first, then the upper one", value=bounds)
     return bounds

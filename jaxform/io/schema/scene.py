@@ -20,7 +20,7 @@ class PressureTable(Table):
     Attributes:
         time: Knots [s], increasing.
         value: Pressure difference [Pa], one per knot; it pushes to +z, or outwards.
-        interpolation: Straight between the knots, or rising as the cube of the time that has passed since each.
+        interpolation: Linear between the knots, or rising as the cube of the time that has passed since each.
     """
 
     time: Annotated[list[Number], Field(min_length=1)]
@@ -29,19 +29,19 @@ class PressureTable(Table):
 
 
 class RefinementTable(Table):
-    """Where the mesh becomes finer; see `jaxform.Refinement`.
+    """Criteria and limits of adaptive refinement; see `jaxform.Refinement`.
 
     Attributes:
         angle: Largest angle of an element's and its neighbours' normals to their mean [degrees].
-        interval: Steps from one look at the mesh to the next, rounded up to whole windows.
-        max_level: Elements at this level are not bisected for what they look like, only to fit their neighbours.
-        min_area: Smallest initial area of a part [m^2].
+        interval: Steps between two refinements of the mesh, rounded up to whole windows.
+        max_level: Elements at this level are bisected only for conformity with their neighbours.
+        min_area: Smallest initial area of a bisected element's halves [m^2].
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
-        base_reach: What is near: so many times the element's longest side.
-        scaled_levels: The finest so many levels are made heavier, so that they do not shorten the step.
+        base_reach: Distance that counts as near, in units of the element's longest side.
+        scaled_levels: Number of the finest levels with mass scaling, so that they do not shorten the step.
         at_rest: Whether new nodes close to the mold begin at rest.
-        jump: Largest ratio, less 1, of neighbours' thicknesses; without it they may differ.
-        elements: Room for so many elements at first; the run makes more by itself.
+        jump: Largest ratio, less 1, of neighbours' thicknesses; unlimited without it.
+        elements: Initial capacity for elements; the run increases it as needed.
     """
 
     angle: Annotated[float, declared_range("refinement.angle")] = 4.0
@@ -60,11 +60,11 @@ class SolverTable(Table):
     """Time integration; `quasi_static` says that the process is meant to be slow: a quasi-static error is warned of.
 
     Attributes:
-        end_time: When the simulation ends [s]; it ends earlier when nothing can move any more.
-        damping: Proportional to the mass [1/s]; without it, none.
+        end_time: End of the simulation [s]; it ends earlier when nothing can move any more.
+        damping: Mass-proportional damping [1/s]; none by default.
         safety: Factor on the longest stable step.
         quasi_static: Whether a slow process is meant: the run then warns where inertia or damping shows.
-        max_steps: Where a run stops at the latest.
+        max_steps: Limit on the steps of a run.
     """
 
     end_time: Annotated[float, declared_range("solver.end_time")]
@@ -75,15 +75,15 @@ class SolverTable(Table):
 
 
 class CoolingTable(Table):
-    """How the sheet cools, to the air on both sides and to the mold where it touches that; see `jaxform.Cooling`.
+    """Cooling of the sheet, to the air on both sides and to the mold in contact; see `jaxform.Cooling`.
 
     Attributes:
-        heat_capacity: Of the sheet [J/(kg K)].
+        heat_capacity: Specific heat capacity of the sheet [J/(kg K)].
         air: Heat transfer coefficient to the air [W/(m^2 K)].
-        air_temperature: [degC].
+        air_temperature: Temperature of the air [degC].
         mold: Heat transfer coefficient to the mold [W/(m^2 K)].
-        mold_temperature: [degC].
-        conductivity: Of the sheet [W/(m K)]: its surfaces are then colder than its middle.
+        mold_temperature: Temperature of the mold [degC].
+        conductivity: Thermal conductivity of the sheet [W/(m K)]: its surfaces are then colder than its middle.
     """
 
     heat_capacity: Annotated[float, declared_range("cooling.heat_capacity")]
@@ -101,10 +101,10 @@ class CoolingTable(Table):
 
 
 class Output(Table):
-    """What to write beyond the result; `reference` is an exact solution to dot over the thickness picture.
+    """Output beyond the result; `reference` is an exact solution to dot over the thickness picture.
 
     Attributes:
-        frames: How many moments are written as VTU, beside the last.
+        frames: Number of times at which VTU files are written, besides the last.
         reference: A table (CSV) of an exact wall, drawn over the picture.
     """
 
@@ -116,17 +116,17 @@ class SceneFile(Table):
     """A scene file.
 
     Attributes:
-        name: Of the scene; by default that of the file.
+        name: Name of the scene; by default that of the file.
         description: One line for the list of scenes.
         parison: The sheet.
-        material: Its law.
+        material: The material model.
         pressure: The pressure history.
         mold: The mold; without it the sheet is inflated freely.
-        part: Which of the formed sheet is the part; without it, all of it.
-        refinement: Where the mesh becomes finer; without it, nowhere.
-        cooling: How the sheet cools; without it, it keeps its temperature.
+        part: Selection of the part from the formed sheet; without it, all of it.
+        refinement: Adaptive refinement; without it, the mesh does not change.
+        cooling: Cooling of the sheet; without it, it keeps its temperature.
         solver: Time integration.
-        output: What to write beyond the result.
+        output: Output beyond the result.
     """
 
     name: str | None = None

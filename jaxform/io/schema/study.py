@@ -18,9 +18,9 @@ class StudyFile(Table):
     Attributes:
         description: One line for the list of studies.
         scene: A built-in scene, or a scene file relative to this one.
-        variable: What may change: one table or more.
-        objective: What is wanted: one table, or several that add up by weight.
-        solver: How it is searched for.
+        variable: Design variables: one table or more.
+        objective: The objective: one table, or several that add up by weight.
+        solver: The search method.
     """
 
     description: str = ""

@@ -1,4 +1,4 @@
-"""Tables of what a study may change."""
+"""Tables of the design variables of a study."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class ThicknessProfileTable(Table):
     Attributes:
         kind: The kind of variable.
         along: Place in the initial sheet.
-        knots: How many, evenly placed; this or `at`.
+        knots: Number of knots, evenly placed; this or `at`.
         at: Places of the knots [m].
         bounds: Least and largest thickness [m].
-        interpolation: Straight between knots, a cubic spline, or constant zones.
+        interpolation: Linear between knots, a cubic spline, or constant zones.
         slope: Largest change along the place [m/m].
     """
 
@@ -97,14 +97,14 @@ class ScaleTable(Table):
 
 
 class HeaterZonesTable(Table):
-    """Design what a grid of heaters over the sheet is set to; each place has their mean, by view factors.
+    """Design the settings of a grid of heaters over the sheet; each place has their mean, by view factors.
 
     Attributes:
         kind: The kind of variable.
-        grid: How many heaters along x and along y, over the sheet's extent.
-        distance: From the heaters to the sheet [m]: the farther, the more they blur; 0 for sharp zones.
+        grid: Number of heaters along x and along y, over the sheet's extent.
+        distance: Distance from the heaters to the sheet [m]: the farther, the more they blur; 0 for sharp zones.
         bounds: Least and largest setting, in the unit of `of`.
-        of: What is designed: parison.temperature [degC], or a number of the law.
+        of: The designed field: parison.temperature [degC], or a parameter of the material.
     """
 
     kind: Literal["heater-zones"]
