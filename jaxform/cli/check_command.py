@@ -1,4 +1,4 @@
-"""What `jaxform check` says about a scene or a study, line by line; no step is run."""
+"""Output of `jaxform check` for a scene or a study, line by line; no step is run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _BYTES_AT_FIRST, _COPIES = 350e6, 3.0
 
 
 def read_study(source: str, store: Store) -> tuple[SceneDocument, Scene, list[str]]:
-    """A study's scene, and what the study asks for, line by line.
+    """A study's scene, and the settings of the study, line by line.
 
     Raises:
         InputError: Something in the study or its scene is wrong.
@@ -79,7 +79,7 @@ def _short(value: Any) -> str:
 
 
 def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator[str]:
-    """What will be simulated, how, and what is skipped."""
+    """Lines on the simulation, its settings, and what is skipped."""
     seen = survey(scene)
     yield from _sheet_lines(document, scene, seen)
     yield from _mold_lines(scene, seen)
@@ -187,7 +187,7 @@ def _duration(seconds: float) -> str:
 
 
 def _temperature_line(scene: Scene, temperature: np.ndarray) -> str:
-    """How warm the sheet is, and how fast it cools at first."""
+    """Line on the temperature of the sheet and its initial cooling rates."""
     low, high = temperature.min(), temperature.max()
     text = f"{low:.4g} degC" if low == high else f"{low:.4g} to {high:.4g} degC"
     cooling, wall, second = scene.cooling, scene.parison.thickness.mean(), as_real(1e-3)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command, that of the process where no arguments are given, and returns its exit status."""
-    # What is imported stays: to look for garbage in it takes a tenth of a short run. `prepare` turns it on again.
+    # Imported objects stay: garbage collection over them takes a tenth of a short run. `prepare` enables it again.
     gc.disable()
     try:
         arguments = _parser().parse_args(argv)
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         session.guard.close()
         if argv is None:
-            # The process ends: to look through all that is left for garbage takes a quarter of a second.
+            # The process ends: a last garbage collection would take a quarter of a second.
             gc.freeze()
         else:
             # For a caller that goes on, wherever the command ended.

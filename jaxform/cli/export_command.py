@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from jaxform.mesh.meshes import Mesh
 
 FORMATS = ("abaqus", "calculix", "radioss", "vtu", "csv")
-"""Those of `jaxform.io.export`, which takes NumPy to import."""
+"""Names of the formats of `jaxform.io.export`, whose import needs NumPy."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds what `jaxform export` takes."""
+    """Adds the arguments of `jaxform export`."""
     parser.add_argument("folder", metavar="DIR", type=Path, help="results of `jaxform simulate` or `jaxform optimize`")
     parser.add_argument("--to", required=True, choices=FORMATS, help="what it is written for")
     words = "a mesh of your own to carry the wall over to, in place of the formed one"
@@ -68,7 +68,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 
 def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSurface, list[str]]:
-    """The wall on the mesh that is named, in that one's coordinates, and what is to be said about it."""
+    """The wall on the given mesh, in its coordinates, and notes about it."""
     from jaxform.io.export import mapping, pose
     from jaxform.mesh import meshes
 
@@ -93,7 +93,7 @@ def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSur
 def _target(
     arguments: argparse.Namespace, wall: WallSurface, path: Path
 ) -> tuple[Mesh, Callable[[np.ndarray], np.ndarray], list[str]]:
-    """The mesh that is named [m], what takes its places to those of the scene, and a sentence where these differ."""
+    """The given mesh [m], the pose that moves it into the scene, and a sentence where these differ."""
     from jaxform.io.export import mapping, pose
 
     given = 1.0 if arguments.scale is None else arguments.scale

@@ -1,4 +1,4 @@
-"""The command `jaxform fit`: numbers of a material from tables of tests."""
+"""The command `jaxform fit`: parameters of a material from tables of tests."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _NAMES = ("file", "kind", "column", "stretch", "time", "height", "measured", "fi
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds what the command takes."""
+    """Adds the arguments of the command."""
     words = "tables of tests, each as PATH or KIND=PATH; kinds: uniaxial, equibiaxial, pure-shear, relaxation, bubble"
     parser.add_argument("sources", metavar="DATA.csv", nargs="+", help=words)
     parser.add_argument("--model", metavar="NAME", required=True, help="the law, as in a scene file")
@@ -38,7 +38,7 @@ def fit(arguments: argparse.Namespace) -> int:
     """Runs `jaxform fit` with its arguments and returns its exit status.
 
     Raises:
-        InputError: A table or an option is wrong, or the tests cannot tell the law's numbers.
+        InputError: A table or an option is wrong, or the tests do not determine the model's parameters.
     """
     say, _ = session.prepare(arguments)
     import optimize

@@ -22,7 +22,7 @@ _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds what `jaxform new` takes."""
+    """Adds the arguments of `jaxform new`."""
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
     parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
     parser.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def start(arguments: argparse.Namespace) -> int:
-    """Writes the folder, says what was found and what to run next; returns the exit status."""
+    """Writes the folder, prints the findings and the next command; returns the exit status."""
     say = (lambda _: None) if arguments.quiet else session.say
     for key in ("scale", "thickness"):
         _check_positive(f"--{key}", getattr(arguments, key))
@@ -88,7 +88,7 @@ def _check_positive(key: str, value: float | None) -> None:
 
 
 def _warn(made: Draft) -> None:
-    """Of what was found and may be meant otherwise."""
+    """Warns of findings that the user may not intend."""
     from jaxform.io import drape_setup, scene_text, units
     from jaxform.tools import opening
 

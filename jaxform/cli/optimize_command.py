@@ -1,4 +1,4 @@
-"""The command `jaxform optimize`: a search, what it says as it goes, and what it leaves on disk."""
+"""The command `jaxform optimize`: a search, its progress, and its files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
 
         def on_evaluation(row: dict[str, Any]) -> None:
             rows.append(row)
-            # Written anew each time: a search that is killed leaves what it did.
+            # Rewritten each time: a search that is killed leaves its results so far.
             optimize.write_history(folder / "history.csv", rows)
             if bar is not None:
                 bar(min(row["iteration"] / study.iterations, 1.0), _progress_words(row))
@@ -51,7 +51,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
             session.warn(sentence)
 
         try:
-            # What is hardly meant in a design on the way is no news; the last one's summary says it.
+            # Warnings about intermediate designs are not shown; the summary of the last one has its own.
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", InputWarning)
                 design = optimize.solve(
@@ -67,7 +67,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
 
 
 def _exit_status(design: Any) -> int:
-    """That of a design; one that does not fill its mold is no failure of the search: its summary says so, as here."""
+    """The exit status of a design; an unfilled mold is no failure of the search, only a warning, as in its summary."""
     from jaxform.results.explanation import explain
     from jaxform.sheet.state import Status
 
@@ -78,7 +78,7 @@ def _exit_status(design: Any) -> int:
 
 
 def _limits_status(design: Any) -> int:
-    """That of a design which breaks a limit: the search stopped before it kept all."""
+    """The exit status by limits: stopped where a design breaks one, because the search ended before it kept all."""
     if design.broken:
         print(f"jaxform: {design.broken}", file=sys.stderr)
         return session.STOPPED
@@ -113,7 +113,7 @@ def _write_design(arguments: argparse.Namespace, study: Any, design: Any, refere
 
 
 def _changes_sheet(changes: dict[str, Any]) -> bool:
-    """Whether an exact solution for the scene's own sheet no longer applies."""
+    """True if changes to the sheet invalidate an exact solution for the scene."""
     return any(key.startswith(("parison.", "material.")) for key in changes)
 
 
@@ -131,7 +131,7 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
         f"{1e3 * best['mass']:.4g} g, objective {first['objective']:.4g} -> {best['objective']:.4g}"
     )
     if facts["multiplier"] is not None:
-        # By how much they are broken is told with the status.
+        # The violations are reported with the status.
         kept = "broken" if design.broken else f"kept to {100 * facts['violation']:.2g} %"
         say(
             f"limits are {kept}; multiplier {facts['multiplier']:.3g}: what the objective gains per relative change of "

@@ -1,7 +1,7 @@
-"""The command `jaxform warm`: compiles beforehand what runs of common scenes, or of those that are named, need.
+"""The command `jaxform warm`: compiles the programs for runs of common scenes, or of the given ones.
 
-What is compiled depends on the kind of a scene (its law, whether it is refined, how its pressure rises) and on the
-rungs of its sizes, not on its meshes and numbers. A small scene of each kind stands for all, with room for more.
+Programs depend on the kind of a scene (its material model, refinement and interpolation of pressure) and on its bucket
+sizes, not on its meshes and parameters. A small scene of each kind, padded to capacity, represents all.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ class SceneKind(NamedTuple):
     """Scenes that share their programs.
 
     Attributes:
-        words: What they are.
-        make: Makes a small one.
-        elements: What they have room for.
+        words: Description of the scenes.
+        make: Function that returns a small scene.
+        elements: Their capacity for elements.
     """
 
     words: str
@@ -80,19 +80,19 @@ class SceneKind(NamedTuple):
     elements: int
 
     def compile(self, store: Store) -> bool:
-        """Compiles what they need; whether there was anything to do."""
+        """Compiles their programs; True if any was missing."""
         scene = self.make()
         if is_compiled(scene, store, self.elements):
             return False
         compile_for(scene, store, self.elements)
-        # What is compiled is in files; in memory it would only take room.
+        # Compiled programs are in files; in memory they would only take space.
         store.clear_memory()
         jax.clear_caches()
         return True
 
 
 def kinds() -> Iterator[SceneKind]:
-    """The common ones: a sheet of each law in a mold, as it is and refined, at each rung; small ones first."""
+    """The common kinds: each material model's sheet in a mold, fixed or refined, by bucket size; small ones first."""
     laws: dict[str, Law] = {
         "mooney-rivlin": MooneyRivlin(as_real(2e5), as_real(0.1), as_real(1e3)),
         "neo-hookean": NeoHookean(as_real(2e5), as_real(1e3)),

@@ -1,4 +1,4 @@
-"""What the commands share: precision, the cache, the output folder, the bar, and what is said on the two streams."""
+"""Common parts of the commands: precision, cache, output folder, progress bar, and messages on the two streams."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 _SELDOM = (100_000, 50, 50)
-"""When to look for garbage: as usual, a short run would look through all that it imports, for a tenth of its time."""
+"""Thresholds of garbage collection: with the usual ones a short run would spend a tenth of its time on imports."""
 _MOMENT = 1.0  # s, after which it is said what takes so long
 guard = contextlib.ExitStack()
 """Of the compiled programs, while a command uses them."""
 
 
 def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[[str], None], Store]:
-    """Sets the precision and what is kept between runs; returns what prints for people, and the store.
+    """Sets the precision and the cache; returns the function that prints for people, and the store.
 
-    What a run of the `subject` took last time is being loaded from now on.
+    The programs of the last run of the `subject` are loaded concurrently from now on.
     """
     import jax
 
@@ -60,7 +60,7 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
 
 
 def cache_folder() -> Path | None:
-    """In the user's cache folder; None where that is not the user's alone, or cannot be written."""
+    """The folder in the user's cache folder; None where that is not the user's alone, or cannot be written."""
     return cachefolder.user_cache_folder()
 
 
@@ -100,7 +100,7 @@ def open_folder(folder: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | None]:
-    """A bar on a terminal, nothing in a pipe: what it gives takes the fraction done and a few words, or is None."""
+    """A bar on a terminal, none in a pipe: yields a function of the fraction done and a few words, or None."""
     if not (show and sys.stderr.isatty()):
         yield None
         return
@@ -143,7 +143,7 @@ def run_in_background[T](work: Callable[[], T]) -> Iterator[Future[T]]:
 
 
 def start_picture(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[DirectCaller]:
-    """What has a picture drawn, meanwhile and elsewhere where the process is the command's own."""
+    """A caller that draws a picture concurrently, in another process where this process is the command's."""
     return make_caller("jaxform.io.canvas", "warm_up", arguments.own_process)
 
 
@@ -171,7 +171,7 @@ def write_part(
     *,
     there: bool = False,
 ) -> dict[str, Any]:
-    """Writes files, what is to be written `then`, and the picture; warns of what was not told before.
+    """Writes files, what is to be written `then`, and the picture; gives the warnings not given before.
 
     The summary is amended on request. The part may be there already (`output.write_at_once`).
     """
@@ -199,7 +199,7 @@ def write_part(
 
 
 def _failure(work: Callable[[], object]) -> Exception | None:
-    """What kept something from being written; it is told when all else is."""
+    """The error that prevented writing; it is reported after everything else."""
     try:
         work()
     except (OSError, InputError) as error:
@@ -218,7 +218,7 @@ def write_report(folder: Path) -> None:
 
 
 def exit_status(result: Result) -> int:
-    """That of a run, with why it stopped on standard error."""
+    """The exit status of a run; prints to standard error why it stopped."""
     from jaxform.results.explanation import explain
 
     if int(result.status):
@@ -239,5 +239,5 @@ def say(words: str) -> None:
 
 
 def warn(sentence: str) -> None:
-    """On standard error, --quiet or not."""
+    """Prints a warning to standard error, --quiet or not."""
     print(f"jaxform: warning: {sentence}", file=sys.stderr)

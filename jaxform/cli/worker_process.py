@@ -20,7 +20,7 @@ _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
 
 
 class PendingCall(NamedTuple):
-    """A call that may be done elsewhere: what waits for it, and whether it is."""
+    """A call that may run in another process: the function that waits for it, and whether it does."""
 
     wait: Callable[[], object]
     elsewhere: bool
@@ -30,18 +30,18 @@ class DirectCaller:
     """Calls are done in this process, when they are waited for."""
 
     def start_call(self, function: Callable[..., object], *arguments: Any) -> PendingCall:
-        """What waits for the call of a function."""
+        """A pending call of a function, which runs when it is waited for."""
         return PendingCall(lambda: function(*arguments), elsewhere=False)
 
 
 class WorkerCaller(DirectCaller):
     """Another process that gets ready for calls, then does them one after the other.
 
-    What it cannot do, for whatever reason, is done here in the end: errors are those of this process.
+    A call that fails there, for whatever reason, is repeated in this process, which raises its errors.
 
     Args:
         module: A module that it imports.
-        ready: The function of that which it calls, so that all is there that will be needed.
+        ready: Function of that module that it calls first, to import and set up what calls need.
     """
 
     def __init__(self, module: str, ready: str) -> None:
@@ -78,7 +78,7 @@ class WorkerCaller(DirectCaller):
 
 @contextlib.contextmanager
 def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]:
-    """What begins calls of functions of a module: in another process, where one is wanted and can be had."""
+    """Yields a caller of a module's functions: in another process, where one is wanted and available."""
     other = None
     if wanted and _cores() > 1:
         with contextlib.suppress(OSError):
@@ -91,7 +91,7 @@ def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]
 
 
 def _cores() -> int:
-    """That this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -109,7 +109,7 @@ def _no_interrupts() -> Iterator[None]:
 
 
 def _serve(asked: Connection, module: str, ready: str) -> None:
-    """What the other process does, until nobody asks any more."""
+    """Serves calls in the worker process until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.disable()
     with contextlib.suppress(*_NO_ANSWER):
@@ -120,5 +120,5 @@ def _serve(asked: Connection, module: str, ready: str) -> None:
                 function(*arguments)
                 done = True
             except Exception:
-                done = False  # it is tried again by who asked, and tells why
+                done = False  # the parent process calls again, and reports the error
             asked.send(done)
