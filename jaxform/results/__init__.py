@@ -1,1 +1,1 @@
-"""What comes out: the formed part, its wall, its energies, and what is said of them."""
+"""Results of a run: the formed part, its wall, its energies, and their description."""

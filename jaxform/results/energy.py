@@ -1,4 +1,4 @@
-"""The energy account of a run, and what can be said of it."""
+"""The energy balance of a run, and its checks."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ from jaxform.core.pytree import marked_field_names, pytree
 from jaxform.sheet.state import LOSS
 
 _DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
-UNBALANCED = 0.01  # of the largest work, that the account may miss
+UNBALANCED = 0.01  # largest error of the energy balance, relative to the largest work
 
 
 @pytree
 class Energy:
-    """Energy account of the modelled part [J]; every term is computed by itself, none by difference.
+    """Energy balance of the modelled part [J]; every term is computed by itself, none by difference.
 
     Attributes:
         strain: Strain energy at the end.
         kinetic: Kinetic energy at the end.
         external_work: Pressure forces times nodal displacements: the sum of P dV, unless an open rim moves.
-        tool_work: Done by the mold as it moved.
+        tool_work: Work of the moving mold.
         damping_loss: Work done against damping.
         contact_loss: Kinetic energy of the nodes when they stuck.
         refinement_loss: Strain and kinetic energy that new nodes took away.
-        viscous_loss: What viscous modes dissipated.
+        viscous_loss: Dissipation of the Maxwell branches.
         cooling_loss: Strain energy lost as the temperature softened the sheet, less what it won as it stiffened.
         kinetic_peak: Largest kinetic energy at the end of a window.
         peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no
             derivative.
-        rounding: What the account may miss by rounding alone; carries no derivative.
+        rounding: Error of the balance by rounding alone; carries no derivative.
     """
 
     strain: jax.Array
@@ -50,9 +50,9 @@ class Energy:
     @property
     @jax.jit
     def balance_error(self) -> jax.Array:
-        """What the account misses, relative to the largest work; above 1 % the status is `UNBALANCED`.
+        """Error of the energy balance, relative to the largest work; above 1 % the status is `UNBALANCED`.
 
-        Of work so small that rounding shows in it, relative to a hundred times the rounding.
+        For work so small that rounding matters, it is relative to a hundred times the rounding.
         """
         kept = self.strain + self.kinetic + sum(getattr(self, name) for name in marked_field_names(self, LOSS))
         largest = jnp.maximum(jnp.abs(self.work), self.peak_work) + self.rounding / UNBALANCED
@@ -60,19 +60,19 @@ class Energy:
 
     @property
     def work(self) -> jax.Array:
-        """Done on the sheet, by pressure and by the mold as it moved."""
+        """Work done on the sheet by the pressure and by the moving mold."""
         return self.external_work + self.tool_work
 
     @property
     @jax.jit
     def measurable(self) -> jax.Array:
-        """Whether the work was ever more than what rounding alone makes of it."""
+        """True if the work was ever larger than its rounding error."""
         return jnp.maximum(jnp.abs(self.work), self.peak_work) > self.rounding
 
     @property
     @jax.jit
     def quasi_static_error(self) -> jax.Array:
-        """About how far, relative, the wall is from that of the same process done slowly (0 where nothing moved).
+        """Estimated relative error of the wall against the same process done slowly (0 where nothing moved).
 
         The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
         went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones

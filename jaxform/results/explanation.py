@@ -91,7 +91,7 @@ def _describe_status(result: Result) -> str:
 
 
 def _describe_gap(result: Result) -> str:
-    """Where how much of a mold is left open, in words."""
+    """Description of the gap that is left open: its width, place, and share of the depth; empty if not measured."""
     if result.filling is None:
         return ""
     left, depth = result.filling.left, result.filling.depth

@@ -1,4 +1,4 @@
-"""Whether a formed part fills its mold: the widest gap, measured against the depth of the opening. On the host."""
+"""Filling of a mold by a formed part: the widest gap, measured against the depth of the opening. On the host."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _BRIDGED, _WIDE = 2.0, 0.025  # sides of an element, and of the mold's size, tha
 
 
 class Filling(NamedTuple):
-    """How far a formed part is from filling its mold.
+    """Gaps between a formed part and its mold.
 
     Attributes:
         gap: The widest gap between the part and the mold before it.
-        depth: Of the opening [m]: how far the deepest place of the mold that the sheet meets first on its way along
-            the push was before the sheet when the run began; 0 where the gap is so small that it was not measured.
+        depth: Depth of the opening [m]: initial distance, along the push, from the sheet to the deepest place of the
+            mold that it meets first; 0 where the gap is so small that it was not measured.
         left: The widest gap, of at least a fifth of the depth, before places that the sheet is to reach, where elements
             are free to move: then the mold is not filled. `NO_GAP` where there is none.
     """
@@ -42,12 +42,12 @@ class Filling(NamedTuple):
 
     @property
     def unfilled(self) -> bool:
-        """Whether a fifth of the opening's depth is left open."""
+        """True if a fifth of the opening's depth or more is left open."""
         return self.left.width > 0.0
 
 
 def measure_filling(result: Result, scene: Scene) -> Filling:
-    """How far the formed part is from filling its mold; no gap where there is no mold, or no part."""
+    """Gaps between the formed part and its mold; no gap where there is no mold, or no part."""
     positions, lost = np.asarray(result.positions, float), Status.RUNAWAY | Status.ESCAPED | Status.BURST
     if scene.mold is None or scene.tables.grid is None or int(result.status) & lost or not np.isfinite(positions).all():
         return Filling(NO_GAP, 0.0, NO_GAP)
@@ -92,7 +92,7 @@ def _first_gap(scene: Scene, push: float, places: Array) -> float:
 
 
 def mold_offset(result: Result, scene: Scene) -> Array:
-    """How far the mold has moved (3,) [m]: its grid is of how it starts, from where a sheet is looked at."""
+    """Displacement of the mold (3,) [m] at the end of the run; its grid is at the initial position."""
     return np.zeros(3) if scene.motion is None else np.asarray(scene.motion.offset(as_real(float(result.time))), float)
 
 

@@ -13,11 +13,11 @@ from jaxform.mechanics import membrane
 from jaxform.model.scene import Scene
 from jaxform.results.result import Result
 
-_RINGS = 64  # of elements, over which what touches nothing takes after what does
+_RINGS = 64  # elements over which contact is extended to nodes that touch nothing
 
 
 def part_elements(result: Result, scene: Scene) -> Any:
-    """Which elements (n_element,) are the part, as the scene's `Part` says; all that are used without one.
+    """Mask of the elements (n_element,) of the part, by the scene's `Part`; without one, all that are used.
 
     Traced or not; piecewise constant in the design.
     """
@@ -32,9 +32,9 @@ def part_elements(result: Result, scene: Scene) -> Any:
 
 
 def _shares(result: Result, scene: Scene, walls: Any) -> Any:
-    """To which part of the mold nodes belong (n_node,): 1 on its chosen triangles, -1 on others and where clamped.
+    """Assignment of nodes to parts of the mold (n_node,): 1 on its chosen triangles, -1 on others and where clamped.
 
-    Nodes that touch nothing, as in corners that are not filled, take the mean of those around them, again and again.
+    Nodes that touch nothing, as in corners that are not filled, take the mean of those around them, iteratively.
     """
     wall, used = jnp.asarray(result.wall), jnp.asarray(result.used)
     own = walls[jnp.maximum(jnp.abs(wall) - 1, 0)]
@@ -71,7 +71,7 @@ def mask_part(result: Result, scene: Scene) -> Result:
 
 
 def restrict_to_part(result: Result, scene: Scene) -> tuple[Result, list[str]]:
-    """As `mask_part`, on the host; of a part without any element, the whole sheet, and a sentence that says so."""
+    """The result of `mask_part`, on the host; if no element is in the part, the whole sheet, and a sentence on that."""
     if scene.part is None:
         return result, []
     part = mask_part(result, scene)

@@ -1,4 +1,4 @@
-"""What in a formed part is hardly meant, and its thinnest place: found after the run, on the host."""
+"""Warnings of likely errors in a formed part, and its thinnest place: found after the run, on the host."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 
 _OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
 _NEXT_TO = 1e-4  # of the sheet's size
-_MOST_ASKED = 3000  # elements, whether they pass through the sheet
-_TORN = 0.01  # of the initial thickness: less of a free wall is beyond any sense
+_MOST_ASKED = 3000  # elements checked for passing through the sheet
+_TORN = 0.01  # of the initial thickness: a thinner free wall is implausible
 
 
 def thinnest_element(result: Result, scene: Scene) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def thinnest_element(result: Result, scene: Scene) -> dict[str, Any]:
 
 
 def warnings_of_part(result: Result, scene: Scene) -> list[str]:
-    """A sentence for each thing in a part that is hardly meant, with the remedy."""
+    """A sentence for each likely error in a part, with the remedy."""
     # Of a run that broke off, but for a sheet that ran away, the status says more.
     told = Status.RUNAWAY | Status.ESCAPED | Status.BURST | Status.UNBALANCED | Status.UNFILLED
     broken = int(result.status) & ~told
@@ -55,7 +55,7 @@ def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
         return []
     initial, active = np.asarray(scene.parison.positions, float), np.asarray(result.active)
     moved = np.linalg.norm(np.asarray(result.positions, float) - initial, axis=1)
-    # What lies on the mold, or next to it, sticks to it in the first step.
+    # Nodes on the mold, or next to it, stick to it in the first step.
     far = moved > _NEXT_TO * np.ptp(initial, axis=0).max()
     if ((np.asarray(result.contact_time) > 0) & far & active).any() or np.asarray(result.stuck)[active].all():
         return []
@@ -66,7 +66,7 @@ def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
 
 
 def _warnings_of_escape(result: Result, scene: Scene) -> list[str]:
-    """Where the sheet is out of the mold's box and of the one that it was in at first."""
+    """Warnings of a sheet that left both the mold's box and its own initial one."""
     if scene.mold is None:
         return []
     initial = np.asarray(scene.parison.positions, float)
@@ -95,7 +95,7 @@ def _images(scene: Scene, walls: Array) -> list[Array]:
 
 
 def has_burst(result: Result, scene: Scene) -> bool:
-    """Whether a part came to its end after its sheet was blown through itself.
+    """True if a run reached its end although its sheet was blown through itself.
 
     A film is then stretched unrealistically far, and cuts what it left through.
     """
@@ -105,7 +105,7 @@ def has_burst(result: Result, scene: Scene) -> bool:
 
 
 def _ratio(result: Result) -> Array:
-    """Of the elements' thickness to the initial one (n_element,)."""
+    """Ratio of the elements' thickness to the initial one (n_element,)."""
     return 1.0 / np.maximum(np.prod(np.asarray(result.stretches, float), axis=1), 1e-300)
 
 

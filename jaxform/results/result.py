@@ -1,4 +1,4 @@
-"""What a simulation gives: the formed part, its wall thickness, energies, and the summary in numbers and words."""
+"""Result of a simulation: the formed part, its wall thickness, energies, and the summary in numbers and words."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from jaxform.sheet.heat import ThermalElements, ThermalState, contact_share, tem
 from jaxform.sheet.state import Schedule, State, Taken, is_at_rest
 
 NODAL, OF_ELEMENTS = {"of": "nodes"}, {"of": "elements"}
-"""Mark what a result has for each node, and for each element."""
+"""Marks for the fields of a result that have a value for each node, or for each element."""
 
 
 @pytree
@@ -53,30 +53,31 @@ class Result:
             simulated. So are the elements' thickness, volume and stretches, and the mass.
         active: Nodes that exist at the end (n_node,).
         stuck: Nodes that do not move any more (n_node,).
-        contact_time: When a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
-        wall: What a node sticks to (n_node,): one more than the number of the mold's triangle, negative where the node
+        contact_time: Time at which a node stuck (n_node,) [s]; -1 where free, 0 where clamped.
+        wall: Contact of a node (n_node,): one more than the number of the mold's triangle, negative where the node
             came from the far side of its normal; 0 where it does not touch the mold.
         fields: The scene's own nodal fields, by name (n_node,); 0 where the node does not exist.
         triangles: Node numbers of the elements (n_element, 3).
-        level: How often each was bisected from the scene's mesh (n_element,).
-        used: Elements that exist at the end (n_element,); the others have room only.
+        level: Number of bisections of each from the scene's mesh (n_element,).
+        used: Elements that exist at the end (n_element,); the others are unused capacity.
         element_volume: Their volume (n_element,) [m^3], which they keep; 0 where not used.
         element_thickness: Final thickness of the elements (n_element,) [m].
         stretches: Larger and smaller principal stretch of the elements (n_element, 2).
         velocities: Final node velocities (n_node, 3) [m/s].
-        mass: Of the modelled part [kg].
-        added_mass: What fine elements were given to keep the step long, relative to it.
-        energy: The energy account.
+        mass: Mass of the modelled part [kg].
+        added_mass: Mass added to fine elements to keep the step long, relative to the mass.
+        energy: The energy balance.
         time: Simulated time [s].
         steps, windows, shortened: Steps and windows taken, and windows that were rejected and retried.
         status: Bits of `jaxform.Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
-        filling: How far the mold is filled, where `run` measured it, else None.
-        temperature: At the nodes (n_node,) [degC], where the sheet cools; at the end time where nothing can move any
+        filling: Filling of the mold, where `run` measured it, else None.
+        temperature: Temperature at the nodes (n_node,) [degC], where the sheet cools; at the end time where nothing can
+            move any
             more before. None where it keeps what it has at first.
-        loading: The state that the loading has of its own, now; None where it has none.
-        out_of_range: Which numbers of the scene were out of range, as bits of several words, in the order of
+        loading: Final state of the loading; None where it has none.
+        out_of_range: Numbers of the scene that were out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.
     """
 
@@ -130,7 +131,7 @@ def make_result(
     Args:
         state: The state.
         scene: The scene.
-        first: The sheet as it was at first.
+        first: The initial sheet.
         taken: The windows that were taken, as the first parts of a `Schedule`.
         last: Whether the run has ended: a sheet that cannot move any more cools on until the end time.
     """
@@ -158,7 +159,7 @@ def make_result(
     ratios = nodal_ratio(ratio, sheet, reference, mobility > 0.0)
 
     def nodal(values: jax.Array, otherwise: jax.Array | float) -> jax.Array:
-        """In the order of the scene's nodes; what does not exist has another value."""
+        """Values in the order of the scene's nodes, and another value for nodes that do not exist."""
         return values if mesh is None else jnp.where(active, values[..., node], otherwise)
 
     def in_scene_order(values: jax.Array, rule: FieldRule) -> jax.Array:
@@ -211,7 +212,7 @@ def make_result(
 def _change_of_temperature(
     state: State, scene: Scene, now: Discretization, ratio: jax.Array, last: jax.Array | bool
 ) -> jax.Array | None:
-    """How much warmer the nodes (n_node,) are than at first [K]: the mean of their elements; None without cooling."""
+    """Change of the nodes' temperature (n_node,) [K] since the start: mean of their elements; None without cooling."""
     cooling, heat, sheet, nodes = scene.cooling, state.heat, now.sheet, state.nodes
     if cooling is None or heat is None or now.temperature is None:
         return None
@@ -221,7 +222,7 @@ def _change_of_temperature(
     density = now.zones.get("density", scene.material.density)
     walls = ThermalElements(now.temperature, wall, share, density)
     change = temperature_change(heat, cooling, walls, time)
-    # From there on it touches what it touches now.
+    # Contact does not change after that.
     begun = jnp.broadcast_to(time, change.shape)
     walls = walls._replace(share=contact_share(nodes, sheet.triangles, begun, time))
     still = (state.status == 0) & is_at_rest(state, scene) & last
@@ -240,9 +241,9 @@ def _added_mass(scene: Scene, now: Discretization, mesh: RefinedMesh | None) -> 
 
 
 def drop_unused(scene: Scene, result: Result) -> tuple[Scene, Result]:
-    """The part with the nodes and elements alone that exist, for pictures and files: room is left out on the host.
+    """The part with existing nodes and elements only, for pictures and files: drops unused capacity, on the host.
 
-    A mold that moves is where it was at that time.
+    A moving mold is at its position at that time.
     """
     if scene.mold is not None:
         scene = dataclasses.replace(scene, mold=scene.mold.at(float(result.time)))

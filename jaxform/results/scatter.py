@@ -51,7 +51,7 @@ def thinnest_recovered(result: Result, scene: Scene) -> dict[str, Any]:
 
 
 def is_axisymmetric(scene: Scene) -> bool:
-    """Whether a round sheet, as thick all around the z axis, is formed freely or in a mold of revolution about it."""
+    """True if a round sheet of axisymmetric thickness is formed freely or in a mold of revolution about the z axis."""
     if not sections.is_disc(scene):
         return False
     whole = 2 ** len(sections.symmetry_planes(scene))
@@ -69,7 +69,7 @@ def is_axisymmetric(scene: Scene) -> bool:
 
 
 def _is_ring_pattern(values: Array, off_axis: NDArray[np.bool_], fewest: int) -> bool:
-    """Whether each of the values (n, 2) off the axis is there so many times at least."""
+    """True if each of the values (n, 2) off the axis occurs at least `fewest` times."""
     _, count = np.unique((values[off_axis] / _ALIKE).round(), axis=0, return_counts=True)
     return bool((count >= fewest).all())
 

@@ -31,7 +31,7 @@ class SectionCurve(NamedTuple):
 
 
 def is_disc(scene: Scene) -> bool:
-    """Whether the initial sheet is flat and its clamped rim a circle about the z axis."""
+    """True if the initial sheet is flat and its clamped rim a circle about the z axis."""
     positions, clamped = np.asarray(scene.parison.positions), np.asarray(scene.parison.clamped)
     radius = np.hypot(positions[:, 0], positions[:, 1])
     if not clamped.any():
@@ -67,7 +67,7 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
     """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet.
 
     Args:
-        scene: What was simulated.
+        scene: The simulated scene.
         result: The part.
         through: A place (3,) [m] in the initial sheet through which they run; its middle by default.
     """
@@ -97,7 +97,7 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
 
 
 def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, name: str) -> SectionCurve:
-    """Of the pieces of a section, the one that runs nearest to a place [m] in the initial sheet."""
+    """The piece of a section that passes nearest to a place [m] in the initial sheet."""
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     element = int(np.argmin(np.linalg.norm(corners.mean(1) - through, axis=1)))
     place = np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)[element]].mean(0)
@@ -123,7 +123,7 @@ def _middle(scene: Scene, axis: int) -> float:
 
 
 class Cut(NamedTuple):
-    """Where a plane cuts a part: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order."""
+    """Cut of a part by a plane: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order."""
 
     place: Array
     thickness: Array
@@ -135,7 +135,7 @@ class Cut(NamedTuple):
 
 
 def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple[Array, Array]]:
-    """Where the plane at `level` [m] across an axis cuts the initial sheet, seen in the formed part.
+    """Cut of the initial sheet by the plane at `level` [m] across an axis, seen in the formed part.
 
     Returns:
         Arc length [m] and thickness [m] of each connected piece, the longest first; a closed one ends where it began.
@@ -144,7 +144,7 @@ def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple
 
 
 def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool = False) -> list[Cut]:
-    """Where the plane at `level` [m] across an axis cuts the initial sheet, or the formed part itself.
+    """Cut of the initial sheet, or of the formed part itself, by the plane at `level` [m] across an axis.
 
     Returns:
         Each connected piece, the longest first; a closed one ends where it began.
@@ -168,7 +168,7 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
 
 
 def cut_triangles(faces: Array, axis: int, level: float) -> Array:
-    """Where a plane across an axis cuts triangles (n, 3, 3): the ends of a line in each that it cuts, (k, 2, 3)."""
+    """Cut of triangles (n, 3, 3) by a plane across an axis: the ends of a line in each that it cuts, (k, 2, 3)."""
     above = faces[..., axis] >= level
     cut = above.any(1) & ~above.all(1)
     faces, above = faces[cut], above[cut]

@@ -22,7 +22,7 @@ def parison_of(result: Result, scene: Scene) -> Parison:
 
     Args:
         result: The part; not traced.
-        scene: What was simulated.
+        scene: The simulated scene.
 
     Returns:
         The parison, with the final positions (n_node, 3) [m], and with a nodal thickness (n_node,) [m] of which the

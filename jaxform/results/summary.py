@@ -1,4 +1,4 @@
-"""A part in numbers and words: the contents of summary.json, and what is warned of."""
+"""A part in numbers and words: the contents of summary.json, and its warnings."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from jaxform.results.sections import symmetry_planes
 from jaxform.sheet.state import Status
 from jaxform.tools.penetration import Penetration, penetration, resting_directions
 
-SLOW_ENOUGH = 0.01  # what a process that should be slow may differ by, predicted, before it is warned of
-_NODES_BEYOND = 1e-6  # of the sheet's size, that a node may be beyond the mold
-_ELEMENTS_BEYOND = 0.5  # of the longest side of an element, the same of an element
+SLOW_ENOUGH = 0.01  # predicted quasi-static error above which a slow process is warned of
+_NODES_BEYOND = 1e-6  # of the sheet's size: tolerated penetration of a node
+_ELEMENTS_BEYOND = 0.5  # of the longest side of an element: tolerated penetration of the element
 
 
 def formed_areas(result: Result) -> np.ndarray:
@@ -36,9 +36,9 @@ def formed_areas(result: Result) -> np.ndarray:
 
 
 def wrinkle_fraction(result: Result) -> np.ndarray:
-    """How much of the sheet lies in folds (n_element,), where it is narrower than the tension in it would leave it.
+    """Share of the sheet that lies in wrinkles (n_element,), where it is narrower than its tension would leave it.
 
-    One less the area that the elements have over that of their material; of a law with `tension_field`.
+    One minus the ratio of the elements' area to that of their material; for a material with `tension_field`.
     """
     larger, smaller = np.square(np.asarray(result.stretches, float)).T
     relaxed = relax_slack_strain(
@@ -96,7 +96,7 @@ def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
 
 
 def _facts(result: Result, scene: Scene) -> dict[str, Any]:
-    """What is known of a part without measuring it against the mold."""
+    """Entries of the summary that need no measurement against the mold."""
     area = formed_areas(result)
     seconds = result.seconds or Seconds(0.0, 0.0)
     kinds = [name for name in Energy.__dataclass_fields__ if name not in ("peak_work", "rounding")]
@@ -133,7 +133,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
 
 
 def _wrinkles(result: Result, scene: Scene, area: np.ndarray) -> dict[str, float]:
-    """The share of the sheet that lies in folds, where its law lets it wrinkle."""
+    """The share of the sheet that lies in wrinkles, where its material model allows them."""
     return (
         {"wrinkled_fraction": float(area @ wrinkle_fraction(result) / area.sum())}
         if scene.material.tension_field
@@ -153,7 +153,7 @@ def _temperatures(result: Result, scene: Scene) -> dict[str, dict[str, float]]:
 
 
 def warnings_of(result: Result, scene: Scene) -> list[str]:
-    """What to mind about a part that was formed as asked for: a sentence each, with the remedy."""
+    """Warnings about a part that was formed as asked for: a sentence each, with the remedy."""
     still = int(result.status) & ~Status.UNFILLED == 0 and (scene.motion is not None or bool(np.any(scene.pushes())))
     return [*(warnings_of_no_work(result.energy) if still else []), *_warnings_of_inertia(result, scene)]
 
@@ -182,7 +182,7 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
 
 
 def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[str]:
-    """A sentence where the part is so far beyond the mold that its shape is not to be trusted."""
+    """A sentence where the part penetrates the mold so far that its shape is unreliable."""
     if scene.mold is None:
         return []
     corners = np.asarray(result.positions, float)[np.asarray(result.triangles)[np.asarray(result.used)]]
@@ -227,8 +227,8 @@ def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.n
     """A sentence where an element cuts the mold deeper than its wall is thick.
 
     Args:
-        beyond: How far the part is beyond the mold, and where.
-        corners: Of the elements (n_element, 3, 3) [m].
+        beyond: Penetration of the part into the mold, and its place.
+        corners: Corners of the elements (n_element, 3, 3) [m].
         walls: Their thickness (n_element,) [m].
     """
     nearest = int(np.argmin(np.linalg.norm(corners.mean(1) - beyond.place, axis=1)))
@@ -242,7 +242,7 @@ def _warnings_of_cut_edges(beyond: Penetration, corners: np.ndarray, walls: np.n
 
 
 def measure_penetration(result: Result, scene: Scene) -> Penetration:
-    """How far the formed part is beyond the mold; nowhere, where there is no mold."""
+    """Penetration of the formed part into the mold; zero where there is no mold."""
     positions = np.asarray(result.positions, float)
     if scene.mold is None or not np.isfinite(positions).all():
         return Penetration(0.0, 0.0, np.zeros(3))
@@ -257,9 +257,10 @@ def measure_penetration(result: Result, scene: Scene) -> Penetration:
 
 
 def add_filling(result: Result, scene: Scene) -> Result:
-    """The result of a run with how far it fills its mold, and `UNFILLED` in its status where it does not; on the host.
+    """The result of a run with its filling of the mold, and `UNFILLED` in its status where it does not; on the host.
 
-    One that has it is as it was. The status of a run that stopped says more; of a mold that need not be filled
+    A result that has it is returned unchanged. The status of a run that stopped says more; of a mold that need not be
+    filled
     (`Scene.fill`) none is set.
     """
     if result.filling is not None:
