@@ -1,1 +1,1 @@
-"""Loops over windows: `simulate`, `run`, batches; the arrays they work in, and more room where it is needed."""
+"""Loops over windows: `simulate`, `run`, batches; their arrays, and larger capacities where needed."""

@@ -1,4 +1,4 @@
-"""The parts of a scene in arrays with room: on the host, in NumPy."""
+"""The parts of a scene in arrays padded to capacity: on the host, in NumPy."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _FAR_LATER = 1e6  # times as late as the last knot, or as many seconds: where th
 
 
 class Order(NamedTuple):
-    """Where the nodes (n_node,), and the triangles of the forest (n_triangle,), of a scene are in a padded one.
+    """Places of a scene's nodes (n_node,), and of its forest's triangles (n_triangle,), in a padded scene.
 
-    And the room for elements and for nodes before the mesh is refined, then for all nodes and triangles.
+    Also the capacities for elements and for nodes before the mesh is refined, then for all nodes and triangles.
     """
 
     node: np.ndarray
@@ -38,7 +38,7 @@ class Order(NamedTuple):
 
 
 def pad_values(values: Any, room: int, fill: Any) -> Any:
-    """Values (..., n) with as many more as there is room for."""
+    """Values (..., n), padded to capacity."""
     values = np.asarray(values)
     if values.shape[-1] == room:
         return values
@@ -48,7 +48,7 @@ def pad_values(values: Any, room: int, fill: Any) -> Any:
 
 
 def scatter_values(values: Any, place: np.ndarray, room: int, fill: Any) -> Any:
-    """Values (..., n) at places (n,) of the room, and elsewhere another."""
+    """Values (..., n) at places (n,) of a padded array, and `fill` elsewhere."""
     values = np.asarray(values)
     if len(place) == room:
         return values
@@ -58,7 +58,7 @@ def scatter_values(values: Any, place: np.ndarray, room: int, fill: Any) -> Any:
 
 
 def pad_with_first(values: Any, room: int) -> Any:
-    """Values (..., n) with as many more of the first one as there is room for."""
+    """Values (..., n), padded to capacity with the first one."""
     values = np.asarray(values)
     new = np.empty((*values.shape[:-1], room), values.dtype)
     new[..., : values.shape[-1]] = values
@@ -67,12 +67,12 @@ def pad_with_first(values: Any, room: int) -> Any:
 
 
 def pad_nodal(values: Any, order: Order, fill: Any) -> Any:
-    """Values (..., n_node), in the order of the padded nodes, another beyond."""
+    """Values (..., n_node) in the order of the padded nodes, and a fill value at the others."""
     return scatter_values(values, order.node, order.node_room, fill)
 
 
 def pad_parison(parison: Parison, elements: int, order: Order) -> Parison:
-    """The parison; nodes beyond lie where the first one lies, and are clamped."""
+    """The padded parison; padded nodes are at the place of the first one, and clamped."""
     positions = np.asarray(parison.positions)
     there = pad_nodal(np.ones(len(order.node), bool), order, False)
     places: Any = np.where(there, pad_nodal(positions.T, order, 0.0), positions[:1].T).T
@@ -91,7 +91,7 @@ def pad_parison(parison: Parison, elements: int, order: Order) -> Parison:
 
 
 def pad_material(material: Law, order: Order) -> Law:
-    """The law; at nodes beyond, its zones are as at the first node."""
+    """The material model; at padded nodes, its zones are as at the first node."""
     there = pad_nodal(np.ones(len(order.node), bool), order, False)
 
     def pad_zone(own: Any) -> Any:
@@ -102,7 +102,7 @@ def pad_material(material: Law, order: Order) -> Law:
 
 
 def pad_sheet(sheet: ReferenceGeometry, room: int, order: Order) -> ReferenceGeometry:
-    """Elements beyond those there are lie where the first one lies, and have no area."""
+    """The padded geometry; padded elements are at the place of the first one, and have no area."""
     return ReferenceGeometry(
         triangles=pad_with_first(order.node[np.asarray(sheet.triangles)].astype(np.int32), room),
         inverse_metric=pad_with_first(sheet.inverse_metric, room),
@@ -112,12 +112,12 @@ def pad_sheet(sheet: ReferenceGeometry, room: int, order: Order) -> ReferenceGeo
 
 
 def pad_initial_contact(lying: Any, order: Order) -> Any:
-    """What lies on the mold at first; where nothing does, it says so of every node."""
+    """Initial contact of the nodes, padded; none at any node where the scene has none."""
     return pad_nodal(np.zeros(len(order.node), np.int32) if lying is None else lying, order, 0)
 
 
 def pad_rim(rim: Rim, order: Order) -> Rim:
-    """Edges beyond those there are begin and end at one node."""
+    """The padded rim; padded edges begin and end at one node."""
     ends, triangle = order.node[np.asarray(rim.ends)].astype(np.int32), rim.triangle
     room = capacities.rim_edge_capacity(ends.shape[1])
     if triangle is not None and order.triangle is not None:
@@ -126,7 +126,7 @@ def pad_rim(rim: Rim, order: Order) -> Rim:
 
 
 def pad_assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
-    """How nodes gather forces; of elements beyond those there are, none does."""
+    """The table by which nodes gather forces, padded; nothing is gathered from padded elements."""
     table, rows = np.asarray(assembly.table), capacities.table_row_capacity(len(assembly.table))
     deep: Any = np.full((rows, nodes), -1, np.int32)
     deep[: table.shape[0], : table.shape[1]] = table
@@ -135,7 +135,7 @@ def pad_assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
     if pairs is not None:
         room = capacities.pair_capacity(pairs.element.shape[1], elements)
         pair: Any = np.asarray(pairs.element)
-        # A pair beyond those there are is of an element beyond those there are, and of no other.
+        # A padded pair has one padded element and no other.
         first, second = pad_values(pair[0], room, elements - 1), pad_values(pair[1], room, -1)
         both: Any = np.stack([first, second])
         pairs = ElementPairs(
@@ -154,7 +154,7 @@ def pad_assembly(assembly: Assembly, elements: int, nodes: int) -> Assembly:
 
 
 def pad_field(field: Field, order: Order) -> Field:
-    """What it has at each node, at the first one's value beyond."""
+    """The field with its nodal values, and the first node's value at padded nodes."""
     there = pad_nodal(np.ones(len(order.node), bool), order, False)
     new = {}
     for name in nodal_parameter_names(field):
@@ -165,7 +165,7 @@ def pad_field(field: Field, order: Order) -> Field:
 
 
 def pad_pressure(pressure: Loading) -> Loading:
-    """The pressure is held after the last knot: there are further ones, of the same value, long after."""
+    """The pressure with padded knots long after the last one, of the same value."""
     if not isinstance(pressure, Pressure):
         return pressure
     time, value = _extend_knots(np.asarray(pressure.time), np.asarray(pressure.value))
@@ -180,7 +180,7 @@ def _extend_knots(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def pad_mold(mold: Mold) -> Mold:
-    """The mold; triangles and vertices beyond are copies of the first one."""
+    """The padded mold; padded triangles and vertices are copies of the first one."""
     triangles = capacities.mold_triangle_capacity(len(mold.triangles))
     vertices = capacities.node_capacity(len(mold.vertices), triangles)
     return Mold(
@@ -196,7 +196,7 @@ def _pad_motion(motion: Motion) -> Motion:
 
 
 def pad_grid(grid: SearchGrid) -> SearchGrid:
-    """No cell lists a triangle beyond those there are."""
+    """The padded grid; no cell lists a padded triangle."""
     cells = max(grid.bound.size, 0 if grid.far is None else grid.far.start.size)
     room, rows = capacities.cell_capacity(cells), capacities.mold_triangle_capacity(grid.number.size)
     far = grid.far
@@ -222,7 +222,7 @@ def pad_grid(grid: SearchGrid) -> SearchGrid:
 
 
 def forest_order(forest: BisectionHierarchy, roots: int) -> Order:
-    """Level by level, the first triangles' parts come at the begin of each level's room, as do the first nodes."""
+    """The padded order of a forest: at each level, the first triangles' parts come first, as do the first nodes."""
     levels = np.arange(forest.depth + 1)
     begin, size = forest.root_count * ((1 << levels) - 1), forest.root_count << levels
     triangle = np.arange(forest.partner.size) + np.repeat(roots * ((1 << levels) - 1) - begin, size)
@@ -235,7 +235,7 @@ def forest_order(forest: BisectionHierarchy, roots: int) -> Order:
 
 
 def pad_forest(forest: BisectionHierarchy, refinement: Refinement, order: Order) -> BisectionHierarchy:
-    """The forest; triangles beyond those there are have no area and no parts."""
+    """The padded forest; its padded triangles have no area and no parts."""
     assert order.triangle is not None
     place, room, node = order.triangle, order.triangle_room, order.node
     roots, first = order.elements, order.first_nodes

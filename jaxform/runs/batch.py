@@ -33,7 +33,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
     Args:
         scene: The scene.
         changes: New values at dotted paths, as `replace` takes them, with a row for each design (n_design, ...).
-        workers: How many threads; one per core by default.
+        workers: Number of threads; one per core by default.
 
     Raises:
         InputError: If a path or a row does not fit the scene, or the numbers of rows differ.
@@ -46,7 +46,7 @@ def simulate_batch(scene: Scene, changes: Mapping[str, ArrayLike], *, workers: i
 
 
 def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> Result:
-    """Of the designs, stacked."""
+    """Results of the designs, stacked."""
     designs = [replace(scene, {path: values[k] for path, values in rows.items()}) for k in range(_row_count(rows))]
     if not on_cpu():
         return _simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
@@ -58,7 +58,7 @@ def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> 
 
 
 def _rows(changes: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
-    """What is to be changed, as arrays with a row for each design."""
+    """The changes, as arrays with a row for each design."""
     if not isinstance(changes, Mapping):
         raise InputError("is no mapping of paths to rows of values", "stack a row per design", "changes", changes)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(dict(changes))):

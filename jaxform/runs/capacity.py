@@ -1,7 +1,7 @@
-"""More room where a run found too little: for elements, for pairs near the mold, for windows. On the host.
+"""Larger capacities where a run overflowed: for elements, for pairs near the mold, for windows. On the host.
 
-What has a size in a compiled program is planned when a scene is built. Where a plan does not suffice the run is left
-as it was before, and goes on in a program with more room.
+Sizes of compiled programs are planned when a scene is built. Where one does not suffice, the run keeps the state
+before the overflow, and continues in a program with a larger capacity.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ _MORE_PAIRS, _MOST_PAIRS = 4, 2048  # times as many; and at most so many for eac
 def enlarge_room(
     scene: Scene, state: State, taken: Taken, done: bool, most_steps: int
 ) -> tuple[Scene, State, Taken] | None:
-    """The scene with more room of the kind that a state found too little of, and the run's state in it.
+    """The scene with a larger capacity of the kind that overflowed, and the run's state in it.
 
-    None where it found enough, or where more would be of no use.
+    None where nothing overflowed, or where a larger capacity would be of no use.
 
     Args:
         scene: The scene.
-        state: Where the run is.
-        taken: What its windows took.
-        done: Whether there is nothing left to do.
-        most_steps: Where the run stops at the latest.
+        state: State of the run.
+        taken: Decisions of its windows.
+        done: Whether the run is finished.
+        most_steps: Limit on the steps of the run.
     """
     status, tables, adaptivity = int(state.status), scene.tables, scene.adaptivity
     if status == Status.REFINEMENT_OVERFLOW and adaptivity is not None and can_enlarge_capacity(adaptivity):
         return *enlarge_capacity(scene, adaptivity, state), taken
     if status == Status.CONTACT_OVERFLOW and tables.pairs_per_node < _MOST_PAIRS:
         wider = dataclasses.replace(tables, pairs_per_node=_MORE_PAIRS * tables.pairs_per_node)
-        # The window that found no room counts as none that failed.
+        # The window that overflowed does not count as failed.
         retries = jnp.maximum(state.control.retries - 1, 0)
         control = dataclasses.replace(state.control, retries=retries)
         state = dataclasses.replace(state, status=jnp.zeros_like(state.status), control=control)
@@ -51,6 +51,6 @@ def enlarge_room(
 
 
 def remaining_windows(scene: Scene, state: State, most_steps: int) -> int:
-    """How many windows a run may take until its plan, or the limit on its steps, is at its end."""
+    """Number of windows that a run may take until the end of its plan, or its limit on steps."""
     steps = most_steps - int(state.steps)
     return max(0, min(scene.tables.window_count - int(state.windows), -(-steps // int(scene.tables.longest_window))))

@@ -1,4 +1,4 @@
-"""`run`: the host's loop, which shows progress, can be stopped, and makes room."""
+"""`run`: the host's loop, which shows progress, can be stopped, and increases capacities."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _GOING, _LAST = np.bool_(False), np.bool_(True)
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """What `run` tells its caller after each window.
+    """Progress that `run` reports to its caller after each window.
 
     Attributes:
         time: Simulated time [s].
-        end_time: When the simulation ends [s].
+        end_time: End of the simulation [s].
         steps: Steps taken.
-        result: Call it for the part as it is now.
+        result: Function that returns the part in its present state.
     """
 
     time: float
@@ -69,7 +69,7 @@ def run(
     Warns:
         InputWarning: If the solver is asked for a slow process (`quasi_static`) and this was none, the pressure moved
             nothing that could be measured, nothing touched the mold, the sheet left the mold's box or passes through
-            itself, or a free wall became thinner than makes any sense.
+            itself, or a free wall became implausibly thin.
     """
     check_scene(scene)
     check_numbers(scene)

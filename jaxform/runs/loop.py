@@ -1,4 +1,4 @@
-"""The host's loop of windows as programs: what begins a run, takes windows, closes it and makes its result."""
+"""Programs of the host's loop of windows: they begin a run, take windows, end it and make its result."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from jaxform.sheet.energy_balance import energy_rounding
 from jaxform.sheet.state import PackedState, State, Status, Taken, is_finished
 
 IN_MEMORY = Store()
-_ABOVE = 2  # rungs whose programs serve a smaller mesh too, rather than that others are compiled
+_ABOVE = 2  # next larger bucket sizes whose compiled programs are used for a smaller mesh too
 _LARGE = 20_000  # elements, whose runs take as long as compiling: such a mesh has programs of its own
 
 
@@ -48,7 +48,7 @@ def result_of(
 
 @jax.jit
 def finalize_state(state: State, scene: Scene, first: Discretization) -> State:
-    """The last state; where the windows did not suffice, or energy was lost or won, its status says so."""
+    """The final state; its status tells if the windows did not suffice, or if the energy is out of balance."""
     short = jnp.where(is_finished(state, scene), 0, Status.WINDOWS_EXHAUSTED)
     least = energy_rounding(scene, jnp.sum(first.sheet.area * first.thickness))
     missing = jnp.abs(state.account.imbalance) > UNBALANCED * state.account.peak_work + least
@@ -58,7 +58,7 @@ def finalize_state(state: State, scene: Scene, first: Discretization) -> State:
 
 @jax.jit
 def begin(scene: Scene) -> tuple[State, Discretization, Taken]:
-    """The first state and body of a run, and room for what its windows take."""
+    """The initial state and discretization of a run, and empty arrays for the decisions of its windows."""
     count = scene.tables.window_count
     state = initial_state(scene)
     none = jnp.zeros(count, state.time.dtype)
@@ -69,7 +69,7 @@ def begin(scene: Scene) -> tuple[State, Discretization, Taken]:
 def advance(
     state: State, scene: Scene, first: Discretization, taken: Taken, most: jax.Array
 ) -> tuple[State, Taken, jax.Array]:
-    """At most so many windows."""
+    """At most `most` windows."""
 
     def continues(carry: _LoopState) -> jax.Array:
         return (carry.count < most) & ~is_finished(carry.state, scene)
@@ -81,7 +81,7 @@ def advance(
             state, now, active = refine_in_place(state, scene, now, active)
             stale |= state.refined_mesh.element_count != before
             if active.idle is not None and carry.active.idle is not None:
-                # What is idle was brought up to date: it holds another energy now.
+                # Idle elements were brought up to date, so that their energy has changed.
                 stale |= active.idle.since > carry.active.idle.since
         state, active = repack(state, scene, now, active, stale)
         whole_window = lambda now: window_in_place(now[0], scene, now[1])  # noqa: E731
@@ -98,7 +98,7 @@ def advance(
 
 
 class _LoopState(NamedTuple):
-    """What goes from window to window: with the state, in packed order, the body and what of it is active."""
+    """State of the loop over windows: the state in packed order, the discretization, and its active set."""
 
     state: PackedState
     now: Discretization
@@ -108,19 +108,19 @@ class _LoopState(NamedTuple):
 
 
 def latest_decisions(state: State) -> Taken:
-    """Of the last window."""
+    """Decisions of the last window: its length, its number of steps, and its bound."""
     return state.control.last_length, state.control.last_count, state.control.bound
 
 
 def skip_if_full[T](
     status: jax.Array, scene: Scene, take: Callable[[T], T], now: T, only_if: Callable[..., T] = lax_cond_once
 ) -> T:
-    """A window, unless refinement found no room at its border: then the state is left for a run with more."""
+    """A window, unless refinement overflowed at its boundary: the state is left for a run with a larger capacity."""
     return take(now) if scene.refinement is None else only_if(status == 0, take, now)
 
 
 class _Programs(NamedTuple):
-    """Compiled for a scene's sizes: what begins a run and takes windows; soon, what makes its result."""
+    """Compiled programs for a scene's sizes: they begin a run and take windows; a pending one makes its result."""
 
     begin: Callable[[Scene], tuple[State, Discretization, Taken]]
     advance: Callable[..., tuple[State, Taken, jax.Array]]
@@ -128,7 +128,7 @@ class _Programs(NamedTuple):
 
 
 class _PendingPrograms(NamedTuple):
-    """The same three, being compiled side by side."""
+    """The programs of a run, being compiled concurrently."""
 
     begin: PendingProgram
     advance: PendingProgram
@@ -153,10 +153,10 @@ def programs(scene: Scene, store: Store) -> _Programs:
 
 
 def select_bucket(scene: Scene, store: Store) -> Padded:
-    """A scene in the room that a run gives it: of its own rungs, or larger where only the programs for that are there.
+    """The scene padded for a run: to its bucket sizes, or to larger ones where only their programs are compiled.
 
-    A mesh that is not refined comes out the same in any room, its nodes to the last bit, sums to rounding. What is not
-    used of two rungs more takes up to 7 % of a run, and to compile takes seconds.
+    A mesh that is not refined gives the same result at any capacity, its nodes to the last bit, sums to rounding.
+    Padding by two more bucket sizes takes up to 7 % of a run; compiling takes seconds.
     """
     own = room = pad_to_bucket(scene, recorded=True)
     kept = room.order is None or scene.refinement is not None or len(scene.parison.triangles) > _LARGE
@@ -170,13 +170,13 @@ def select_bucket(scene: Scene, store: Store) -> Padded:
 
 
 def is_compiled(scene: Scene, store: Store, least: int | None = None) -> bool:
-    """Whether a run of a scene finds all its programs compiled: those of its rungs, as if it had so many elements."""
+    """True if a run of a scene finds all its programs compiled, for its bucket sizes or at least `least` elements."""
     room = select_bucket(scene, store) if least is None else pad_to_bucket(scene, least, recorded=True)
     return _has_programs(room.scene, store)
 
 
 def _has_programs(scene: Scene, store: Store) -> bool:
-    """Whether all programs for a scene with room are there."""
+    """True if all programs for a padded scene are compiled."""
     if not store.has_program(begin, scene):
         return False
     state, first, taken = store.start_program(begin, scene).shapes
@@ -185,13 +185,13 @@ def _has_programs(scene: Scene, store: Store) -> bool:
 
 
 def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
-    """Compiles what runs of scenes of a kind and rungs need, and keeps it; as if one had at least so many elements."""
+    """Compiles and stores the programs for scenes of a kind and bucket sizes, for at least so many elements."""
     for program in _request_programs(pad_to_bucket(scene, least, recorded=True).scene, store):
         program.ready()
 
 
 def start_programs(scene: Scene, store: Store) -> None:
-    """Compiles what a run of a scene needs, and does not wait for it: the run will find it in the store."""
+    """Starts to compile the programs for a run of a scene; the run will find them in the store."""
     _request_programs(select_bucket(scene, store).scene, store)
 
 

@@ -1,6 +1,6 @@
-"""A scene in arrays that are as long as the rungs of the ladder of sizes, and a result in its own again. On the host.
+"""Padding of a scene's arrays to bucket sizes, and of a result back to its own sizes. On the host.
 
-Scenes of the same kind and rungs are the same to a compiled program. What is beyond a scene's own nodes and elements
+Scenes of a kind and bucket sizes are the same to a compiled program. What is beyond a scene's own nodes and elements
 is inert: such nodes cannot move, such elements have no area, no cell of the search grid lists such a triangle of the
 mold, and the pressure stays what it was after such knots. Names and limits that only the host reads are left out.
 """
@@ -50,12 +50,12 @@ _OF_WINDOWS = ("lengths", "counts", "bounds")
 
 
 class Padded(NamedTuple):
-    """A scene with room, and the scene that it stands for.
+    """A padded scene, and the original scene.
 
     Attributes:
-        scene: It has the structure and shapes of all scenes of its kind and rungs.
+        scene: It has the structure and shapes of all scenes of its kind and bucket sizes.
         own: The scene as it was.
-        order: Where things of the one are in the other; None where they are the same.
+        order: Places of the original's nodes and triangles in the padded scene; None where they are the same.
     """
 
     scene: Scene
@@ -107,12 +107,12 @@ class Padded(NamedTuple):
 
 @with_standard_promotion
 def padded(scene: Scene) -> Scene:
-    """A scene in arrays as long as the rungs of the ladder of sizes, for `jax.jit` of functions of scenes.
+    """The scene in arrays padded to bucket sizes, for `jax.jit` of functions of scenes.
 
-    Such scenes of a kind and rungs have the same structure and shapes, so that a jitted function of one is traced and
-    compiled once for all. Results have as much room: count nodes that are `active` and elements that are `used`; the
+    Scenes of a kind and sizes have the same structure and shapes, so that a jitted function of one is traced and
+    compiled once for all. Results are padded too: count nodes that are `active` and elements that are `used`; the
     others have the thickness 0. `run`, `simulate` outside of traces, and `simulate_batch` do the same by themselves
-    with any scene, and give results without such room.
+    with any scene, and give results without padding.
 
     Raises:
         InputError: If the scene is traced, or is none.
@@ -127,11 +127,11 @@ def padded(scene: Scene) -> Scene:
 
 
 def pad_to_bucket(scene: Scene, least: int = 0, *, recorded: bool = False) -> Padded:
-    """A scene with room, of which nothing is traced; one that has room already is as it was.
+    """The padded scene, of which nothing is traced; a scene that is padded already is returned unchanged.
 
     Args:
         scene: The scene.
-        least: As if it had so many elements before it is refined, where it has fewer.
+        least: Smallest number of elements, before refinement, that the sizes allow for.
         recorded: Whether its windows are only recorded, as by `run`, and no derivative is taken.
     """
     if scene.tables.counts is not None:
@@ -161,7 +161,7 @@ def _mold(mold: Mold) -> Mold:
 
 
 class _PaddedTables(NamedTuple):
-    """Tables with room, limits of refinement that go with it, and where things of a scene are in them."""
+    """Padded tables, their limits of refinement, and the places of a scene's nodes and triangles in them."""
 
     tables: Precomputed
     refinement: Refinement | None
@@ -171,7 +171,7 @@ class _PaddedTables(NamedTuple):
 def _pad_tables(
     tables: Precomputed, count: int, refinement: Refinement | None, least: int, recorded: bool
 ) -> _PaddedTables:
-    """Of the tables of a scene of so many elements; the rest as of `pad_to_bucket`."""
+    """Padded tables of a scene with so many elements; the other arguments are those of `pad_to_bucket`."""
     forest, nodes = tables.forest, tables.mobility.shape[1]
     pair_count = None
     if forest is None:
@@ -186,7 +186,7 @@ def _pad_tables(
         order = forest_order(forest, elements)
         nodes = forest.first_nodes
         none: Any = np.zeros(0, np.int32)
-        # What the mesh was before it was refined is not active.
+        # The mesh before refinement is not active.
         assembly = Assembly(none[None], none, none)
     numbers: list[Any] = [np.int32(number) for number in (count, nodes, pair_count or 0)]
     counts = Counts(numbers[0], numbers[1], None if pair_count is None else numbers[2])

@@ -41,7 +41,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
         scene: The scene.
         schedule: The decisions of an earlier run, from its result: taken as they are, the result is a smooth function
             of the design as far as contact is. Without it every run decides for itself.
-        adjoint: How the reverse derivative is found (`Reversed`, `Checkpointed`, `Stored`); by default the fastest
+        adjoint: Strategy of the reverse derivative (`Reversed`, `Checkpointed`, `Stored`); by default the fastest
             that the scene allows.
 
     Raises:
@@ -65,7 +65,7 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
 
 @jax.custom_jvp
 def _refuse_derivative(end_time: jax.Array) -> jax.Array:
-    """The same; how many steps there are depends on it, so no derivative says what a run for longer would give."""
+    """The end time, without a derivative: the number of steps depends on it, so none would describe a longer run."""
     return end_time
 
 
@@ -102,9 +102,9 @@ def _simulate_checked(adjoint: Adjoint, scene: Scene, schedule: Schedule | None)
 
 
 def _mask_walls(result: Result, unknown: jax.Array) -> Result:
-    """The result, with NaN for what the walls are judged by where that is unknown: the sheet at rest is perfectly even.
+    """The result, with NaN for the wall's values where they are unknown: the sheet at rest would be perfectly even.
 
-    What does not exist has 0, as ever.
+    Nodes and elements that do not exist have 0, as always.
     """
 
     def mask_unknown(values: jax.Array, here: jax.Array) -> jax.Array:
@@ -124,7 +124,7 @@ def _mask_walls(result: Result, unknown: jax.Array) -> Result:
 def _windows(
     state: State, scene: Scene, first: Discretization, schedule: Schedule | None, *, count: int, adjoint: Adjoint
 ) -> tuple[State, Taken]:
-    """So many windows, as far as there is anything to do."""
+    """Up to `count` windows, until the run is finished."""
 
     def look(state: State) -> tuple[State, Discretization]:
         return refine(state, scene, present_discretization(scene, state.mesh, first), schedule)
@@ -147,7 +147,7 @@ def _windows(
 
 @functools.cache
 def _checkpointed_windows(adjoint: Adjoint) -> DerivativeRule:
-    """So many windows of which the reverse derivative keeps the state before the first."""
+    """Rule for `adjoint.windows` windows, of which the reverse derivative keeps only the state before the first."""
 
     def like(state: State, *_: object) -> Any:
         return state, tuple(ShapedArray((adjoint.windows,), leaf.dtype) for leaf in latest_decisions(state))

@@ -1,4 +1,4 @@
-"""What was made of parts of a scene, for as long as these are there: scenes that share them share it."""
+"""Cache of values computed from parts of a scene, for as long as these exist; scenes share them with their parts."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _made: weakref.WeakKeyDictionary[Any, dict[tuple[Hashable, ...], Any]] = weakref
 
 
 def cache_by_identity[P, R, *Ts](make: Callable[[P, *Ts], R], part: P, *others: *Ts) -> R:
-    """What a function makes of a part of a scene and of others, which it does not change.
+    """The value of a function of a part of a scene and of other arguments, cached with the part.
 
-    It is made once while the part is there, unless the part has arrays that can be written into.
+    It is computed once while the part exists, unless the arguments have arrays that can be written into.
 
     Args:
-        make: Depends on its arguments only.
+        make: The function; its value depends on its arguments only.
         part: A record whose leaves are arrays.
-        others: Hashable; records count by what they are, not by what they hold.
+        others: Hashable; records are compared by identity, not by content.
     """
     if any(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves((part, others))):
         return make(part, *others)
