@@ -53,17 +53,17 @@ def dish(
     The file's element count puts a ring of nodes where the file's cup has its corner; with other proportions, refine.
 
     Args:
-        radius: Of the sheet and of the cup's opening [m].
-        depth: Of the cup [m].
-        wall_angle: Of the cup's wall to the sheet [degrees], 90 for a cylinder.
-        elements: About how many triangles the modelled part has to begin with; or
+        radius: Radius of the sheet and of the cup's opening [m].
+        depth: Depth of the cup [m].
+        wall_angle: Angle of the cup's wall to the sheet [degrees], 90 for a cylinder.
+        elements: Approximate initial number of triangles of the modelled part; or
         element_size: Length of the edges [m], a number or a profile {along = "radius", at, value}.
-        symmetry: 'none', 'half' or 'quarter' of it is modelled.
-        thickness: Of the sheet [m], a number or a profile {along, at, value}.
+        symmetry: Symmetry of the model: 'none', 'half' or 'quarter' of the sheet.
+        thickness: Thickness of the sheet [m], a number or a profile {along, at, value}.
         material: Keys of [material]: model and its constants [Pa], density [kg/m^3].
         pressure: The last value [Pa], the others in proportion; or keys of [pressure].
-        end_time: Of the simulation [s].
-        damping: Mass-proportional [1/s].
+        end_time: End of the simulation [s].
+        damping: Mass-proportional damping [1/s].
         refinement: Keys of [refinement]; False for none.
 
     Returns:
@@ -102,18 +102,18 @@ def box_insert(
 
     Args:
         size: Sides of the sheet and of the box's opening [m], two numbers.
-        depth: Of the box [m].
+        depth: Depth of the box [m].
         insert_size: Sides of the block where it stands on the bottom [m], two numbers.
-        insert_height: Of the block [m], less than the depth.
-        draft: By which the walls lean back from the vertical [degrees].
-        elements: About how many triangles the modelled part has to begin with; or
+        insert_height: Height of the block [m], less than the depth.
+        draft: Draft angle of the walls from the vertical [degrees].
+        elements: Approximate initial number of triangles of the modelled part; or
         element_size: Length of the sides of its cells [m].
-        symmetry: 'none', 'half' or 'quarter' of it is modelled.
-        thickness: Of the sheet [m], a number or a profile {along, at, value}.
+        symmetry: Symmetry of the model: 'none', 'half' or 'quarter' of the sheet.
+        thickness: Thickness of the sheet [m], a number or a profile {along, at, value}.
         material: Keys of [material]: model and its constants [Pa], density [kg/m^3].
         pressure: The last value [Pa], the others in proportion; or keys of [pressure].
-        end_time: Of the simulation [s].
-        damping: Mass-proportional [1/s].
+        end_time: End of the simulation [s].
+        damping: Mass-proportional damping [1/s].
         refinement: Keys of [refinement]; False for none.
 
     Returns:
@@ -159,20 +159,20 @@ def soap_bottle(
     """Blow moulding of half a soap bottle with a handle from a flattened parison (paper, 4.3).
 
     Args:
-        height: From bottom to neck [m].
-        radius: Of the body [m].
-        neck_radius: [m].
+        height: Height from bottom to neck [m].
+        radius: Radius of the body [m].
+        neck_radius: Radius of the neck [m].
         hole: Half width and half height of the handle's hole [m].
-        swell: How far the parison is blown up before the pressure comes: 0 is flat, 1 the bottle.
+        swell: Inflation of the parison before the pressure is applied: 0 is flat, 1 the bottle.
         neck_swell: The same at the neck, where the blow pin holds it.
-        inset: How far inside the bottle's outline the parison is clamped [m].
+        inset: Distance of the parison's clamped edge inside the bottle's outline [m].
         element_size: Length of the parison's edges [m], halved where the bottle is narrow.
         mold_element_size: Length of the mold's edges [m].
-        thickness: Of the parison [m], a number or a profile {along, at, value}; y runs from bottom to neck.
+        thickness: Thickness of the parison [m], a number or a profile {along, at, value}; y runs from bottom to neck.
         material: Keys of [material]: model and its constants [Pa], density [kg/m^3].
         pressure: The last value [Pa], the others in proportion; or keys of [pressure].
-        end_time: Of the simulation [s].
-        damping: Mass-proportional [1/s].
+        end_time: End of the simulation [s].
+        damping: Mass-proportional damping [1/s].
         refinement: Keys of [refinement]; the file has none. False for none.
 
     Returns:
@@ -198,7 +198,7 @@ def exact_wall(name: str = "dish") -> dict[str, NDArray[np.float64]]:
     """The exact solution that stands beside a built-in scene, of an independent computation along the meridian.
 
     Args:
-        name: Of the built-in scene.
+        name: Name of the built-in scene.
 
     Returns:
         Arrays (n,): `initial_radius` [m], `arc` [m] from the axis in the formed part, `thickness_ratio` h/h0.
@@ -229,7 +229,7 @@ def _table(
             table, _, last = key.partition(".")
             data[table][last] = _plain(key, value)
     if isinstance(material, Mapping) and "model" in material:
-        # Another law has other constants; of the file's only the density means the same.
+        # Another material model has other constants; of the file's only the density keeps its meaning.
         data["material"] = {"density": data["material"]["density"]}
     data["material"] = _merge("material", data["material"], material)
     data["pressure"] = _pressure(data["pressure"], pressure)
