@@ -1,4 +1,4 @@
-"""What a search is told and what it makes of it: studies, limits, and designs that were evaluated."""
+"""Input and output of a search: studies, limits, and evaluated designs."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ KEPT = 5e-3  # a limit counts as kept to half a per cent of it
 
 @dataclass(frozen=True)
 class Study:
-    """What is designed and how.
+    """Design study: a scene, its variables and objective, and the settings of the search.
 
     Attributes:
         scene: The scene to begin with.
-        variables: What may change.
-        objective: What is wanted.
+        variables: The design variables.
+        objective: The objective to minimize.
         method: "lbfgs", "adam", "least-squares" or "fixed-point".
-        iterations: Steps at most in all: those of the warm start, and of every round between which multipliers change.
+        iterations: Largest number of steps, of the warm start and of all rounds between which multipliers change.
         tolerance: The search ends when five steps together, or two rounds, gain less than this fraction of the value,
             or, of the root of a sum of squares, less than a tenth of it; and when that root itself, the deviation, is
             less than it. 0 for never.
         gradient_tolerance: It ends when the gradient's norm is below this fraction of the first one.
         goal: It ends when the objective is at most this; None for never.
-        max_simulations: It ends before it costs more than the time of so many simulations; None for never.
-        minutes: It ends after so many minutes [min] of the clock; None for never.
-        learning_rate: Of Adam, of which 4 go from one bound to the other.
-        warm_start: So many updates of the fixed point before the search; None for as many as halve the value, for a
+        max_simulations: It ends before it costs more than the time of this many simulations; None for never.
+        minutes: It ends after this wall-clock time [min]; None for never.
+        learning_rate: Learning rate of Adam; the bounds are 4 apart.
+        warm_start: Updates of the fixed point before the search; None for as many as halve the value, for a
             target or an even wall of which the sheet is a variable.
-        starts: From so many designs, strewn about the first one, the best is where the search begins.
-        rounds: At most so many rounds of multipliers.
-        document: Where the scene came from, for writing the best design.
-        digest: What tells this study apart from others, for going on with a search.
-        file: What to call it in messages.
+        starts: Number of designs, scattered about the first one; the search begins at the best.
+        rounds: Largest number of multiplier rounds.
+        document: Document of the scene, for writing the best design.
+        digest: Hash that identifies the study, for resuming a search.
+        file: Name of the study in messages.
     """
 
     scene: Scene
@@ -76,7 +76,7 @@ class Study:
 
 
 class Limits(NamedTuple):
-    """Multipliers (n,) of the constraints and the penalty on what breaks them."""
+    """Multipliers (n,) of the constraints and the penalty on their violation."""
 
     multipliers: jax.Array
     penalty: jax.Array
@@ -88,12 +88,12 @@ class Point:
 
     Attributes:
         free: Its numbers (n,).
-        value: What the search makes small: the objective with what its limits add; infinite where it fails.
-        gradient: Of the value (n,).
+        value: The value to minimize: the objective with the terms of its limits; infinite where it fails.
+        gradient: Gradient of the value (n,).
         objective: The objective alone.
-        excess: Of its constraints (n,), relative to their limits; positive where a limit is broken.
-        row: Of the history.
-        slope: The gradient without what would lead out of the bounds (n,).
+        excess: Excess of its constraints (n,), relative to their limits; positive where a limit is broken.
+        row: Row of the history.
+        slope: The gradient without components that lead out of the bounds (n,).
     """
 
     free: np.ndarray
@@ -106,7 +106,7 @@ class Point:
 
     @property
     def violation(self) -> float:
-        """By how much the worst limit is broken, relative to it; not below 0."""
+        """Violation of the worst limit, relative to it; not below 0."""
         return max(float(self.excess.max()), 0.0) if self.excess.size else 0.0
 
     @property

@@ -1,9 +1,8 @@
-"""What no design within the bounds can reach, said before the search, and which limits it did not keep, said after it.
+"""Goals that no design within the bounds can reach, found before a search, and limits that it broke, found after it.
 
 Forming keeps the volume of every element, so the mean wall is the sheet's volume over the formed area. No surface that
 spans a flat rim has less area than the flat sheet itself: there the mean wall is at most the largest thickness of the
-sheet. A sheet that is not flat, or not held all round, may also shrink; that it would do so to half its area is beyond
-sense.
+sheet. A sheet that is not flat, or not held all round, may also shrink, but not to half its area.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ def _range(values: np.ndarray) -> str:
 
 
 def broken_limits(study: Study, scene: Scene, result: Result, best: Point, ending: Ending) -> str:
-    """Which limits a design's part does not keep, by how much, and what to do; empty where it keeps all."""
+    """Description of the limits that a design's part breaks, by how much, and the remedy; empty where it keeps all."""
     result = mask_part(result, scene)
     # Where the mesh is refined, the part may be a little off the one that the search saw.
     allowed = KEPT if best.violation > KEPT else 2.0 * KEPT
@@ -143,7 +142,7 @@ def _most(study: Study) -> float:
 
 
 def _thicker(study: Study) -> str:
-    """How a sheet would become thicker than it can be."""
+    """Remedy for a sheet that cannot become thick enough."""
     for index, variable in enumerate(study.variables):
         of_sheet = isinstance(variable, Scale) and variable.of == "parison.thickness"
         if of_sheet or isinstance(variable, ThicknessProfile | ThicknessField):
@@ -152,12 +151,12 @@ def _thicker(study: Study) -> str:
 
 
 def _thickest(study: Study) -> float:
-    """What the mean wall cannot exceed [m]."""
+    """Upper bound of the mean wall [m]."""
     return _most(study) * (1.0 if _spans_flat_rim(study.scene) else _SHRUNK)
 
 
 def _spans_flat_rim(scene: Scene) -> bool:
-    """Whether the sheet is flat and its edges are held, or lie on planes of symmetry."""
+    """True if the sheet is flat and its edges are held, or lie on planes of symmetry."""
     positions = np.asarray(scene.parison.positions, float)
     centred = positions - positions.mean(0)
     spread = np.linalg.svd(centred.T @ centred, compute_uv=False)
@@ -167,5 +166,5 @@ def _spans_flat_rim(scene: Scene) -> bool:
 
 
 def _deviation(part: Target, thickest: float) -> float:
-    """What the relative deviation (rms) from a target is at least, if the mean wall is at most so thick [m]."""
+    """Lower bound of the relative deviation (rms) from a target, if the mean wall is at most so thick [m]."""
     return max(1.0 - thickest / float(jnp.min(part.nodal)), 0.0)

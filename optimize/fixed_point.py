@@ -26,7 +26,7 @@ def fixed_point(search: Search, study: Study, point: Point) -> tuple[Point, Endi
 
 
 def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: float = 1.0) -> tuple[Point, Ending]:
-    """So many updates of a design (n,); ends early when one leaves more of the value than is worth it."""
+    """Up to `count` updates of a design (n,); ends early when one leaves more than `worth` times the value."""
     last, ratio = search.evaluate_forward(free)
     for _ in range(count):
         reached = check_goal(study, last)

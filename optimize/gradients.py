@@ -13,7 +13,7 @@ _SIZES, _AGREES = (1e-3, 1e-4, 1e-5, 1e-6), 1e-7
 
 
 def slope_within(free: np.ndarray, gradient: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """The gradient (n,) without what would lead out of the bounds: 0 at one that it presses on."""
+    """The gradient (n,) without components that lead out of the bounds: 0 at one that it presses on."""
     held = np.where(gradient > 0.0, free <= -reach, free >= reach)
     return np.where(held, 0.0, gradient)
 
@@ -25,8 +25,8 @@ def gradient_error(point: Point, reach: np.ndarray, value: Callable[[np.ndarray]
 
     Args:
         point: The design, with its gradient.
-        reach: How far the numbers go to either side of 0 (n,).
-        value: That of a design (n,).
+        reach: Bounds of the numbers on either side of 0 (n,).
+        value: Function for the value of a design (n,).
     """
     direction = np.random.default_rng(0).normal(size=point.free.size)
     direction /= np.linalg.norm(direction)

@@ -22,20 +22,22 @@ _MOST = 400  # heaters
 
 
 class HeaterZones:
-    """A number of the sheet as heaters make it: each node has the mean of what they are set to, by their view factors.
+    """A field of the sheet set by heaters: each node has the mean of their settings, weighted by view factors.
 
     The heaters are the rectangles of a grid over the sheet's extent in x and y, at a distance from it along z; of a
     part of a sheet that is cut along symmetry planes the other heaters are images of these.
 
     Args:
-        scene: The scene; what its own number comes closest to is the start.
+        scene: The scene; the settings that are closest to its own values are the start.
         grid: Heaters along x and along y.
-        distance: From the heaters to the sheet [m]: the farther, the more they blur; 0 for zones with sharp borders.
+        distance: Distance from the heaters to the sheet [m]: the farther, the more they blur; 0 for zones with sharp
+            boundaries.
         bounds: Least and largest setting, in the unit of the number.
-        of: What is designed: "parison.temperature", or a number of the law, such as "material.c".
+        of: The designed field: "parison.temperature", or a parameter of the material, such as "material.c".
 
     Raises:
-        InputError: If the bounds leave no room, the grid has too few heaters or too many, the distance is negative, or
+        InputError: If the bounds do not increase, the grid has too few heaters or too many, the distance is negative,
+            or
             the scene has no such number.
     """
 
@@ -78,7 +80,7 @@ class HeaterZones:
         self.start, self.reach = invert_bounds(settings, bounds), full_reach(settings.size)
 
     def settings(self, free: ArrayLike) -> jax.Array:
-        """What the heaters are set to (n,), those of one y after the other, x first."""
+        """Settings of the heaters (n,), those of one y after the other, x first."""
         return apply_bounds(jnp.asarray(free), self.bounds)
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
@@ -86,7 +88,7 @@ class HeaterZones:
         return {self.of: self._weights @ self.settings(free)}
 
     def shares(self, free: jax.Array) -> jax.Array:
-        """How far the settings (n,) are between their bounds."""
+        """Settings (n,) as fractions of the range between their bounds."""
         return apply_bounds(free, (0.0, 1.0))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
@@ -95,7 +97,7 @@ class HeaterZones:
 
 
 def _view_factors(scene: Scene, grid: tuple[int, int], distance: float) -> np.ndarray:
-    """What each heater does to each node of the mesh (n_node, n); all that a node sees is 1 together.
+    """View factors of each heater at each node of the mesh (n_node, n), normalized to a sum of 1 at each node.
 
     A small piece of sheet sees a small piece of heater, parallel to it, as cos^2 / (pi r^2) of its area.
     """

@@ -1,4 +1,4 @@
-"""What a search asked and was told, kept on disk as it goes, so that one that was killed goes on where it was.
+"""Journal of a search's questions and answers, kept on disk as it goes, so that a killed search can be resumed.
 
 A search is deterministic: begun again, it asks the same questions. Those that are in the journal are answered from
 there, without a simulation; nothing else of the search has to be kept. Each line ends with a checksum of itself: a line
@@ -32,7 +32,7 @@ _BEGIN = b'{"'  # of every line
 
 
 class _Span(NamedTuple):
-    """Where a line is in the file: its first byte and its length."""
+    """Position of a line in the file: its first byte and its length."""
 
     begin: int
     length: int
@@ -47,11 +47,11 @@ class Journal:
 
     Args:
         path: The file, or None to keep nothing.
-        study: What tells studies apart; a journal of another one is refused.
-        resume: Whether the file is read first; else it is written anew.
+        study: Hash of the study; a journal of another one is refused.
+        resume: Whether the file is read first; else it is rewritten.
 
     Attributes:
-        replayed: How many questions were answered from the file so far.
+        replayed: Number of questions answered from the file so far.
 
     Raises:
         InputError: If the journal is of another study, damaged, or cannot be read or written.
@@ -134,7 +134,7 @@ def _line(entry: dict[str, Any]) -> bytes:
 
 
 def _parse_line(line: bytes) -> dict[str, Any] | None:
-    """What a line says; None where it is not as it was written."""
+    """The entry of a line; None where it is damaged."""
     head, _, tail = line.rpartition(b', "sum": ')
     body = head + b"}"
     if tail != b"%d}\n" % zlib.crc32(body):
@@ -148,7 +148,7 @@ def _parse_line(line: bytes) -> dict[str, Any] | None:
 
 
 def _read(path: Path, study: str) -> list[_Span]:
-    """Where the entries of a journal are; cuts off a last line that was not written to its end."""
+    """Positions of a journal's entries; cuts off a last line that was not written to its end."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise InputError("is no regular file", _ANEW, "--resume", str(path))
@@ -163,7 +163,7 @@ def _read(path: Path, study: str) -> list[_Span]:
 
 
 def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
-    """Those of all whole lines, the first one included."""
+    """Positions of all complete lines, the first one included."""
     spans: list[_Span] = []
     begin = 0
     while line := file.readline(MOST_LINE):
@@ -186,7 +186,7 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
 
 
 def _is_truncated(line: bytes) -> bool:
-    """Whether a line begins as one of ours and ends before it is one."""
+    """True if a line begins like one of a journal and is incomplete."""
     if _parse_line(line + b"\n"):
         return True
     try:

@@ -1,4 +1,4 @@
-"""What is wanted of the formed part, as one number to make small, and what must be kept.
+"""Objectives for the formed part, as one value to minimize, and their constraints.
 
 An objective is a sum of squares where `deviations` says so (then least squares apply), and may have constraints
 g <= 0, which the search keeps by an augmented Lagrangian. Objectives add up in a `Weighted` one.
@@ -23,8 +23,8 @@ class Constraints(NamedTuple):
     """Limits that must be kept.
 
     Attributes:
-        excess: (n,), relative to its limit; positive where a limit is broken.
-        weight: (n,), adds up to 1 for each limit: by how much of it each entry counts.
+        excess: Excess (n,), relative to its limit; positive where a limit is broken.
+        weight: Weight (n,) of each entry in its limit; adds up to 1 for each limit.
     """
 
     excess: jax.Array
@@ -32,19 +32,19 @@ class Constraints(NamedTuple):
 
 
 def no_constraints() -> Constraints:
-    """Of an objective that keeps no limits."""
+    """Constraints of an objective without limits: none."""
     return Constraints(jnp.zeros(0), jnp.zeros(0))
 
 
 class Objective:
-    """What is wanted; a kind says at least what its value or its deviations are.
+    """An objective; a subclass defines at least its value or its deviations.
 
     Attributes:
-        uniform: A wall that is wanted everywhere [m], for pictures; None where there is none.
+        uniform: Uniform target wall [m], for pictures; None without one.
         squares: Whether the value is the sum of the squares of `deviations`.
         constrained: Whether there are constraints.
-        aims: Whether it says how thick the wall shall be, so that a fixed point applies.
-        price: The multipliers of its constraints to begin with, before anything is known of them.
+        aims: Whether it has a target thickness, so that a fixed point applies.
+        price: Initial multipliers of its constraints.
     """
 
     uniform: float | None = None
@@ -54,7 +54,7 @@ class Objective:
     price: float = 0.0
 
     def __call__(self, scene: Scene, result: Result) -> jax.Array:
-        """The number to make small; no unit."""
+        """The value to minimize; no unit."""
         return jnp.sum(jnp.square(self.deviations(scene, result)))
 
     def deviations(self, scene: Scene, result: Result) -> jax.Array:
@@ -66,11 +66,11 @@ class Objective:
         raise InputError("is no sum of squares", "use the method lbfgs or adam", "solver.method", "least-squares")
 
     def constraints(self, scene: Scene, result: Result) -> Constraints:
-        """What must be kept; by default nothing."""
+        """Constraints of the objective; none by default."""
         return no_constraints()
 
     def first_multipliers(self, scene: Scene) -> jax.Array:
-        """Those of the constraints (n,) to begin with."""
+        """Initial multipliers of the constraints (n,)."""
         excess = jax.eval_shape(lambda scene: self.constraints(scene, simulate(scene)).excess, scene)
         return jnp.full(excess.shape, self.price)
 
@@ -218,7 +218,7 @@ class LeastMass(Objective):
         return result.mass / self._first_mass
 
     def constraints(self, scene: Scene, result: Result) -> Constraints:
-        """What is missing to the minimum (n_element,), relative to it; each element counts alike."""
+        """Shortfall from the minimum (n_element,), relative to it; each element has the same weight."""
         excess = jnp.where(result.used, 1.0 - result.element_thickness / self.minimum, -1.0)
         return Constraints(excess, jnp.where(result.used, 1.0, 0.0) / jnp.sum(result.used))
 
@@ -235,7 +235,7 @@ class FormingTime(Objective):
 
     Args:
         scene: The scene that is designed.
-        power: Of the mean; the higher, the nearer to the last node's time.
+        power: Power of the mean; the higher, the nearer to the last node's time.
 
     Raises:
         InputError: If the scene has no mold.
@@ -289,23 +289,23 @@ class Weighted(Objective):
         return sum((weight * part(scene, result) for weight, part in self.parts), start=jnp.zeros(()))
 
     def deviations(self, scene: Scene, result: Result) -> jax.Array:
-        """Those of all parts, times the roots of their weights."""
+        """Deviations of all parts, times the roots of their weights."""
         return jnp.concatenate([weight**0.5 * part.deviations(scene, result) for weight, part in self.parts])
 
     def constraints(self, scene: Scene, result: Result) -> Constraints:
-        """Those of all parts."""
+        """Constraints of all parts."""
         each = [part.constraints(scene, result) for _, part in self.parts]
         return Constraints(*(jnp.concatenate(values) for values in zip(*each, strict=True)))
 
     def first_multipliers(self, scene: Scene) -> jax.Array:
-        """Those of all parts, times their weights."""
+        """Multipliers of all parts, times their weights."""
         return jnp.concatenate([weight * part.first_multipliers(scene) for weight, part in self.parts])
 
     def wanted(self, result: Result) -> jax.Array:
-        """That of the first part that aims."""
+        """Wanted thickness of the first objective that has one."""
         return next(part for _, part in self.parts if part.aims).wanted(result)
 
     def error(self, scene: Scene, result: Result) -> jax.Array:
-        """That of the first part with a target."""
+        """Deviation of the first objective with a target; NaN without one."""
         errors = [part.error(scene, result) for _, part in self.parts if isinstance(part, Target)]
         return errors[0] if errors else jnp.asarray(jnp.nan)

@@ -34,7 +34,7 @@ class PressureKnots:
         end_time: Least and largest time of the last knot [s], with which all others move; None leaves them.
 
     Raises:
-        InputError: If the bounds leave no room, or the history would outlast the simulation.
+        InputError: If the bounds do not increase, or the history would outlast the simulation.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class PressureKnots:
         return invert_step_limit(self._design_values(present), self.bounds, change, self._first, self.increasing)
 
     def _changes(self, time: jax.Array) -> jax.Array:
-        """By how much neighbours may differ (n_knot - 1,) [Pa]."""
+        """Largest difference of neighbouring knots (n_knot - 1,) [Pa]."""
         if self.rate is None:
             return jnp.full(time.size - 1, self.bounds[1] - self.bounds[0])
         return self.rate / self._steepest * jnp.diff(time)
@@ -120,7 +120,7 @@ class PressureKnots:
         return {"pressure.time": time, "pressure.value": self._values(free[:-1], time)}
 
     def shares(self, free: jax.Array) -> jax.Array:
-        """How far pressures, and the history's end where it is designed, are between their bounds."""
+        """Pressures, and the history's end where it is designed, as fractions of the range between their bounds."""
         low, high = self.bounds
         if self.end_time is None:
             return (self._values(free, jnp.asarray(self._time)) - low) / (high - low)
@@ -128,5 +128,5 @@ class PressureKnots:
         return jnp.append((pressures - low) / (high - low), apply_bounds(free[-1], (0.0, 1.0)))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
-        """The same as lists."""
+        """The changes as dotted keys of a scene file, with lists."""
         return {path: np.asarray(values, float).tolist() for path, values in self.changes(free).items()}

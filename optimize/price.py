@@ -1,4 +1,4 @@
-"""What a search paid for what it gained."""
+"""Cost of a search for what it gained."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 
 from optimize.designs import KEPT
 
-_LAST = 0.1  # of the gain, whose price is told
+_LAST = 0.1  # of the gain, whose cost is reported
 
 
 def price(rows: Iterable[Mapping[str, Any]]) -> dict[str, float] | None:
-    """What a search gained, and what the last tenth of that cost.
+    """Gain of a search, and the cost of its last tenth.
 
     Args:
-        rows: Of the history, in their order.
+        rows: Rows of the history, in their order.
 
     Returns:
         `gain`, from the first design that keeps its limits to the best one, as the objective counts;
-        `gain_relative`, the same over the first one's objective; `simulations_for_nine_tenths` of it, from the begin;
+        `gain_relative`, the same over the first one's objective; `simulations_for_nine_tenths` of it, from the start;
         and `simulations_for_the_last_tenth`: from there to the search's end, rejected designs included. Both in
-        simulations, by their measured time; between two best designs the gain counts as steady. None where nothing was
+        simulations, by their measured time; between two best designs the gain is linear. None where nothing was
         gained.
     """
     curve: list[tuple[float, float]] = []

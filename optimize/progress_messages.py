@@ -1,4 +1,4 @@
-"""What is waited for while a search compiles."""
+"""Messages while a search compiles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _SECONDS = (20, 40)  # for one, uniform and refined, on two cores
 
 
 def waiting_message(program: str, scene: Scene) -> str | None:
-    """What to say before a program of the search is compiled; None where it takes no time to speak of."""
+    """Message before a program of the search is compiled; None where that takes little time."""
     if program not in _PROGRAMS:
         return None
     seconds = _SECONDS[scene.refinement is not None]

@@ -35,29 +35,29 @@ _FIRST_PENALTY = 300.0
 
 @dataclass
 class Search:
-    """Evaluates designs and remembers them.
+    """Evaluates and records designs.
 
     Attributes:
-        study: What is designed.
+        study: The study.
         on_evaluation: Called with every row of the history; a true answer stops the search.
-        forward_seconds: What a simulation without gradient takes of the processor, the unit of `simulations`: its time
+        forward_seconds: Processor time of a simulation without gradient, the unit of `simulations`: its time
             does not depend on what else runs on the machine.
         history: Rows so far.
         simulations: Cost so far in simulations without gradient.
-        iteration: Which step of the search is being tried.
+        iteration: Step of the search that is being tried.
         pause: The step at which a round ends, though the search goes on.
         best: The best design so far.
-        stopped: Whether the caller wants no more.
-        last: Whether what the search may cost is spent, but for a simulation that was put by.
+        stopped: Whether the caller has stopped the search.
+        last: Whether the budget of the search is spent, except for a reserved simulation.
         schedule: Where the mesh is refined, the decisions that simulations take; None where each decides for itself.
-        journal: What was asked and answered.
+        journal: Journal of questions and answers.
         limits: Multipliers and penalty; None without constraints.
-        seconds: So far, those of earlier parts of the search included [s].
-        gradient_error: What `check` found; None before.
+        seconds: Elapsed time, that of earlier parts of the search included [s].
+        gradient_error: Error found by `check`; None before.
         multiplier: The weighted sum of the multipliers at the end of the last round; None before.
-        updates: Of the fixed point, before the search.
-        on_wait: Called with what is waited for, before programs are compiled.
-        memory: What the method keeps from one round to the next; its own affair.
+        updates: Updates of the fixed point before the search.
+        on_wait: Called with a message before programs are compiled.
+        memory: Private state of the method between rounds.
     """
 
     study: Study
@@ -98,7 +98,7 @@ class Search:
 
     @property
     def reach(self) -> np.ndarray:
-        """How far the numbers go to either side of 0 (n,)."""
+        """Bounds of the numbers on either side of 0 (n,)."""
         return np.concatenate([variable.reach for variable in self.study.variables])
 
     def inside(self, free: np.ndarray) -> np.ndarray:
@@ -113,11 +113,11 @@ class Search:
         return list(zip(self.study.variables, np.split(free, self._splits), strict=True))
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
-        """What `jaxform.replace` takes."""
+        """The changes of the scene, for `jaxform.replace`."""
         return {path: value for part, own in self._parts(free) for path, value in part.changes(own).items()}
 
     def document(self, free: np.ndarray) -> dict[str, Any]:
-        """The same as dotted keys of a scene file."""
+        """The changes as dotted keys of a scene file."""
         parts = self._parts(jnp.asarray(free))
         return {key: value for part, own in parts for key, value in part.document(own).items()}
 
@@ -128,7 +128,7 @@ class Search:
     # --- What is traced -----------------------------------------------------------------------------------------
 
     def judge(self, scene: Scene, result: Result, limits: Limits | None) -> tuple[jax.Array, dict[str, jax.Array]]:
-        """The value of a part, and what is reported of it; traced."""
+        """The value of a part, and its reported statistics; traced."""
         result = mask_part(result, scene)
         objective = value = self.study.objective(scene, result)
         report = {"objective": objective, "error": self.study.objective.error(scene, result)}
@@ -173,7 +173,7 @@ class Search:
         """An answer of the journal, or of some work whose cost is counted.
 
         Raises:
-            SpentError: If the study's limit on simulations or minutes leaves no room for the work.
+            SpentError: If the study's limit on simulations or minutes does not allow the work.
         """
 
         def compute() -> Answer:
@@ -197,7 +197,7 @@ class Search:
             return
         cost = self.simulations + self._costs.get(kind, 1.0)
         if self.limits is not None:
-            cost += self._costs.get("value", 1.0)  # put by for a design that keeps the limits
+            cost += self._costs.get("value", 1.0)  # reserved for a design that keeps the limits
         ending = budget_ending(self.study, cost, time.perf_counter() - self._began)
         if ending is not None:
             raise SpentError(ending)
@@ -212,9 +212,9 @@ class Search:
         return self.accept(free, self.ask("gradient", free, work))
 
     def curvature(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
-        """The same for a sum of squares, with its Gauss-Newton matrix (n, n), from the deviations' slopes.
+        """The point of a sum of squares, with its Gauss-Newton matrix (n, n), from the deviations' slopes.
 
-        All directions go through one simulation forwards: its own numbers are worked out once for all of them.
+        All directions go through one simulation forwards: its primal values are computed once for all of them.
         """
 
         def deviations(free: jax.Array, scene: Scene, schedule: jaxform.Schedule | None) -> tuple[jax.Array, Any]:
@@ -245,7 +245,7 @@ class Search:
         return self._curved
 
     def evaluate_forward(self, free: np.ndarray) -> tuple[Point, np.ndarray]:
-        """The same without gradient, and what is wanted of the wall over what is there (n_node,) where it is known."""
+        """The point without its gradient, and the ratio of wanted to present wall (n_node,) where it is known."""
         answer = self.ask("value", free, lambda: self._forward(free))
         return self.accept(free, answer), np.asarray(answer.get("ratio", []))
 
@@ -313,7 +313,7 @@ class Search:
     # --- Between iterations ------------------------------------------------------------------------------------------
 
     def begin(self) -> Ending | None:
-        """Begins an iteration; why there is none, where the study or the round allows no more."""
+        """Begins an iteration; returns the ending where the study or the round allows no more."""
         if self.iteration >= min(self.study.iterations, self.pause):
             return Ending("iterations", f"{self.iteration} iterations done")
         self.iteration += 1
@@ -345,6 +345,6 @@ class Search:
 
 
 def _plain(report: dict[str, jax.Array]) -> Answer:
-    """As JSON keeps it."""
+    """The report in types that JSON has."""
     plain: Answer = {name: np.asarray(value, float).tolist() for name, value in report.items()}
     return plain | {"status": int(report["status"])}

@@ -1,4 +1,4 @@
-"""Variables that do nothing: seen in the first gradient, and said before the search, with the reason.
+"""Variables without effect: found in the first gradient, and reported before the search, with the reason.
 
 The wall of a slow process depends on neither pressure nor stiffness; a search over them alone goes nowhere.
 """
@@ -49,16 +49,16 @@ def warn_of_insensitive_variables(search: Search, point: Point, first: Result, w
 
 
 def _spans(variable: Variable, free: np.ndarray) -> np.ndarray:
-    """How far each number of the search (n,) would go from one end of its bounds to the other, at its present slope.
+    """Distance of each number of the search (n,) from one end of its bounds to the other, at its present slope.
 
-    No farther than a search would take it.
+    It is limited to the range of a search.
     """
     slopes = np.abs(np.asarray(jax.jacobian(variable.shares)(jnp.asarray(free)))).max(0)
     return 1.0 / np.maximum(slopes, 1.0 / _FARTHEST)
 
 
 def _has_no_effect(search: Search, point: Point, own: slice, size: float) -> bool:
-    """Whether a step of a variable changes nothing either: at a best design the gradient vanishes too, but not this."""
+    """True if a step of a variable changes nothing: at an optimum the gradient vanishes too, but not this change."""
     step = np.zeros_like(point.free)
     step[own] = -_STEP * np.where(point.gradient[own] < 0.0, -1.0, 1.0)
     outside = np.abs(point.free + step) > search.reach

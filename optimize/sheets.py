@@ -54,7 +54,7 @@ class _SheetMap:
         return {"parison.thickness": self._weights @ self._values(free)}
 
     def shares(self, free: jax.Array) -> jax.Array:
-        """How far the numbers (n,) are between their bounds."""
+        """Values (n,) as fractions of the range between their bounds."""
         return (self._values(free) - self.bounds[0]) / (self.bounds[1] - self.bounds[0])
 
     def document(self, free: jax.Array) -> dict[str, Any]:
@@ -82,9 +82,9 @@ class _SheetMap:
 
 
 def _ease(scene: Scene, weights: Array) -> Array:
-    """By how much each of the search's numbers (n,) is stretched, so that all do about as much to the part.
+    """Scale factors of the search's numbers (n,), so that all have about the same effect on the part.
 
-    What one does goes with the root of its material; a search that knows no curvature yet would move those in the
+    The effect of one is proportional to the root of its material; a search without curvature would move those in the
     middle of a disc too little.
     """
     triangles, area = np.asarray(scene.parison.triangles), np.asarray(scene.tables.sheet.area)
@@ -101,13 +101,13 @@ class ThicknessProfile(_SheetMap):
         along: "radius", "x", "y" or "z".
         bounds: Least and largest thickness [m].
         knots: Number of knots (of zones), evenly placed over the sheet; or
-        at: Their places [m], increasing (of zones, their borders).
+        at: Their places [m], increasing (of zones, their boundaries).
         interpolation: "linear" between knots; "cubic", a spline that the knots' values pull on, and in whose bounds and
             slopes it stays; "zones", each of one thickness.
         slope: Largest change of thickness along the place [m/m]; None for any.
 
     Raises:
-        InputError: If the bounds leave no room, or neither or both of `knots` and `at` are given, or they do not go
+        InputError: If the bounds do not increase, or neither or both of `knots` and `at` are given, or they do not go
             with the interpolation.
     """
 
@@ -149,7 +149,7 @@ class ThicknessProfile(_SheetMap):
 def _place_knots(
     place: Array, knots: int | None, at: Sequence[float] | None, interpolation: str
 ) -> tuple[Array, Array]:
-    """Where the numbers stand, and what each does to each node (n_node, n)."""
+    """Places of the knots, or the boundaries of zones, and the weight of each number at each node (n_node, n)."""
     if interpolation == "cubic":
         return _spline(place, knots, at)
     count = (knots or 2) + (interpolation == "zones")
@@ -185,7 +185,7 @@ class ThicknessField(_SheetMap):
         smoothness: The length [m]; 0 leaves every node of the mesh to itself.
 
     Raises:
-        InputError: If the bounds leave no room, or the length is negative or far below the mesh's.
+        InputError: If the bounds do not increase, or the length is negative or far below the mesh's.
     """
 
     def __init__(self, scene: Scene, *, bounds: Bounds, smoothness: float = 0.0) -> None:
@@ -237,6 +237,6 @@ def first_positions(scene: Scene) -> Array:
 
 
 def spread_to_forest(scene: Scene, weights: Array) -> Array:
-    """From the mesh's nodes (n, k) to all that refinement may make (n_node, k)."""
+    """Weights at the mesh's nodes (n, k), extended to all nodes that refinement may insert (n_node, k)."""
     forest = scene.tables.forest
     return weights if forest is None else bisection.extend_values(weights, np.asarray(forest.ends).T, forest.depth)

@@ -44,26 +44,26 @@ _SPREAD = 1.0  # of several starts, a quarter of the way from one bound to the o
 
 @dataclass(frozen=True)
 class Design:
-    """What a search found.
+    """Result of a search.
 
     Attributes:
         scene, result: The best scene and its part.
         first_scene, first_result: The scene to begin with and its part.
         changes: Best design as dotted keys of a scene file with plain values, or nodal arrays.
         history: A row per simulation of the search, with the columns `COLUMNS` (and `LIMIT_COLUMNS`).
-        document: Of the study.
+        document: Document of the study.
         message: Why the search ended, in words.
-        stopped_by: The same in one word: a key of the study, or one that `optimize.termination.Ending` names.
-        broken: Which limits the design does not keep, by how much, and what to do about it; empty where it keeps all.
-        warnings: What to mind about the study, a sentence each.
-        objective: Of the best design.
-        violation: By how much it breaks the worst limit, relative to it; 0 without constraints.
+        stopped_by: The reason in one word: a key of the study, or one that `optimize.termination.Ending` names.
+        broken: Description of the limits that the design breaks, by how much, and the remedy; empty where it keeps all.
+        warnings: Warnings about the study, a sentence each.
+        objective: Objective of the best design.
+        violation: Its violation of the worst limit, relative to it; 0 without constraints.
         gradient_error: Relative difference of the gradient to central differences along one direction, before the
             search; None where it takes no gradient.
-        best_row: Of the history.
+        best_row: Row of the best design in the history.
         multiplier: The weighted sum of the constraints' multipliers; None without constraints, or before
             a round has ended.
-        updates: Of the fixed point, before the search.
+        updates: Updates of the fixed point before the search.
     """
 
     scene: Scene
@@ -85,7 +85,7 @@ class Design:
     updates: int
 
     def amended(self, summary: dict[str, Any]) -> dict[str, Any]:
-        """The summary of the part with what is to be said of the search: broken limits, warnings, and its facts."""
+        """The summary of the part and the search: broken limits, warnings, and its facts."""
         status = summary["status"]
         if self.broken:
             status = self.broken if status == "ok" else f"{status}; {self.broken}"
@@ -93,7 +93,7 @@ class Design:
         return summary | {"status": status, "warnings": warnings, "design": self.summary()}
 
     def summary(self) -> dict[str, Any]:
-        """Plain facts: what it was before and after, what that took, and how far it can be trusted."""
+        """Plain facts: values before and after, cost, and accuracy."""
         names = ("objective", "thickness_rms_error", "wall_min", "wall_mean", "wall_cv", "mass")
         before, after = ({name: _number(row[name]) for name in names} for row in (self.history[0], self.best_row))
         return {
@@ -131,12 +131,12 @@ def solve(
     """Searches for the best design.
 
     Args:
-        study: What is designed and how.
+        study: The design study.
         on_evaluation: Called with every row of the history as it comes; a true answer ends the search.
         on_check: Called with the gradient's relative difference to central differences, before the search.
-        on_warning: Called with what to mind about the study, a sentence each, before the search.
-        on_wait: Called with what is waited for, before the scene to begin with is simulated and programs are compiled.
-        journal: What is kept on disk, so that a search that was killed goes on; nothing by default.
+        on_warning: Called with each warning about the study, a sentence, before the search.
+        on_wait: Called with a message before the initial scene is simulated and programs are compiled.
+        journal: Journal on disk, so that a killed search can be resumed; none by default.
 
     Raises:
         InputError: If the study asks for what its objective or variables do not have, or the scene to begin with

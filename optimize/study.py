@@ -37,7 +37,7 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
 
     Args:
         name_or_path: The study.
-        store: Where expensive host work is kept between runs; nowhere by default.
+        store: Store for expensive host work between runs; none by default.
 
     Raises:
         InputError: There is no such study or scene, or something in one of them is wrong.
@@ -61,7 +61,7 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
 
 
 def _digest(document: files.StudyDocument, scene: Scene) -> str:
-    """Of all that decides how a search goes, but how long: one that has ended can be told to go on."""
+    """Hash of all that determines a search except its length, so that one that has ended can be continued."""
     data = {key: value for key, value in document.data.items() if key != "description"}
     data["solver"] = {key: value for key, value in data["solver"].items() if key not in _HOW_LONG}
     digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode())

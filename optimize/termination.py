@@ -1,4 +1,4 @@
-"""Why searches end: what they reached, or what the study allows them to cost."""
+"""Reasons why searches end: the goal that they reached, or the cost that the study allows."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _LEFT = 0.1  # and of the first slope more than this is left, a search that stan
 
 
 class Ending(NamedTuple):
-    """Why a search ended.
+    """Reason why a search ended.
 
     Attributes:
-        by: What ended it, a word: the key of the study that did, or one of "no-step", "no-progress", "updates",
+        by: The reason in a word: the key of the study, or one of "no-step", "no-progress", "updates",
             "target", "failure", "caller", "interrupted".
-        words: The same for people.
+        words: The reason for people to read.
     """
 
     by: str
@@ -45,9 +45,9 @@ class SpentError(Exception):
 def check_convergence(
     study: Study, point: Point, values: list[float], first: Point, steps: int = _IDLE_STEPS
 ) -> Ending | None:
-    """Why a search ends at a point, after steps with these values; None where it goes on.
+    """The reason why a search ends at a point, after steps with these values; None where it goes on.
 
-    So many steps together must have brought something.
+    The last `steps` steps together must have reduced the value.
     """
     if reached := check_goal(study, point):
         return reached
@@ -59,7 +59,7 @@ def check_convergence(
 
 
 def check_goal(study: Study, point: Point) -> Ending | None:
-    """Why a design needs no search: it reaches the goal, or its deviations are smaller than the tolerance."""
+    """The reason why a design needs no search: it reaches the goal, or its deviations are below the tolerance."""
     if study.goal is not None:
         return GOAL if point.rank <= (0.0, study.goal) else None
     objective = study.objective
@@ -69,7 +69,7 @@ def check_goal(study: Study, point: Point) -> Ending | None:
 
 
 def is_negligible(study: Study, before: float, after: float) -> bool:
-    """Whether steps from one value to another bring next to nothing."""
+    """True if the reduction from one value to another is negligible."""
     if before - after <= study.tolerance * abs(after):
         return True
     squares = study.objective.squares and not study.objective.constrained
@@ -77,12 +77,12 @@ def is_negligible(study: Study, before: float, after: float) -> bool:
 
 
 def predicted_gain(point: Point) -> float:
-    """What a small step of all numbers, down the slope, would gain by it, relative to the value."""
+    """Predicted gain of a small step of all numbers down the slope, relative to the value."""
     return float(_SMALL_STEP * np.abs(point.slope).sum() / max(abs(point.value), 1e-300))
 
 
 def stagnation_ending(point: Point, first: Point) -> Ending:
-    """That steps brought nothing: an optimum only where the slope has gone, or promises nothing either."""
+    """The ending after steps without gain: an optimum only where the slope has vanished, or predicts no gain either."""
     left = float(np.linalg.norm(point.slope)) / max(float(np.linalg.norm(first.slope)), 1e-300)
     if left <= _LEFT or predicted_gain(point) <= _STEEP:
         return Ending("tolerance", "the last steps gained almost nothing")
@@ -94,7 +94,7 @@ def stagnation_ending(point: Point, first: Point) -> Ending:
 
 
 def budget_ending(study: Study, simulations: float, seconds: float) -> Ending | None:
-    """Why there is no more work, where it would cost so many simulations, or so many seconds have passed already."""
+    """The ending by the study's limit on simulations or on time [s]; None where neither is reached."""
     if study.max_simulations is not None and simulations > study.max_simulations:
         return Ending("max_simulations", f"the time of {study.max_simulations:g} simulations is spent")
     if study.minutes is not None and seconds >= 60.0 * study.minutes:

@@ -1,4 +1,4 @@
-"""What is designed: maps from the numbers of a search to the numbers of a scene.
+"""Design variables: maps from the numbers of a search to the parameters of a scene.
 
 A variable has a start (the scene's own values, moved into the bounds), the change of the scene that the search's
 numbers mean, and the same change in the words of a scene file. The search's numbers lie in a box, whose ends are the
@@ -30,22 +30,22 @@ class Variable(Protocol):
 
     Attributes:
         start: The search's numbers of the scene's own values, moved into the bounds (n,).
-        reach: How far the numbers go to either side of 0 (n,); what lies beyond means the same as the nearest end.
+        reach: Bounds of the numbers on either side of 0 (n,); beyond, they mean the same as the nearest end.
     """
 
     start: np.ndarray
     reach: np.ndarray
 
     def changes(self, free: jax.Array) -> dict[str, jax.Array]:
-        """What `jaxform.replace` takes, of numbers shaped like `start`."""
+        """The changes of the scene, for `jaxform.replace`, from numbers shaped like `start`."""
         ...
 
     def shares(self, free: jax.Array) -> jax.Array:
-        """How far the designed values (n,) are between their bounds, nearly: 0 at the lower one, 1 at the upper one."""
+        """Designed values (n,) as fractions of the range between their bounds, approximately: 0 to 1."""
         ...
 
     def document(self, free: jax.Array) -> dict[str, Any]:
-        """The same as dotted keys of a scene file with plain values."""
+        """The changes as dotted keys of a scene file with plain values."""
         ...
 
 
@@ -59,7 +59,7 @@ class SheetVariable(Variable, Protocol):
 
 
 def check_bounds(bounds: Bounds, positive: bool = True) -> None:
-    """Raises InputError unless the bounds leave room, above zero where they must be."""
+    """Raises InputError unless the bounds increase, above zero where they must be."""
     least = 0.0 if positive else -np.inf
     if not (least < bounds[0] < bounds[1] < np.inf):
         words = "must be 0 < lower < upper" if positive else "must be lower < upper"
@@ -72,7 +72,7 @@ def full_reach(count: int) -> np.ndarray:
 
 
 def _share(free: jax.Array) -> jax.Array:
-    """From 0 at the lower end of the box to 1 at the upper one, with the same slope everywhere in it, its ends too."""
+    """Fraction of the box: 0 at the lower end and 1 at the upper one, with the same slope everywhere, its ends too."""
     share = free / SPAN + 0.5
     # `clip` alone halves the slope on the ends, and rounding may lead past them.
     share = share + jax.lax.stop_gradient(jnp.clip(share, 0.0, 1.0) - share)
@@ -88,16 +88,16 @@ def apply_bounds(free: jax.Array, bounds: Any) -> jax.Array:
 
 
 def invert_bounds(values: Any, bounds: Any) -> np.ndarray:
-    """Inverse of `apply_bounds`; values beyond a bound are moved onto it, and where there is no room, 0."""
+    """Inverse of `apply_bounds`; values beyond a bound are moved onto it, and where the bounds coincide, 0."""
     low, width = np.asarray(bounds[0], float), np.asarray(bounds[1], float) - np.asarray(bounds[0], float)
     share = np.where(width > 0.0, (np.asarray(values, float) - low) / np.where(width > 0.0, width, 1.0), 0.5)
     return SPAN * (np.clip(share, 0.0, 1.0) - 0.5)
 
 
 def apply_log_bounds(free: jax.Array, bounds: Bounds) -> jax.Array:
-    """The same between positive bounds, whose logarithms are divided evenly.
+    """Values between positive bounds, as of `apply_bounds`, but linear in their logarithms.
 
-    A wall goes with its sheet in ratio: searched in logarithms, the one is nearly linear in the other.
+    The wall is proportional to its sheet: in logarithms, the one is nearly linear in the other.
     """
     share, ratio = _share(free), np.log(bounds[1] / bounds[0])
     return jnp.where(share <= 0.5, bounds[0] * jnp.exp(ratio * share), bounds[1] * jnp.exp(-ratio * (1.0 - share)))
@@ -159,11 +159,11 @@ class Scale:
 
     Args:
         scene: The scene; its own values are the start, factor 1.
-        of: What is scaled: a number that `jaxform.replace` takes and is no time, such as "material.c".
+        of: The scaled quantity: a number that `jaxform.replace` takes and is no time, such as "material.c".
         bounds: Least and largest factor.
 
     Raises:
-        InputError: If the bounds leave no room, or the scene has no such number.
+        InputError: If the bounds do not increase, or the scene has no such number.
     """
 
     def __init__(self, scene: Scene, *, of: str, bounds: Bounds) -> None:
@@ -187,11 +187,11 @@ class Scale:
         return {self.of: apply_bounds(free[0], self.bounds) * self._present}
 
     def shares(self, free: jax.Array) -> jax.Array:
-        """How far the factor (1,) is between its bounds."""
+        """The factor (1,) as a fraction of the range between its bounds."""
         return apply_bounds(free, (0.0, 1.0))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
-        """The same; what varies over the sheet at the nodes of its mesh, (..., n_node)."""
+        """The changes as keys of a scene file; fields over the sheet at the nodes of its mesh, (..., n_node)."""
         values = np.asarray(self.changes(free)[self.of], float)
         if self.of in ("parison.thickness", "parison.temperature"):
             values = values[: self._first_nodes]

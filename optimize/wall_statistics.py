@@ -1,4 +1,4 @@
-"""What can be said of a formed wall, traced: areas, and what is reported of every design."""
+"""Statistics of a formed wall, traced: areas, and the values that are reported of every design."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _to_nodes(result: Result, values: jax.Array) -> jax.Array:
 
 
 class WallStatistics(NamedTuple):
-    """What is reported of a part: least and mean wall [m], coefficient of variation, mass [kg], status bits."""
+    """Reported values of a part: least and mean wall [m], coefficient of variation, mass [kg], status bits."""
 
     least: jax.Array
     mean: jax.Array

@@ -1,4 +1,4 @@
-"""Numbers of a material from tests: tension, relaxation and bubbles, fitted all at once."""
+"""Parameters of a material from tests: tension, relaxation and bubbles, fitted all at once."""
 
 from optimize.fitting.outcome import Fit, Match
 from optimize.fitting.procedure import fit

@@ -35,10 +35,10 @@ def inflate_bubble(law: Law, plan: states.Path, scale: float, viscous: bool) -> 
     """Pressure times radius over the sheet's thickness (n,) [Pa], and the pole's wall over the sheet's (n,).
 
     Args:
-        law: The law.
-        plan: At which heights.
+        law: The material model.
+        plan: Steps to the heights.
         scale: The size of the stress [Pa].
-        viscous: Whether the modes count; without them each height is by itself.
+        viscous: Whether the Maxwell branches count; without them each height is by itself.
 
     Both are NaN where no equilibrium is found.
     """
@@ -93,7 +93,7 @@ def _equilibrium(
 
 
 def _forces(found: jax.Array, law: Law, memory: ViscousMemory | None, height: jax.Array, scale: float) -> jax.Array:
-    """The forces that are out of balance (2 n_term + 1,), in units of the scale; the last one is the height's."""
+    """Residual forces (2 n_term + 1,), in units of the scale; the last one is the height's."""
     coefficients = found[:-1]
     (one, two), back = jax.vjp(_stretches, coefficients)
     stress = states.nominal(law, one, two, memory)

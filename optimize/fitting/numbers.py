@@ -1,4 +1,4 @@
-"""The numbers of a law and of its viscous modes as a vector within bounds: any registered law, by what it declares."""
+"""Parameters of a material model and of its Maxwell branches as a vector within bounds, for any registered model."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from jaxform.materials import LAWS, MODES, Modes
 Array = np.ndarray
 
 VISCOUS = "viscous."
-"""What the names of modes' numbers begin with."""
+"""Prefix of the names of the Maxwell branches' parameters."""
 DENSITY = 1000.0
-"""[kg/m^3], of a law while it is fitted: in a slow process it changes nothing."""
+"""Density [kg/m^3] of a material while it is fitted: in a slow process it has no effect."""
 _SMALLEST = 1e-9  # of the largest stress, a modulus that must be positive
 _BEYOND = 10.0  # times the longest time of the data, or a part of the shortest, a relaxation time is
 _LONGEST = 1e3  # a number that must be positive and is no modulus lies between this and its inverse, in the starts
@@ -30,16 +30,16 @@ _LONGEST = 1e3  # a number that must be positive and is no modulus lies between 
 
 @dataclass(frozen=True)
 class Number:
-    """One number of the vector.
+    """One parameter of the vector.
 
     Attributes:
-        name: As in the table of the material; of modes it begins with `viscous.`.
-        place: Which of a list; None where it is no list.
+        name: Name in the table of the material; of Maxwell branches it begins with `viscous.`.
+        place: Index in a list; None where it is no list.
         allowed: Its range.
-        unit: What the number is where the vector has 1, or 0 where it has a logarithm.
+        unit: Value of the parameter where the vector has 1, or 0 for a logarithm.
         logarithmic: Whether the vector has its logarithm.
         lower, upper: Bounds in the vector.
-        first: Between what a start lies in the vector.
+        first: Bounds of a start in the vector.
     """
 
     name: str
@@ -53,27 +53,27 @@ class Number:
 
     @property
     def modulus(self) -> bool:
-        """Whether stresses are proportional to it and its like."""
+        """True for a modulus: stresses are proportional to all moduli together."""
         return self.allowed.unit == "Pa"
 
     @property
     def words(self) -> str:
-        """Such as mu[1], counted from 1."""
+        """Name with an index, such as mu[1], counted from 1."""
         return self.name if self.place is None else f"{self.name}[{self.place + 1}]"
 
     def value(self, free: float) -> float:
-        """The number itself."""
+        """The value of the parameter."""
         return self.unit * float(np.exp(free) if self.logarithmic else free)
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """All numbers that are fitted.
+    """All fitted parameters.
 
     Attributes:
-        law: The class of the law.
-        modes: The class of its viscous modes, or None.
-        all: The numbers, in the order of the vector.
+        law: Class of the material model.
+        modes: Class of its Maxwell branches, or None.
+        all: The parameters, in the order of the vector.
     """
 
     law: type[Law]
@@ -92,15 +92,15 @@ class Numbers:
 
     @property
     def moduli(self) -> Array:
-        """Which (n,) are moduli."""
+        """Mask of the moduli (n,)."""
         return np.array([number.modulus for number in self.all])
 
     def values(self, free: Array) -> Array:
-        """The numbers (n,) of a vector."""
+        """The parameters (n,) of a vector."""
         return np.array([number.value(x) for number, x in zip(self.all, free, strict=True)])
 
     def make(self, free: jax.Array) -> Law:
-        """The law of a vector (n,)."""
+        """The material model of a vector (n,)."""
         units = as_real([number.unit for number in self.all])
         logarithmic = np.array([number.logarithmic for number in self.all])
         values = units * jnp.where(logarithmic, jnp.exp(jnp.where(logarithmic, free, 0.0)), free)
@@ -112,7 +112,7 @@ class Numbers:
         return law if self.modes is None else dataclasses.replace(law, viscous=self.modes(**of_modes))
 
     def group(self, values: Iterable[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The values (n,) of the law and those of its modes, by name; those of a list as a list."""
+        """The values (n,) of the material model and of its branches, by name; those of a list as a list."""
         of_law: dict[str, Any] = {}
         of_modes: dict[str, Any] = {}
         for number, value in zip(self.all, values, strict=True):
@@ -124,7 +124,7 @@ class Numbers:
         return of_law, of_modes
 
     def order(self, free: Array) -> Array:
-        """The vector with the law's terms in order, the largest first, and its modes, the shortest first."""
+        """The vector with the model's terms in order, the largest first, and its branches, the shortest first."""
         lists = {name: self._places(name) for name in dict.fromkeys(number.name for number in self.all)}
         terms = [places for name, places in lists.items() if len(places) > 1 and not name.startswith(VISCOUS)]
         modes = [places for name, places in lists.items() if name.startswith(VISCOUS)]
@@ -138,7 +138,7 @@ class Numbers:
         return made
 
     def _places(self, name: str) -> Array:
-        """Where in the vector the numbers of one name are."""
+        """Indices in the vector of the parameters of one name."""
         return np.flatnonzero([number.name == name for number in self.all])
 
     def starts(self, count: int) -> Array:
@@ -154,13 +154,13 @@ class Numbers:
 def make_numbers(
     model: str, terms: int, kind: str, modes: int, stress: float, times: tuple[float, float] | None
 ) -> Numbers:
-    """The numbers of a law and its modes.
+    """The parameters of a material model and its Maxwell branches.
 
     Args:
-        model: The law's name in `LAWS`.
-        terms: How long its lists are, where it has such.
-        kind: The modes' name in `MODES`.
-        modes: How many modes; 0 for none.
+        model: Name of the material model in `LAWS`.
+        terms: Number of terms, where it has lists.
+        kind: Kind of the branches in `MODES`.
+        modes: Number of Maxwell branches; 0 for none.
         stress: The largest stress of the data [Pa].
         times: The shortest and the longest time of the data [s]; None where there are no modes.
     """
@@ -189,7 +189,7 @@ def _number(name: str, place: int | None, allowed: Range, stress: float) -> Numb
 
 
 def _initial_range(lower: float, upper: float) -> tuple[float, float]:
-    """Where numbers of no unit are looked for first: in the middle half, or near the one bound that there is."""
+    """Initial search interval of a dimensionless parameter: the middle half of its bounds, or near the only one."""
     if np.isfinite(lower) and np.isfinite(upper):
         return lower + 0.25 * (upper - lower), upper - 0.25 * (upper - lower)
     if np.isfinite(lower):

@@ -1,4 +1,4 @@
-"""A fit: numbers of a material from tests, what it leaves unexplained, and its words, tables and files."""
+"""A fit: material parameters from tests, residuals, and its description, tables and files."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ ASSUMPTION = "the weighted differences are independent and of equal variance, an
 
 
 class Match(NamedTuple):
-    """A measured column of a table and what the law says of it.
+    """A measured column of a table and the model's values for it.
 
     Attributes:
         table: The table.
         column: Name of the column.
-        measured: (n,), in the unit of the file; nominal stress.
-        fitted: (n,).
-        used: Which rows (n,) are strained, and count.
+        measured: Measured values (n,), in the unit of the file; nominal stress.
+        fitted: Fitted values (n,).
+        used: Mask of the strained rows (n,), which count.
     """
 
     table: Table
@@ -46,15 +46,15 @@ class Match(NamedTuple):
 
 @dataclass(frozen=True)
 class Fit:
-    """Numbers of a material from tests.
+    """Material parameters from tests.
 
     Attributes:
-        model: The law's name.
-        kind: Of the viscous modes; empty where there are none.
-        solution: The numbers.
+        model: Name of the material model.
+        kind: Kind of the Maxwell branches; empty where there are none.
+        solution: The parameters.
         confidence: Their intervals of confidence and correlation.
-        weights: How differences were weighted.
-        matches: Each measured column, and what the law says of it.
+        weights: Weighting of the differences.
+        matches: Each measured column, and the model's values for it.
     """
 
     model: str
@@ -66,11 +66,11 @@ class Fit:
 
     @property
     def law(self) -> Law:
-        """The law, of density 1000 kg/m^3, with its viscous modes."""
+        """The material model, of density 1000 kg/m^3, with its Maxwell branches."""
         return self.solution.problem.numbers.make(jnp.asarray(self.solution.free))
 
     def table(self, density: float) -> dict[str, Any]:
-        """The table `[material]` of a scene file, its modes as a table `viscous` in it."""
+        """The table `[material]` of a scene file, its Maxwell branches as a table `viscous` in it."""
         numbers = self.solution.problem.numbers
         of_law, of_modes = numbers.group(float(f"{value:.8g}") for value in numbers.values(self.solution.free))
         made: dict[str, Any] = {"model": self.model, **of_law, "density": density}
@@ -79,7 +79,7 @@ class Fit:
         return made
 
     def summary(self, warned: Sequence[str], density: float) -> dict[str, Any]:
-        """All that is known, as plain numbers, words, lists and tables, for summary.json."""
+        """All facts as plain numbers, words, lists and tables, for summary.json."""
         return {
             "status": "ok",
             "model": self.model,

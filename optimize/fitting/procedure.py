@@ -1,4 +1,4 @@
-"""How tests become the numbers of a material: what is asked for is checked, fitted, and looked over."""
+"""Fitting of a material's parameters to tests: validation of the options, fit, and checks of the result."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from optimize.fitting.tables import Bubble, Table
 
 MOST_TERMS, MOST_MODES = 6, 6
 _MOST_TRIED_TERMS, _MOST_TRIED_MODES = 3, 4
-_ALIKE = 0.99  # a correlation of two numbers that the tests can hardly tell apart
-_POOR = 0.2  # a mean relative error with which a law is hardly the right one
+_ALIKE = 0.99  # correlation above which the tests hardly distinguish two parameters
+_POOR = 0.2  # mean relative error above which a material model is doubtful
 _MORE = "give tests of other kinds, or choose a law of fewer numbers"
 
 
@@ -34,24 +34,24 @@ def fit(
     viscous: str | None = None,
     weights: str = "relative",
 ) -> Fit:
-    """Fits a law, and viscous modes where there are tests for them, to tests, all at once.
+    """Fits a material model, and Maxwell branches where there are tests for them, to all tests at once.
 
     Args:
         tables: The tests.
-        model: The law's name in a scene file.
-        terms: How long the law's lists are, for laws that have such; by default as long as says something by Schwarz's
-            criterion, 3 at most.
-        modes: How many viscous modes; by default none without relaxation tests, and with them as many as say something
-            by the same criterion, 4 at most.
+        model: Name of the material model in a scene file.
+        terms: Number of terms, for models with lists; by default chosen by Schwarz's criterion, 3 at most.
+        modes: Number of Maxwell branches; by default none without relaxation tests, and with them chosen by the same
+            criterion, 4 at most.
         viscous: Their kind; by default "christensen".
         weights: "relative" or "absolute".
 
     Raises:
-        InputError: There is no such law, the tests cannot tell its numbers, or JAX has no double precision.
+        InputError: There is no such model, the tests do not determine its parameters, or JAX has no double precision.
 
     Warns:
-        InputWarning: A number can hardly be told or lies at its bound, the law is unstable where it was fitted, or fits
-            badly.
+        InputWarning: A parameter is poorly determined or lies at its bound, or the model is unstable in the fitted
+            range or
+            fits badly.
     """
     _check(tables, model, terms, viscous, weights)
     if viscous is not None and not modes and not _relaxation_tests(tables):
@@ -81,13 +81,13 @@ def fit(
 
 
 def _most_telling(counts: Sequence[int], solved: Callable[[int], Solution]) -> tuple[Solution, int]:
-    """Of solutions with more and more numbers the last that says more than the one before, and its count."""
+    """The last of solutions with increasing numbers of parameters that improves on the one before, and its count."""
     best = solved(counts[0]), counts[0]
     for count in counts[1:]:
         try:
             found = solved(count)
         except InputError:
-            # More numbers than rows, or none that are a law.
+            # More parameters than rows, or no admissible ones.
             break
         if _worth(found) >= _worth(best[0]):
             break

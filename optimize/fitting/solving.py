@@ -1,4 +1,4 @@
-"""Least squares from several starts, whether the law is stable where it was fitted, and how sure its numbers are."""
+"""Least squares from several starts, stability of the fitted model, and confidence intervals of its parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from optimize.fitting.tables import Bubble, Table
 Array = np.ndarray
 
 LEVEL = 0.95
-"""Of the intervals of confidence."""
+"""Level of the confidence intervals."""
 _STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search begins, where it is quick and slow
 _CALLS = 100  # of one search
 _SAMPLES = 24  # stretches in each state, at which the law's stability is looked at
@@ -28,14 +28,14 @@ _MARGIN, _FORCE = 1e-3, 1e3  # of the largest stress, what a place is held away 
 
 
 class Confidence(NamedTuple):
-    """Intervals of confidence of the numbers, and how the tests tell them apart.
+    """Confidence intervals of the parameters, and their correlation.
 
     Attributes:
-        low, high: Bounds of their intervals (n,); NaN where the data do not tell.
-        correlation: Of the numbers (n, n), NaN where they are at a bound or without influence.
-        at_bound: Which (n,) lie at a bound of their range.
-        without_influence: Which (n,) change nothing that was measured.
-        condition: Of the slopes, each number's scaled to one.
+        low, high: Bounds of their intervals (n,); NaN where the data do not determine them.
+        correlation: Correlation of the parameters (n, n), NaN where they are at a bound or without influence.
+        at_bound: Mask (n,) of those at a bound of their range.
+        without_influence: Mask (n,) of those without effect on the measured values.
+        condition: Condition number of the slopes, each parameter's scaled to one.
     """
 
     low: Array
@@ -48,13 +48,13 @@ class Confidence(NamedTuple):
 
 @dataclass(frozen=True)
 class Solution:
-    """Numbers that make the differences least.
+    """Parameters that minimize the differences.
 
     Attributes:
-        problem: What was fitted.
+        problem: The fitted problem.
         free: The vector (n,).
         unstable: The state and stretch from which on more strain needs less stress; None for none.
-        held_stable: Whether a better but unstable law was left for this one.
+        held_stable: Whether a better but unstable model was rejected.
     """
 
     problem: Problem
@@ -67,11 +67,11 @@ class Stability:
     """Drucker's condition, at stretches of the sheet that the tests reach.
 
     The second derivatives of the energy by logarithms of the stretches are positive definite: no small strain, whatever
-    its direction, then lets the true stress fall. It is the elastic law's: what modes add relaxes.
+    its direction, then lets the true stress fall. It applies to the elastic model: the overstress of branches relaxes.
     """
 
     def __init__(self, tables: list[Table], numbers: Numbers, stress: float) -> None:
-        """Of the states of the tests, over their stretches."""
+        """Sample the states of the tests over the range of their stretches."""
         reach: dict[str, list[float]] = {}
         for table in without_bubbles(tables):
             reach.setdefault(table.state, []).extend(np.log(table.stretch))  # pyright: ignore[reportAttributeAccessIssue]
@@ -85,9 +85,9 @@ class Stability:
         self._both = functools.partial(_slopes_and_least, numbers, one=one, states_of=states_of, stress=stress)
 
     def deficit(self, free: Array, margin: float = 0.0) -> Array:
-        """By how much (n_place,) each place misses being stable, relative to the largest stress; 0 where it is."""
+        """Shortfall of each place from stability (n_place,), relative to the largest stress; 0 where it is stable."""
         least = np.asarray(self._both(jnp.asarray(free))[1])
-        # Where the law has no finite stress, 1 keeps the search away.
+        # Where the model has no finite stress, 1 keeps the search away.
         return np.where(np.isfinite(least), np.maximum(margin - least, 0.0), 1.0)
 
     def slopes(self, free: Array, margin: float = 0.0) -> Array:
@@ -133,12 +133,12 @@ def information(solution: Solution) -> float:
 
 
 def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) -> Solution:
-    """The best numbers, stable where that costs little.
+    """The best parameters, stable where that costs little.
 
     Args:
         tables: The tests.
-        numbers: The numbers.
-        weights: How differences are weighted.
+        numbers: The parameters.
+        weights: Weighting of the differences.
         stress: The largest stress of the tests [Pa].
 
     Raises:
@@ -153,7 +153,7 @@ def solve(tables: list[Table], numbers: Numbers, weights: str, stress: float) ->
     starts = _starts(rough)
     found = [_search(rough, free) for free in starts]
     if rough is not problem:
-        # A rough law may have lost what the right one needs.
+        # A rough model may have lost parameters that the right one needs.
         found = [_search(problem, free) for free in (*_best(found, rough)[:_FEW], *starts[:_FEW])]
     best = _first_valid(_best(found, problem), problem)
     unstable = stability.first_unstable(best)
@@ -220,7 +220,7 @@ def _check_rows(problem: Problem) -> None:
 
 
 def _first_valid(found: list[Array], problem: Problem) -> Array:
-    """The first that is a law."""
+    """The first admissible vector."""
     for free in found:
         if _is_law(free, problem):
             return free
@@ -228,7 +228,7 @@ def _first_valid(found: list[Array], problem: Problem) -> Array:
 
 
 def _is_law(free: Array, problem: Problem) -> bool:
-    """Whether numbers go together, and say something of every row: a bubble may have no equilibrium."""
+    """True if parameters are admissible and give a finite value for every row: a bubble may have no equilibrium."""
     try:
         problem.numbers.make(jnp.asarray(free)).verify()
     except InputError:
@@ -237,7 +237,7 @@ def _is_law(free: Array, problem: Problem) -> bool:
 
 
 def confidence_of(problem: Problem, free: Array) -> Confidence:
-    """Intervals from the slopes at the solution, for independent differences of equal variance and the right law."""
+    """Intervals from the slopes at the solution, for independent differences of equal variance and the right model."""
     from scipy.special import stdtrit
 
     numbers, count = problem.numbers, len(free)
@@ -264,9 +264,9 @@ def confidence_of(problem: Problem, free: Array) -> Confidence:
 
 
 def _find_undetermined(numbers: Numbers, free: Array, size: Array) -> tuple[Array, Array]:
-    """Which (n,) are as good as at a bound, and which have no influence; `size` is what a change of one changes.
+    """Masks (n,) of parameters practically at a bound, and of those without influence; `size` is a change's effect.
 
-    A search stays a little inside of bounds: a number is at one if to go there changes nothing, but to go farther does.
+    A search stays slightly inside the bounds: a parameter is at one if moving there has no effect, but farther has.
     """
     way, far = np.minimum(free - numbers.lower, numbers.upper - free), np.maximum(np.abs(free), 1.0)
     nothing = np.where(np.isfinite(way), way, far) * size < _NO_CHANGE

@@ -19,7 +19,7 @@ from optimize.fitting.states import STATES
 Array = np.ndarray
 
 LEAST_SHARE = 1e-3
-"""Of the largest value of a table, the smallest that relative differences are taken of."""
+"""Smallest value for relative differences, relative to the largest of a table."""
 KINDS = (*STATES, "relaxation", "bubble")
 _ALSO = {"tension": "uniaxial", "biaxial": "equibiaxial", "planar": "pure-shear"}
 _UNITS = {
@@ -47,12 +47,12 @@ class Pull:
     """A test in which a sheet is strained alike everywhere.
 
     Attributes:
-        name: What to call it in messages and results.
+        name: Name in messages and results.
         kind: One of `KINDS`.
         state: One of `STATES`.
-        stretch: Along the pull (n,).
-        stress: Nominal, along the pull (n,) [Pa].
-        time: Of each row (n,) [s], the sheet unstrained before 0; None where it is not given.
+        stretch: Stretch along the pull (n,).
+        stress: Nominal stress along the pull (n,) [Pa].
+        time: Time of each row (n,) [s], the sheet unstrained before 0; None where it is not given.
     """
 
     name: str
@@ -73,12 +73,12 @@ class Bubble:
     """A test in which a clamped disc is inflated.
 
     Attributes:
-        name: What to call it in messages and results.
-        height: Of the pole above the rim (n,) [m].
-        pressure: (n,) [Pa].
-        thickness: At the pole (n,) [m]; None where it is not given.
-        time: Of each row (n,) [s], the sheet flat at 0 and inflated from then on; None where it is not given.
-        radius: Of the disc [m].
+        name: Name in messages and results.
+        height: Height of the pole above the rim (n,) [m].
+        pressure: Pressure (n,) [Pa].
+        thickness: Thickness at the pole (n,) [m]; None where it is not given.
+        time: Time of each row (n,) [s], the sheet flat at 0 and inflated from then on; None where it is not given.
+        radius: Radius of the disc [m].
         sheet: Thickness of the sheet before the test [m].
     """
 
@@ -105,7 +105,7 @@ def read_table(source: str) -> Table:
     """A table of a CSV file, named by its path or as `KIND=PATH`.
 
     Raises:
-        InputError: There is no such file, or what it has is no test that is known.
+        InputError: There is no such file, or it has no known kind of test.
     """
     kind, path = _split(source)
     # What no text file could have in it would stop the results later.
@@ -298,7 +298,7 @@ def _check_times(time: Array) -> None:
 
 
 def _warn_of_doubtful_stress(name: str, key: str, stretch: Array, stress: Array) -> None:
-    """Warns of what is hardly meant."""
+    """Warns of likely errors in a table."""
     largest = float(np.abs(stress).max())
     if 0.0 < largest < _SOFT:
         warn_of(f"is {largest:.4g} Pa at most", "give it in Pa, if it is in MPa", key=key, file=name)
