@@ -27,7 +27,7 @@ _SUFFICIENT, _CURVATURE = 1e-4, 0.9  # of the weak Wolfe conditions
 _TRIALS = 8
 _INSIDE = (0.1, 0.8)  # of an interval, where the next trial is
 _MEMORY = 10
-_CURVED = 1e-12  # below which a step teaches nothing of the curvature
+_CURVED = 1e-12  # below which a step has no information on the curvature
 _FIRST_STEP, _LEAST_FIRST_STEP = 1.0, 0.2  # of the number with the largest slope, of 4 between its bounds
 
 
@@ -44,7 +44,7 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
             or (stagnation_ending(point, first) if stuck else None)
         )
         if ending and ending.by == "no-progress" and again:
-            # Once more, without what was learnt of the curvature.
+            # Once more, without the memory of the curvature.
             again, stuck, values, search.memory, ending = False, False, [point.value], None, None
         if ending:
             return point, ending
@@ -59,7 +59,7 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
 
 
 class _DescentHistory(NamedTuple):
-    """The last design with its gradient, and what designs before taught: steps, and changes of the gradient by them."""
+    """The last design with its gradient, and the curvature memory: steps, and changes of the gradient by them."""
 
     point: Point
     steps: list[np.ndarray]
@@ -69,7 +69,7 @@ class _DescentHistory(NamedTuple):
 def _direction(search: Search, point: Point) -> np.ndarray:
     """L-BFGS' direction (n,) of the numbers that are not held, 0 for those that are; it brings the memory up to date.
 
-    What an earlier round learnt of the curvature holds for other multipliers, nearly.
+    The curvature from an earlier round holds approximately for other multipliers.
     """
     steps: list[np.ndarray] = []
     changes: list[np.ndarray] = []
@@ -94,9 +94,9 @@ def _direction(search: Search, point: Point) -> np.ndarray:
 
 
 def _first_size(search: Search, point: Point) -> float:
-    """How far the number with the largest slope goes first, where nothing is known of the curvature.
+    """First step of the number with the largest slope, where nothing is known of the curvature.
 
-    A sum of squares is least at 0 at best: by a parabola with its value and slope that is so far away.
+    A sum of squares is not below 0: a parabola with its value and slope reaches 0 at this distance.
     """
     steepest = float(np.abs(point.slope).max())
     if search.study.objective.squares and search.limits is None:
@@ -139,7 +139,7 @@ def _line_search(search: Search, point: Point, direction: np.ndarray) -> tuple[P
 
 
 def _cubic_minimum(short: _IntervalEnd, long: _IntervalEnd) -> float:
-    """Where a cubic through both ends is least, well inside; twice the shorter length where there is no longer one."""
+    """Minimum of the cubic through both ends, well inside; twice the shorter length where there is no longer one."""
     if np.isinf(long.length):
         return 2.0 * short.length
     width = long.length - short.length

@@ -1,4 +1,4 @@
-"""Gradients within bounds: what of one counts at a bound, and how far one is off differences of values."""
+"""Gradients within bounds: their projection at a bound, and their check against differences of values."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ class Journal:
             return
         end = None
         try:
-            # Not made anew where it is gone: a journal without its begin is none.
+            # Not created again where it is gone: a journal without its beginning is invalid.
             with self._path.open("r+b", buffering=0) as file:
                 end = file.seek(0, os.SEEK_END)
                 if file.write(line) != len(line):

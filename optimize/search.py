@@ -192,7 +192,7 @@ class Search:
         return answer
 
     def _check_budget(self, kind: str) -> None:
-        """Refuses work that would cost too much, if it costs what its kind did before; the first design is free."""
+        """Refuses work that would exceed the budget at the cost that its kind had before; the first design is free."""
         if not self.history or self.last:
             return
         cost = self.simulations + self._costs.get(kind, 1.0)

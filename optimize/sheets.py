@@ -139,7 +139,7 @@ class ThicknessProfile(_SheetMap):
         super().__init__(scene, weights, bounds, None if slope is None else slope * np.diff(self.at))
 
     def document(self, free: jax.Array) -> dict[str, Any]:
-        """The profile as a table; what a table cannot say, at the nodes of the mesh (n_node,) [m]."""
+        """The profile as a table, or, where a table cannot express it, at the nodes of the mesh (n_node,) [m]."""
         if self.interpolation != "linear":
             return super().document(free)
         value = np.asarray(self._values(free), float).tolist()

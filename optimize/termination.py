@@ -34,7 +34,7 @@ GOAL = Ending("goal", "the goal is reached")
 
 
 class SpentError(Exception):
-    """A limit of the study on what the search may cost is reached; holds the `Ending`."""
+    """A limit of the study on the cost of the search is reached; holds the `Ending`."""
 
     def __init__(self, ending: Ending) -> None:
         """See the class."""

@@ -63,7 +63,7 @@ def _study_lines(file: str, model: schema.StudyFile, tables: list[Any]) -> Itera
 
 
 def _words(table: Any, name: str) -> str:
-    """A table of a study in words: its kind, then what it sets."""
+    """A table of a study in words: its kind, then its settings."""
     options = {key: value for key, value in table.model_dump(warnings=False).items() if value not in (None, False)}
     kind = options.pop(name)
     return ", ".join([kind, *(f"{key} {_short(value)}" for key, value in options.items())])

@@ -18,7 +18,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
     """Runs `jaxform optimize` with its arguments and returns its exit status.
 
     Raises:
-        InputError: As the command's bad input, and where the search cannot be written down any more.
+        InputError: The input is bad, or the search can no longer be written to disk.
     """
     say, store = session.prepare(arguments)
     import optimize

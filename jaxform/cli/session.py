@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 DONE, BAD_INPUT, STOPPED, INTERRUPTED = 0, 2, 3, 130
 _SELDOM = (100_000, 50, 50)
 """Thresholds of garbage collection: with the usual ones a short run would spend a tenth of its time on imports."""
-_MOMENT = 1.0  # s, after which it is said what takes so long
+_MOMENT = 1.0  # s, after which a wait is reported
 guard = contextlib.ExitStack()
 """Of the compiled programs, while a command uses them."""
 
@@ -120,7 +120,7 @@ def progress(show: bool, words: str) -> Iterator[Callable[[float, str], None] | 
 
 @contextlib.contextmanager
 def report_waiting(arguments: argparse.Namespace, words: str) -> Iterator[None]:
-    """Says what is being waited for, where it takes longer than a moment."""
+    """Reports a wait that takes longer than a moment."""
     from threading import Timer
 
     timer = Timer(_MOMENT, lambda: say(f"{words} ..."))

@@ -38,7 +38,7 @@ def simulate(arguments: argparse.Namespace) -> int:
         frames.begin(scene)
         loop.start_programs(scene, store)
         look = session.run_in_background(lambda: _warn_of_scene(scene, document, arguments.warned))
-        # What the run warns of comes after what the scene is warned of, whichever ends first.
+        # Warnings of the run come after those of the scene, whichever ends first.
         with defer_warnings(), look as looked:
             result, there = _run(scene, frames, arguments, store)
             picture = session.picture(arguments, scene, result, reference, draw)
@@ -57,7 +57,7 @@ def simulate(arguments: argparse.Namespace) -> int:
 
 
 def _warn_of_scene(scene: Scene, document: Any, warned: list[str]) -> None:
-    """Warns of what is hardly meant, while programs are loaded or compiled; then gets ready to write the results."""
+    """Warns of likely errors in the scene while programs are loaded or compiled; then prepares to write the results."""
     from jaxform.io import files
 
     def tell(sentence: str) -> None:
@@ -75,7 +75,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
     """Runs a scene with a bar and frames where they are wanted; Ctrl-C keeps what was computed.
 
     Returns:
-        The result, and whether it is written, all but what must be measured.
+        The result, and whether its files are written, except for what must be measured.
     """
     from jaxform.io import output
     from jaxform.runs.host import Moment, run
@@ -86,7 +86,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
 
         def on_end(result: Result) -> None:
             nonlocal there
-            # What cannot be written now is told when all is.
+            # A failure to write is reported at the end.
             with contextlib.suppress(OSError, InputError):
                 output.write_at_once(scene, result, arguments.out, arguments.warned)
                 there = True

@@ -34,7 +34,7 @@ def write_result(
 ) -> dict[str, Any]:
     """Writes the part into a folder that exists: summary.json, final.vtu, formed.stl and, with a mold, mold.vtu.
 
-    The files come first; what is measured then completes the summary, so that nothing is lost where it is stopped.
+    The files come first; measured values then complete the summary, so that nothing is lost by an interruption.
 
     Args:
         scene: The simulated scene.
@@ -59,7 +59,7 @@ def write_at_once(
     warned: Sequence[str] = (),
     amend: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
 ) -> None:
-    """Writes the files of `write_result`, with a summary in which what must be measured is null, and a warning so."""
+    """Writes the files of `write_result`, with a summary in which measured values are null, and a warning of that."""
     folder = Path(folder)
     _write_summary(folder, summarize_at_once(result, scene), warned, amend)
     write_part(scene, result, folder / "final.vtu")

@@ -26,11 +26,11 @@ _MUCH = 8.0  # times as large as the sheet, a mold leaves a dot of it
 
 
 def check_picture(path: str | Path, scene: Scene, warned: Sequence[str] = ()) -> None:
-    """The sheet in the mold before the first step, from outside and cut through the middle, and which way it is pushed.
+    """The sheet in the mold before the first step, from outside and cut in the middle, and the direction of the push.
 
     Args:
-        path: Where the PNG goes.
-        scene: What will be simulated.
+        path: Path of the PNG.
+        scene: The scene to simulate.
         warned: Warnings to write over it.
     """
     seen = survey(scene)

@@ -279,7 +279,7 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
 
 
 def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, moves: bool) -> None:
-    """One warning, for a mold in other units lies elsewhere too; one that moves may lie anywhere at first."""
+    """Warns once, for a mold in other units lies elsewhere too; a moving one may lie anywhere at first."""
     assert seen.mold is not None
     ratio = seen.mold.size / (seen.sheet.size or 1.0)
     boxes = f"mold {seen.mold}, sheet {seen.sheet}"

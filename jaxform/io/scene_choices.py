@@ -1,4 +1,4 @@
-"""The choices of a first scene: material, pressure and times, from what was found of the mold."""
+"""The choices of a first scene: material, pressure and times, from the geometry of the mold."""
 
 from __future__ import annotations
 

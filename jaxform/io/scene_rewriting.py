@@ -121,7 +121,7 @@ def _rewrite_path(data: dict[str, Any], key: str, folder: Path) -> dict[str, str
 
 
 def _write_fields(document: SceneDocument, values: NDArray[Any], number: str, path: Path) -> Any:
-    """Writes values (n_node,), or a list of such, as fields of the mesh; what the scene file then says of them."""
+    """Writes values (n_node,), or a list of such, as fields of the mesh; returns their entry in the scene file."""
     from jaxform.io.geometry import build_sheet  # takes JAX to import, which `inline` alone does not need
 
     sheet = build_sheet(document)

@@ -1,4 +1,4 @@
-"""A first scene for a mold: its units, where the sheet lies, how fine and thick it is, what fills it slowly."""
+"""A first scene for a mold: its units, the sheet's place, mesh and thickness, and a pressure that fills it slowly."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
 
     Args:
         paths: The mesh files that are the mold.
-        wishes: What the user says.
+        wishes: Choices of the user.
 
     Raises:
         InputError: A file cannot be read, or the mold has no opening and nothing stands out of it.
@@ -58,7 +58,7 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
 
 
 class _WeldedMold(NamedTuple):
-    """A mold, welded [m], its box as the file has it, and what is said of it."""
+    """A mold, welded [m], its box in the units of the file, and its description."""
 
     mold: Mesh
     extent: Array
@@ -124,7 +124,7 @@ def _draft_buck(read: _WeldedMold) -> Draft:
 
 
 def _element_size(pocket: float, area: float, elements: float) -> float:
-    """[m], by half the width of what is narrowest [m] and the sheet's area [m^2], of about so many elements."""
+    """Element size [m], by half the narrowest width [m] and the sheet's area [m^2], for about so many elements."""
     fine = max(2 * pocket / _ACROSS, triangle_side(area, _MOST))
     return round_digits(min(fine, triangle_side(area, elements)))
 
@@ -152,7 +152,7 @@ def _sheet_in_place(read: _WeldedMold, found: Opening, planform: Planform, place
 
 
 def _place(found: Opening, planform: Planform) -> _Place:
-    """Where the mold goes so that the sheet lies in the plane of zero height."""
+    """Placement of the mold that puts the sheet in the plane of zero height."""
     shape = planform.shape
     axes = shape.axes if isinstance(shape, OrientedRectangle) else np.eye(2)
     turn = np.eye(3)
@@ -172,7 +172,7 @@ def _place(found: Opening, planform: Planform) -> _Place:
 
 
 def _width(polygon: Array, area: float) -> float:
-    """Of a planform [m]: the shorter side of the rectangle round it, less where it fills that badly."""
+    """Width of a planform [m]: the shorter side of the rectangle round it, less where it fills that poorly."""
     sides = contours.smallest_rectangle(contours.hull(polygon)).sides
     return float(min(sides.min(), area / sides.max() * 1.2))
 

@@ -81,7 +81,7 @@ def _places(scene: Scene, offset: Array) -> Array:
 
 
 def _first_gap(scene: Scene, push: float, places: Array) -> float:
-    """The widest gap [m] before the sheet as it was at first, of one that meets nothing straight along the push."""
+    """The widest gap [m] before the initial sheet, for one that meets nothing straight along the push."""
     parison, lying = scene.parison, scene.tables.initial_contact
     assert scene.mold is not None
     wall = np.zeros(len(parison.positions), int) if lying is None else np.asarray(lying)

@@ -1,4 +1,4 @@
-"""The part of a formed sheet: what statistics, objectives and pictures count, and what is cut off it."""
+"""The part of a formed sheet: the elements that statistics, objectives and pictures count."""
 
 from __future__ import annotations
 

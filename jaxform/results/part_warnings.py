@@ -97,7 +97,7 @@ def _images(scene: Scene, walls: Array) -> list[Array]:
 def has_burst(result: Result, scene: Scene) -> bool:
     """True if a run reached its end although its sheet was blown through itself.
 
-    A film is then stretched unrealistically far, and cuts what it left through.
+    A film is then stretched unrealistically far, and intersects the surface that it passed through.
     """
     if int(result.status) or scene.mold is None or not np.isfinite(np.asarray(result.positions)).all():
         return False

@@ -52,7 +52,7 @@ def nodal_ratio(ratio: jax.Array, sheet: ReferenceGeometry, positions: jax.Array
 
 
 def _sums_at_nodes(shares: jax.Array, triangles: jax.Array, count: int) -> jax.Array:
-    """Sums (k, n_node) of what elements give to their corners (k, 3, n_element)."""
+    """Sums (k, n_node) of the elements' contributions to their corners (k, 3, n_element)."""
     flat = shares.reshape(len(shares), -1)
     return jnp.zeros((len(shares), count), shares.dtype).at[:, triangles.ravel()].add(flat)
 
@@ -60,7 +60,7 @@ def _sums_at_nodes(shares: jax.Array, triangles: jax.Array, count: int) -> jax.A
 def _fits(
     values: jax.Array, sheet: ReferenceGeometry, positions: jax.Array, mobile: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """At the nodes their elements' mean and variance, and value and gradient (3, n_node) of the best linear function.
+    """Mean and variance of each node's elements, and value and gradient (3, n_node) of the best linear function.
 
     Whole arrays at once: a result is made once a run, and is a tenth of what is compiled.
     """

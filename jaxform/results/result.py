@@ -75,7 +75,7 @@ class Result:
         filling: Filling of the mold, where `run` measured it, else None.
         temperature: Temperature at the nodes (n_node,) [degC], where the sheet cools; at the end time where nothing can
             move any
-            more before. None where it keeps what it has at first.
+            more before. None where it keeps its initial one.
         loading: Final state of the loading; None where it has none.
         out_of_range: Numbers of the scene that were out of range, as bits of several words, in the order of
             `core.ranges.DESIGNABLE`; 0 where none was. None from the host's loop, which refuses them.

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class SectionCurve(NamedTuple):
-    """Thickness [m] over arc length [m] in the formed part, (n,) each, and what the curve is called.
+    """Thickness [m] over arc length [m] in the formed part, (n,) each, and the name of the curve.
 
     Where it was to run through a place, `marked` is the arc length there. Where its points are in the formed part,
     `place` says (n, 3) [m].

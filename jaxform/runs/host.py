@@ -61,7 +61,7 @@ def run(
             Without it the whole loop runs at once.
         on_end: Called with the result when the last step is taken, before the part is measured against the mold,
             which can take seconds; its status is that of the steps.
-        store: Where traced programs are kept between runs; nowhere by default.
+        store: Store for traced programs between runs; none by default.
 
     Raises:
         InputError: If a number of the scene is out of its range.

@@ -185,7 +185,7 @@ def _has_programs(scene: Scene, store: Store) -> bool:
 
 
 def compile_for(scene: Scene, store: Store, least: int = 0) -> None:
-    """Compiles and stores the programs for scenes of a kind and bucket sizes, for at least so many elements."""
+    """Compiles and stores the programs for scenes of a kind and bucket sizes, for at least `least` elements."""
     for program in _request_programs(pad_to_bucket(scene, least, recorded=True).scene, store):
         program.ready()
 

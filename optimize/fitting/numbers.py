@@ -200,7 +200,7 @@ def _initial_range(lower: float, upper: float) -> tuple[float, float]:
 def _of_mode(name: str, place: int, count: int, allowed: Range, stress: float, times: tuple[float, float]) -> Number:
     if allowed.unit == "Pa":
         return Number(VISCOUS + name, place, allowed, stress, False, _SMALLEST, np.inf, (1.0, 1.0))
-    # Each mode has its own part of the times, which are divided by equal factors.
+    # Each branch has its own part of the times, which are divided by equal factors.
     low, high = np.log(times)
     part = (high - low) / count
     begin = low + place * part

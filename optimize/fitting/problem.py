@@ -1,4 +1,4 @@
-"""Weighted differences between a law's values for the tests and the measured ones, with their derivatives."""
+"""Weighted differences between a model's values for the tests and the measured ones, with their derivatives."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _UNKNOWN = 1e3  # a difference where there is no equilibrium
 
 
 class Problem:
-    """Tests, and the numbers that are to be found from them.
+    """Tests, and the parameters to be fitted to them.
 
     Args:
         tables: The tests.
-        numbers: The numbers.
+        numbers: The parameters.
         weights: "relative": each difference over what was measured there; "absolute": over the largest of the table.
 
     Attributes:
         tables: The tests.
-        numbers: The numbers.
-        slices: Where in the vector of differences each measured column of each table is.
-        used: Which differences count (m,): not those of rows in which nothing is strained.
+        numbers: The parameters.
+        slices: Slices of the vector of differences, one for each measured column of each table.
+        used: Mask of the differences that count (m,): not those of unstrained rows.
     """
 
     def __init__(self, tables: Sequence[Table], numbers: Numbers, weights: str = "relative") -> None:
@@ -58,7 +58,7 @@ class Problem:
         self._last: tuple[Array, Array, Array] | None = None
 
     def values(self, free: Array) -> Array:
-        """What the law says (m,), in the units of what was measured."""
+        """Values of the material model (m,), in the units of the measured ones."""
         return self._slopes_and_values_at(free)[1]
 
     def _slopes_and_values_at(self, free: Array) -> tuple[Array, Array]:
@@ -80,7 +80,7 @@ class Problem:
 
 
 def _says_something(table: Table) -> Array:
-    """Which rows (n,) are strained."""
+    """Mask of the rows (n,) that are strained."""
     if isinstance(table, Bubble):
         return np.ones(len(table.height), bool)
     return np.abs(table.stretch - 1.0) > 1e-9
@@ -93,7 +93,7 @@ def _data(table: Table) -> tuple[Any, ...]:
 
 
 class _BubbleKind(NamedTuple):
-    """What of a bubble a program is compiled for: lengths [m], largest pressure [Pa], whether walls were measured."""
+    """Bubble data that a program is compiled for: lengths [m], largest pressure [Pa], whether walls are measured."""
 
     sheet: float
     radius: float
@@ -102,14 +102,14 @@ class _BubbleKind(NamedTuple):
 
 
 def _kind(table: Table) -> str | _BubbleKind:
-    """The state of a pull, or what there is of a bubble: with its data all that the law's values depend on."""
+    """The state of a pull, or the properties of a bubble: with its data, all that the model's values depend on."""
     if isinstance(table, Pull):
         return table.state
     return _BubbleKind(table.sheet, table.radius, float(table.pressure.max()), table.thickness is not None)
 
 
 def _model_values(law: Law, kind: str | _BubbleKind, data: tuple[Any, ...]) -> jax.Array:
-    """The law's values for the measured columns of a table, one after the other."""
+    """The material model's values for the measured columns of a table, one after the other."""
     if isinstance(kind, str):
         stretch, pulled = data
         return states.nominal_stress(law, kind, jnp.asarray(stretch), pulled)
@@ -134,10 +134,10 @@ def _slopes_and_values(
 
 
 def without_bubbles(tables: Sequence[Table]) -> list[Table]:
-    """The same with rough equibiaxial tests in place of bubbles: a bubble's pole, as if it were part of a sphere.
+    """The tables with rough equibiaxial tests in place of bubbles: a bubble's pole, as if it were part of a sphere.
 
     The wall there is taken to be that of Hill's solution for metal where it was not measured (R. Hill, Phil. Mag. 41,
-    1950); it is within some per cent of the right one up to a height of a radius.
+    1950); that is accurate to a few per cent up to a height of a radius.
     """
     return [_convert_to_pull(table) if isinstance(table, Bubble) else table for table in tables]
 
@@ -153,5 +153,5 @@ def _convert_to_pull(table: Bubble) -> Pull:
 
 
 def only_slow(tables: Sequence[Table]) -> list[Table]:
-    """The same without times, for a law without viscous modes."""
+    """The tables without times, for a material model without Maxwell branches."""
     return [dataclasses.replace(table, time=None) for table in tables]

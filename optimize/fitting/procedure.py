@@ -96,7 +96,7 @@ def _most_telling(counts: Sequence[int], solved: Callable[[int], Solution]) -> t
 
 
 def _worth(solution: Solution) -> tuple[bool, float]:
-    """The smaller the better: a stable law comes first."""
+    """Rank of a solution, the smaller the better: stable models come first."""
     return solution.unstable is not None, solving.information(solution)
 
 
@@ -124,7 +124,7 @@ def _largest_stress(table: Table) -> float:
 
 
 def _times(tables: Sequence[Table]) -> tuple[float, float] | None:
-    """The shortest and the longest time [s] that the tests tell of."""
+    """The shortest and the longest time [s] of the tests."""
     given = [table.time for table in tables if table.time is not None]
     if not given:
         return None
@@ -155,7 +155,7 @@ def _matches(solution: Solution) -> list[Match]:
 
 
 def _warn_of_doubtful_fit(fit: Fit) -> None:
-    """Warns of what makes a fit doubtful."""
+    """Warns of the reasons for which a fit is doubtful."""
     solution = fit.solution
     if solution.unstable is not None:
         state, stretch = solution.unstable

@@ -22,7 +22,7 @@ LEVEL = 0.95
 """Level of the confidence intervals."""
 _STARTS, _BEST, _FEW = 100, 8, 2  # that are looked at, and from which a search begins, where it is quick and slow
 _CALLS = 100  # of one search
-_SAMPLES = 24  # stretches in each state, at which the law's stability is looked at
+_SAMPLES = 24  # stretches in each state at which the stability of the model is checked
 _EXACT, _NO_CHANGE = 1e-6, 1e-5  # a difference that is none, and what changes differences by so little is no number
 _MARGIN, _FORCE = 1e-3, 1e3  # of the largest stress, what a place is held away from being unstable; what that weighs
 
@@ -185,7 +185,7 @@ def _with_moduli(problem: Problem, free: Array) -> Array:
     if not moduli.any() or not np.isfinite(slopes).all():
         return free
     free = free.copy()
-    # Some stiffness is kept in each: where there is none, a search does not know what the other numbers do.
+    # Some stiffness is kept in each: without it, the other parameters have no effect in a search.
     free[moduli] = np.clip(lsq_linear(slopes, wanted, bounds).x, bounds[0] + 1e-6, bounds[1])
     return free
 

@@ -15,7 +15,7 @@ from jaxform.mechanics import constitutive
 from jaxform.mechanics.constitutive import Overstress, Response, ViscousMemory
 
 STATES = ("uniaxial", "equibiaxial", "pure-shear")
-"""How a sheet is pulled; across the pull it is free, pulled as much, or held."""
+"""States of a pulled sheet: across the pull it is free, pulled as much, or held."""
 
 
 _SMALL, _MOST_PARTS = 0.02, 500  # change of the stretch in a step, and how many steps a row may take
@@ -34,10 +34,10 @@ def nominal(
     """Nominal stresses [Pa] along two principal stretches (n,) in the plane, free across it.
 
     Args:
-        law: The law; of its viscous modes only what `memory` has counts.
+        law: The material model; of its Maxwell branches only what `memory` has counts.
         one: The first stretch.
         two: The second stretch.
-        memory: What the modes remember; None for what is left in the end.
+        memory: Memory of the branches; None for the long-term stress.
     """
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
     metric = one * one, none, two * two
@@ -47,7 +47,7 @@ def nominal(
 
 
 def at_first(modes: Modes, count: int) -> Overstress:
-    """The overstress of viscous modes at places (count,) that were never strained."""
+    """The overstress of Maxwell branches at places (count,) that were never strained."""
     unit = jnp.ones((count,), modes.time.dtype)
     none = jnp.zeros_like(unit)
     inverse = jnp.stack([unit, none, unit])
@@ -57,24 +57,24 @@ def at_first(modes: Modes, count: int) -> Overstress:
 
 
 def memory_after(modes: Modes, past: Overstress, step: jax.Array) -> ViscousMemory:
-    """The memory of modes after a step [s] over which the strain is linear in time; a step of 0 is a jump."""
+    """The memory of Maxwell branches after a step [s] with the strain linear in time; a step of 0 is a jump."""
     recursion = modes.recursion(step)
     return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion.gain, modes.kind)
 
 
 def overstress(memory: ViscousMemory, one: jax.Array, two: jax.Array) -> Overstress:
-    """The overstress of modes with such a memory at places that now have these stretches (n,)."""
+    """The overstress of Maxwell branches with such a memory at places that now have these stretches (n,)."""
     none, unit = jnp.zeros_like(one), jnp.ones_like(one)
     return constitutive.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
 
 
 class Path(NamedTuple):
-    """A test's way from row to row, cut into steps.
+    """Path of a test from row to row, in steps.
 
     Attributes:
-        value: What is pulled or blown up to (n_step,).
+        value: Stretch or height reached (n_step,).
         step: Time since the one before (n_step,) [s].
-        row: Which steps are rows of the table (n,).
+        row: Indices of the steps that are rows of the table (n,).
     """
 
     value: NDArray[np.float64]
@@ -95,10 +95,9 @@ def split_path(values: NDArray[np.float64], times: NDArray[np.float64], first: f
 
 
 def history(stretch: NDArray[np.float64], time: NDArray[np.float64]) -> Path:
-    """What rows (n,) tell: the first stretch came at time 0 at once, and between rows it is linear in time [s].
+    """Stretch history of rows (n,): the first stretch is applied at time 0, and between rows it is linear in time [s].
 
-    In steps over which it changes so little that the modes' recursions, which are made for small ones, are right to a
-    few parts in ten thousand.
+    Its steps are so small that the recursions of the Maxwell branches are accurate to a few parts in ten thousand.
     """
     after = split_path(stretch, time, float(stretch[0]), _SMALL)
     return Path(np.append(stretch[:1], after.value), np.append(0.0, after.step), after.row + 1)
@@ -108,10 +107,10 @@ def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None
     """Nominal stress (n,) [Pa] along the pull.
 
     Args:
-        law: The law; its viscous modes count where there is a history.
+        law: The material model; its Maxwell branches count where there is a history.
         state: One of `STATES`.
-        stretch: Along the pull (n,).
-        pulled: How these were reached; None for a slow test.
+        stretch: Stretch along the pull (n,).
+        pulled: History of these; None for a slow test.
     """
     modes = law.viscous
     if modes is None or pulled is None:

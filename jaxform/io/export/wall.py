@@ -93,7 +93,7 @@ def read_wall(folder: Path, whole: bool = False) -> WallSurface:
         mesh = _part(mesh)
     try:
         nodal = _positive(mesh.fields, "thickness")
-        # Older files, or those of others, may lack what the elements know.
+        # Older files, or those of other programs, may lack data of the elements.
         known = "thickness" in mesh.cell_fields
         elements = _positive(mesh.cell_fields, "thickness") if known else nodal[mesh.triangles].mean(1)
         elements = add_fold_volume(mesh, elements, str(path))
