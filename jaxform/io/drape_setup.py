@@ -66,7 +66,7 @@ class Drape:
         return self.buck.height + clearance(thickness) - _REST * thickness
 
     def opening(self, thickness: float) -> Opening:
-        """The mold as what is formed, with the sheet at its clamp plane, before the mold moves."""
+        """The mold as an opening to form into, with the sheet at its clamp plane, before the mold moves."""
         level = self.buck.top - clearance(thickness)
         return Opening(self.buck.view, level, self.buck.base, self.buck.body, True, 1.0, self.buck.height)
 

@@ -33,7 +33,7 @@ class DrawnSurface(NamedTuple):
     Attributes:
         faces: Triangles (n, 3, 3) [mm].
         paint: Their colours (n, 3), or numbers (n,) that colours show; NaN is grey.
-        opaque: How opaque they are.
+        opaque: Their opacity, 0 to 1.
         edges: Whether their edges are drawn.
         open_at: Two axes and places [mm]: what lies between the eye and both planes is left out.
     """

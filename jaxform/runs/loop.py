@@ -41,7 +41,7 @@ def whole_run(scene: Scene) -> Result:
 def result_of(
     state: State, scene: Scene, first: Discretization, taken: Taken | None = None, last: jax.Array | bool = False
 ) -> Result:
-    """The result of a state; of the last one with what it has ended with."""
+    """The result of a state; that of the last one has its final status."""
     status = jnp.where(last, finalize_state(state, scene, first).status, state.status)
     return make_result(dataclasses.replace(state, status=status), scene, first, taken, last)
 

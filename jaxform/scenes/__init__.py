@@ -164,7 +164,7 @@ def soap_bottle(
         neck_radius: Radius of the neck [m].
         hole: Half width and half height of the handle's hole [m].
         swell: Inflation of the parison before the pressure is applied: 0 is flat, 1 the bottle.
-        neck_swell: The same at the neck, where the blow pin holds it.
+        neck_swell: Inflation at the neck, where the blow pin holds it.
         inset: Distance of the parison's clamped edge inside the bottle's outline [m].
         element_size: Length of the parison's edges [m], halved where the bottle is narrow.
         mold_element_size: Length of the mold's edges [m].

@@ -98,7 +98,7 @@ class BottleHalfParison(Table):
         hole: Half width and half height of the hole of the handle [m].
         element_size: Side of a triangle [m].
         swell: Initial inflation: 0 is flat, 1 the bottle.
-        neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
+        neck_swell: Initial inflation at the neck, which a blow pin holds round; by default as elsewhere.
         inset: Distance of its pinched edge inside the bottle's outline [m].
         thickness: Initial thickness [m].
         temperature: Temperature of the sheet [degC], where the material has a time-temperature shift.

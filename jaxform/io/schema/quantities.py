@@ -21,7 +21,7 @@ Triple = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
-"""Of what no memory is taken for beforehand."""
+"""A count of things for which no memory is allocated in advance."""
 Place = Literal["radius", "x", "y", "z"]
 
 _FORMS = 'give a number, {along, at, value}, {file, field} or "field:NAME"'
