@@ -1,1 +1,1 @@
-"""Adaptive refinement: what is bisected, the finer mesh, and the nodes that it inserts."""
+"""Adaptive refinement: the bisected elements, the finer mesh, and the nodes that it inserts."""

@@ -32,8 +32,8 @@ from jaxform.sheet.state import State, initial_node_state
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import ToolFrame
 
-_BEFORE = 64  # times the distance at which a node touches, before its wall: where a node that sticks looks from
-_BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin wall
+_BEFORE = 64  # times the distance at which a node touches, before its triangle: where a stuck node's path begins
+_BACKWARD = 0.5  # cosine: a place that is that far from where the sheet is, is on the back of a thin part
 _CALM = 0.5  # of its edge: a new node that is nearer to the mold is at rest; from a whole one on it moves as it would
 
 
@@ -190,7 +190,7 @@ def _interpolate_nodes(
     start = initial_node_state(scene, births.node)
     moves, speeds = jnp.where(start.stuck, 0.0, middle), jnp.where(start.stuck, 0.0, velocities)
     if frame is not None:
-        # In the frame of the tool it is what is clamped that moves.
+        # In the frame of the tool the clamped nodes move.
         clamped = start.stuck & (start.wall == 0)
         moves = jnp.where(clamped, -frame.offset[:, None], moves)
         speeds = jnp.where(clamped, -frame.velocity[:, None], speeds)
@@ -258,7 +258,7 @@ def _place_on_mold(
         length = jnp.sqrt(jnp.where(births.new, dot(edge, edge), 1.0))
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
         velocities = jnp.where(flies, _velocity_share(gap, size), 1.0)[None] * velocities
-    # It is on the side of the place that it looks from; what is beyond may look from another wall.
+    # It is on the side of the place where its path begins; the path to one beyond may begin at another triangle.
     above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
     side = jnp.where(above < 0.0, -1, 1)
     return dataclasses.replace(

@@ -14,7 +14,7 @@ from jaxform.mechanics.membrane import cross, dot
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid
 
-_LANES = 64  # nodes that are looked at together
+_LANES = 64  # nodes that are processed together
 
 
 class NearestTriangle(NamedTuple):
@@ -26,7 +26,7 @@ class NearestTriangle(NamedTuple):
 
 
 def nearest_triangle(positions: jax.Array, wanted: jax.Array, grid: SearchGrid) -> NearestTriangle:
-    """The nearest triangle to each wanted node; of equally near ones, the one that looks at it most squarely."""
+    """The nearest triangle to each wanted node; of equally near ones, the one that faces it most squarely."""
     count = positions.shape[1]
     rows = -(-count // _LANES) * _LANES
     node, total = compact_indices(wanted, rows)
@@ -72,7 +72,7 @@ def _no_triangle(real: jnp.dtype) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def closest_place(positions: jax.Array, mold: Mold, triangle: jax.Array, lands: jax.Array) -> jax.Array:
-    """The point (3, n) [m] of each node's triangle that is nearest to it; differentiable where it lands."""
+    """The point (3, n) [m] of each node's triangle that is nearest to it; differentiable where it `lands`."""
     d, e, f = (mold.vertices[mold.triangles[triangle, k]].T for k in range(3))
     edge1, edge2 = e - d, f - d
     normal = jnp.stack(cross(edge1, edge2))

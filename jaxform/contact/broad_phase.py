@@ -19,7 +19,7 @@ from jaxform.kernels.blocks import over_blocks, put, slice_at
 from jaxform.mechanics.membrane import dot, gather, minus
 
 LOOK_EVERY = 4  # steps
-_AHEAD = 2.0  # times as far as a node goes at its speed until the next look: where it may be before that
+_AHEAD = 2.0  # times as far as a node goes at its speed until the next check: where it may be before that
 
 
 class BroadPhaseCheck(NamedTuple):
@@ -69,8 +69,8 @@ def check_nodes(
     """Checks every node in use, up to the next check.
 
     Args:
-        positions: (3, n_node) or three times (n_node,) [m].
-        velocities: (3, n_node) [m/s].
+        positions: Node positions, (3, n_node) or three times (n_node,) [m].
+        velocities: Node velocities (3, n_node) [m/s].
         stuck: Nodes (n_node,) that do not move any more.
         till_next: Time until the next check [s].
         candidates: The list.
@@ -109,7 +109,7 @@ def may_have_missed(positions: Any, stuck: jax.Array, spheres: Any, last: BroadP
     """Mask (n,) of nodes that may have missed the mold: out of their spheres, or far enough to touch it unchecked.
 
     Args:
-        positions: (3, n) [m].
+        positions: Node positions (3, n) [m].
         stuck: Nodes (n,) that do not move any more.
         spheres: The `list_spheres` of the list at these nodes.
         last: Result of the last check.
@@ -132,7 +132,7 @@ def find_active_pairs(
     """The blocks with free nodes that moved far enough to touch the mold, and whether one soon leaves its sphere.
 
     Args:
-        positions: After the step, (3, n_node) or three times (n_node,) [m].
+        positions: Node positions after the step, (3, n_node) or three times (n_node,) [m].
         stuck: Nodes (n_node,) that do not move any more.
         candidates: The list.
         node_block_count: Number of node blocks in use.

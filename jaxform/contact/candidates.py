@@ -22,9 +22,9 @@ from jaxform.mechanics.nodes import highest_speed
 from jaxform.tools.search import SearchGrid
 
 # Pairs are worked through in blocks by loops that end when the pairs do: the cost follows the number of pairs, not
-# the room for them, and nothing is compiled twice. No derivative goes through these loops.
-_WORTH = 8  # for so many steps of a node a list may look at one triangle
-_MOST_ATTEMPTS = 13  # to shorten the paths, then to shrink the spheres, until the pairs find room
+# the capacity for them, and nothing is compiled twice. No derivative goes through these loops.
+_WORTH = 8  # for so many steps of a node a list may check one triangle
+_MOST_ATTEMPTS = 13  # to shorten the paths, then to shrink the spheres, until the pairs fit the capacity
 
 
 class _CandidatePairs(NamedTuple):
@@ -71,8 +71,8 @@ def list_candidates(
     """Lists the pairs of free nodes and triangles that may meet.
 
     Args:
-        positions: (3, n_node) [m]; whole blocks of nodes.
-        velocities: (3, n_node) [m/s].
+        positions: Node positions (3, n_node) [m]; whole blocks of nodes.
+        velocities: Node velocities (3, n_node) [m/s].
         free: Nodes (n_node,) that can still move.
         length: Length of a step [s].
         steps: Largest number of steps to come; wrongly predicted paths cost time, not accuracy.
@@ -181,7 +181,7 @@ def _coarse_pairs(
             used = slot[None] < length[:, None]
             triangle = gather(grid.listed, jnp.where(used, begin[:, None] + slot[None], 0))
             keep = used & (distance_bound(center, triangle, grid) <= radius[:, None])
-            # The barrier keeps the distances from being worked out again for each use of what they decide.
+            # The barrier keeps the distances from being computed again for each use of what they decide.
             keep, triangle = materialize((keep.ravel(), triangle.ravel()))
             place, more = compact_indices(keep, keep.size)
             return level + DEPTH, _append_block(found, gather(nodes, place), gather(triangle, place), more)
@@ -213,7 +213,7 @@ def _filter_pairs(
     ) -> tuple[jax.Array, tuple[_CandidatePairs, jax.Array, jax.Array]]:
         first, (kept, planes, clear) = carry
         node, triangle = (slice_at(pairs, first, TEST_BLOCK) for pairs in (coarse.node, coarse.triangle))
-        # The barriers keep things from being worked out, and fetched from afar, again for each use.
+        # The barriers keep values from being computed, and fetched from afar, again for each use.
         frame = materialize(rows_of_table(grid.frames, triangle))
         used = first + jnp.arange(TEST_BLOCK) < last
         keep = used & (distance(gather(spheres.center, node), frame) <= spheres.radius[node] + touch)

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxform.core.pytree import pytree
 
 TEST_BLOCK = 128  # pairs that are tested together
-LANES, DEPTH = 16, 8  # nodes, and triangles of each, that are looked at together
+LANES, DEPTH = 16, 8  # nodes, and triangles of each, that are processed together
 _CANDIDATES = 8  # for each of these pairs, from which they are chosen: where a mold is flat, many planes are near
-PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a list can hold, where nothing else is asked for
+PAIRS_PER_NODE, _LEAST_ROOM = 2, 4096  # that a list can hold, where nothing else is requested
 
 
 @pytree

@@ -16,7 +16,7 @@ from jaxform.kernels.blocks import compact_indices, materialize, slice_at
 from jaxform.mechanics.membrane import dot
 from jaxform.tools.search import SearchGrid
 
-_LANES = 64  # ways that are looked along together
+_LANES = 64  # paths that are searched together
 _APART = 16  # times the distance at which a node touches: crossings that are nearer to each other are one
 
 

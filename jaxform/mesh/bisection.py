@@ -32,13 +32,13 @@ class TriangleForest:
 
     Attributes:
         root_count: Triangles at level 0.
-        depth: The deepest level; even, so that no mark ever asks for more (see `even_depth`).
+        depth: The deepest level; even, so that no mark ever requires more (see `even_depth`).
         positions: Node positions (n_node, 3) [m]; those of the mesh come first.
-        triangles: (n_triangle, 3), the peak first.
+        triangles: Node numbers (n_triangle, 3), the peak first.
         partner: The other triangle (n_triangle,) with the same refinement edge; itself where there is none.
         middle: Node in the middle of the refinement edge (n_triangle,); -1 at the deepest level.
         half_edges: Numbers of the sides from each corner to the next (n_triangle, 3): two neighbours have 2 k, 2 k + 1.
-        corner_slots: (n_triangle, 3); triangles that do not overlap have different ones at a node.
+        corner_slots: Slots of the corners (n_triangle, 3); triangles that do not overlap have different ones at a node.
         ends: End nodes (n_node, 2) of the edge of which a node is the middle; the node twice for those of the mesh.
         clamped: Nodes that never move (n_node,).
         fixed: Components that never move (n_node, 3).
@@ -71,7 +71,7 @@ def extend_values(values: NDArray[np.floating], ends: NDArray[np.integer], depth
 
 
 def even_depth(level: int) -> int:
-    """The depth of a forest in which triangles up to a level can be asked for: closure never needs an odd one more."""
+    """The depth of a forest in which triangles up to a level can be requested: closure never needs an odd one more."""
     return level + level % 2
 
 
@@ -87,8 +87,8 @@ def build_forest(
     """Bisects a conforming mesh of consistently oriented triangles.
 
     Args:
-        positions: (n_node, 3) [m].
-        triangles: (n_root, 3).
+        positions: Node positions (n_node, 3) [m].
+        triangles: Node numbers (n_root, 3).
         depth: The deepest level, even.
         clamped: Nodes that never move; none by default.
         fixed: Components (n_node, 3) that never move; none by default.

@@ -43,8 +43,8 @@ class Bottle:
     """The outer shape of a bottle.
 
     Attributes:
-        height: From bottom to neck [m].
-        radius: Of the body [m].
+        height: Height from bottom to neck [m].
+        radius: Radius of the body [m].
         neck_radius: [m].
         hole: Half width and half height of the handle's hole [m].
     """
@@ -81,7 +81,7 @@ def half_bottle(
         element_size: Length of the edges [m], before the lift, halved where the bottle is narrow.
         swell: 1 for the bottle, less for a flatter sheet with the same outline.
         neck_swell: The same at the neck's open edge, from the shoulder up on the way there; by default as below.
-        inset: How far the outline is drawn in [m].
+        inset: Distance by which the outline is drawn in [m].
 
     Returns:
         Positions (n, 3) [m] and triangles (m, 3) with outward normals.

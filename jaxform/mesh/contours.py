@@ -80,10 +80,10 @@ def _size(rectangle: OrientedRectangle) -> float:
 
 
 def contour(values: Array, low: Array, pixel: float) -> Array:
-    """The longest closed line (k, 2) [m] round where values are above 0, counter-clockwise; none is at the border.
+    """The longest closed line (k, 2) [m] round where values are above 0, counter-clockwise; none is at the edge.
 
     Args:
-        values: In the middles of square pixels (ny, nx).
+        values: Values in the middles of square pixels (ny, nx).
         low: The outer corner of the first pixel (2,) [m].
         pixel: Their side [m].
     """

@@ -20,10 +20,10 @@ _TIP = 0.3  # of the size: where a sharp corner is as narrow as that, it ends
 _NECK = 0.4  # of the way along the rim, below which two of its places are those of a neck, not of a corner
 _FINEST = 3  # times that the size may be halved in necks
 _GROWTH = 0.4  # of the size, over the distance from where it is small
-_PER_SIZE = 6  # places in which a neck is looked for, in an element's length
+_PER_SIZE = 6  # places in which a neck is searched for, in an element's length
 _ATTEMPTS = 12
 _LOWEST = 0.01  # of the size, an element's height
-_CHUNK = 4_000_000  # pairs of points and sides looked at together
+_CHUNK = 4_000_000  # pairs of points and sides processed together
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PolygonCurve:
     """A closed polygon by the arc length along it.
 
     Attributes:
-        corners: (k, 2) [m], counter-clockwise.
+        corners: Corners (k, 2) [m], counter-clockwise.
         arc_length: To each corner and back to the first (k + 1,) [m].
     """
 
@@ -106,7 +106,7 @@ def fill_polygon(
     """Nearly regular triangles over a simple polygon; elements are smaller in necks, so that two lie across them.
 
     Args:
-        corners: (k, 2) [m], counter-clockwise, as `clean` gives them.
+        corners: Corners (k, 2) [m], counter-clockwise, as `clean` gives them.
         size: Length of the sides [m].
         forced: Corners (k,) that the mesh must have; others are left out where they are within a tenth of the size.
 

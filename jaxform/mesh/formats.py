@@ -33,10 +33,10 @@ _limiting = threading.Lock()
 
 
 def read_faces(path: Path, further: bool = False) -> Faces:
-    """The faces that a mesh file has, of one of `ENDINGS` or, if asked for, of `FURTHER`.
+    """The faces that a mesh file has, of one of `ENDINGS` or, on request, of `FURTHER`.
 
     Raises:
-        InputError: The file is missing, too large, or no mesh of the format that its ending tells.
+        InputError: The file is missing, too large, or no mesh of the format of its ending.
     """
     value = str(path)
     ending = path.suffix.lower()

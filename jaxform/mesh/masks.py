@@ -41,7 +41,7 @@ def fill_holes(mask: Mask) -> Mask:
 
 
 def dilate(mask: Mask, pixels: int) -> Mask:
-    """A mask with what is so many steps from it; below 0 without its outermost so many."""
+    """A mask dilated by a number of steps; below 0 it is eroded."""
     from scipy import ndimage
 
     change = ndimage.binary_dilation if pixels > 0 else ndimage.binary_erosion

@@ -16,7 +16,7 @@ Index = NDArray[np.int64]
 MOST_CORNERS = 20_000
 _SAME = 1e-9  # of the polygon's size: corners as near as that are one
 _SHARP = 30.0  # degrees, below which a corner is blunted
-_CHUNK = 4_000_000  # pairs of sides looked at together
+_CHUNK = 4_000_000  # pairs of sides processed together
 
 
 def area(corners: Array) -> float:
@@ -31,7 +31,7 @@ def clean(polygon: Any, key: str = "parison.polygon") -> Array:
 
     Args:
         polygon: Corners (n, 2) [m] in either order; the last may repeat the first.
-        key: What to call it in messages.
+        key: Its key, for messages.
 
     Raises:
         InputError: Fewer than three corners or too many, numbers that are not finite, no area, or sides that cross or

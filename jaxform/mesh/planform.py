@@ -15,7 +15,7 @@ Size = Callable[[Array], Array]
 
 _ROUNDS = 6  # of smoothing; more change little
 _CLEAR = 0.6  # of the size: inner points keep that far from the rim, so that its edges are edges of the mesh
-_MOST_PAIRS = 5_000_000  # of points and sides of the loops beside them, looked at together
+_MOST_PAIRS = 5_000_000  # of points and sides of the loops beside them, processed together
 _FLAT = 1e-7  # of a triangle's side, its height, where it is none
 _LEVELS = 4  # times that the largest size may be halved
 

@@ -13,7 +13,7 @@ from jaxform.mesh.rows import positions_in_rows
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_AT_ONCE = 1_000_000  # pairs of triangle and pixel that are looked at together
+_AT_ONCE = 1_000_000  # pairs of triangle and pixel that are processed together
 _EDGE = 1e-9  # by which a point may be outside of a triangle, so that none falls between two
 
 
@@ -124,7 +124,7 @@ def nearest_in_pixels(
         depth: Depths of the corners (n, 3); the smallest is the nearest.
         width: Width of the picture, in pixels.
         height: Height of the picture, in pixels.
-        kept: Which of the pairs count (n,), where the triangles are cut open; all by default.
+        kept: Selects the pairs that count (n,), where the triangles are cut open; all by default.
     """
     best, seen = np.full(width * height, np.inf), np.full(width * height, -1, np.int32)
     for found in rasterize(corners, width, height):

@@ -12,7 +12,7 @@ def reference_metric(positions: Array, triangles: NDArray[np.integer]) -> tuple[
     """Inverse metric (3, n_element) [1/m^2] and area (n_element,) [m^2], as `membrane.reference_metric` has them.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Node positions (n_node, 3) [m].
         triangles: Node numbers (n_element, 3).
     """
     g11, g12, g22, determinant = _metric(positions, triangles)

@@ -97,7 +97,7 @@ def graded_rings(radius: float, size: Profile, density: float) -> tuple[Array, l
 
 
 def staggered_rings(wanted: Sequence[float]) -> list[Ring]:
-    """Rings with about the wanted numbers of segments, from the inside outwards; the last has just so many."""
+    """Rings with about the wanted numbers of segments, from the inside outwards; the last has exactly as many."""
     counts = _counts(wanted[-1])
     rings: list[Ring] = []
     for left, number in zip(reversed(range(len(wanted))), wanted, strict=True):

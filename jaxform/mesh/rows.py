@@ -13,9 +13,9 @@ class Distinct(NamedTuple):
 
     Attributes:
         rows: Each once (k, c).
-        first: Where each comes first (k,).
-        inverse: Which of them each row of the array is (n,).
-        count: How often each comes (k,).
+        first: Index of the first occurrence of each (k,).
+        inverse: Index among them of each row of the array (n,).
+        count: Number of occurrences of each (k,).
     """
 
     rows: NDArray[Any]

@@ -222,14 +222,14 @@ def bottle_half(
     """Half of a flattened parison in the mold of half a bottle: pinched along its outline and round the handle's hole.
 
     Args:
-        height: Of the bottle, from the bottom, y = 0, to the neck [m].
-        radius: Of the bottle's body [m].
+        height: Height of the bottle, from the bottom, y = 0, to the neck [m].
+        radius: Radius of the bottle's body [m].
         neck_radius: [m].
         hole: Half width and half height of the handle's hole [m].
         element_size: Length of the edges [m] in the plane of the outline, halved in narrow parts.
-        swell: How far it is blown up already: 0 is flat, 1 the bottle.
+        swell: Degree to which it is blown up already: 0 is flat, 1 the bottle.
         neck_swell: The same at the neck, which a blow pin holds round; by default as elsewhere.
-        inset: How far inside the bottle's outline it is pinched [m].
+        inset: Distance inside the bottle's outline at which it is pinched [m].
 
     Returns:
         The sheet, z >= 0, outward normals, clamped all along its edge.
@@ -311,7 +311,7 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     Args:
         mesh: The mesh, positions in m.
         flip: Turn the normals round.
-        clamp: What never moves: 'boundary' (open edges off the symmetry planes), 'none', or 'field:NAME'
+        clamp: Nodes that never move: 'boundary' (open edges off the symmetry planes), 'none', or 'field:NAME'
             (where that field of the mesh is not zero).
         planes: Symmetry planes: 'x' means that the mesh is cut at x = 0, 'x=0.15' that it is at 0.15 m.
 

@@ -18,7 +18,7 @@ Index = NDArray[np.int64]
 _NEAR = 0.15  # of a rim edge's length: a node as near as that belongs on it, as the two sides of a curved seam show
 _SLOPE = 0.35  # of the way from the nearer end: a node as near as that is no neighbour round a corner
 _SAME = 0.1  # of the shortest rim edge there: two nodes as near as that are meant to be one
-_MOST_EDGES = 50_000  # rim edges that are looked at; a mesh with more of them is not joined anywhere
+_MOST_EDGES = 50_000  # rim edges that are checked; a mesh with more of them is not joined anywhere
 _ONE_WAY = 0.5  # of a part's area, its projection, from which the part faces one direction
 
 
@@ -78,7 +78,7 @@ def parison_connectivity(parison: Parison) -> MeshConnectivity:
 
 
 def warn_of_connectivity(parison: Parison, file: str, key: str, value: str) -> None:
-    """Warns of what may not be joined as it was meant, with places and numbers; names file, key and value."""
+    """Warns of parts that may not be joined as intended, with places and numbers; names file, key and value."""
     found = parison_connectivity(parison)
     positions, clamped = np.asarray(parison.positions, float), np.asarray(parison.clamped)
     where: dict[str, Any] = {"file": file, "key": key, "value": value}

@@ -25,8 +25,8 @@ from jaxform.tools.search import SearchGrid
 Array = NDArray[np.float64]
 
 _ON = 0.01  # of the sheet's thickness: a node that is nearer to the mold lies on it
-_FACING = 0.1  # cosine between the sheet's normal and a triangle's, below which pressure does not tell the side
-_CHUNK = 2_000_000  # pairs of node and triangle looked at together
+_FACING = 0.1  # cosine between the sheet's normal and a triangle's, below which pressure does not define the side
+_CHUNK = 2_000_000  # pairs of node and triangle processed together
 
 
 class InitialContact(NamedTuple):
@@ -78,7 +78,7 @@ def find_initial_contact(
 def tolerance(parison: Parison, grid: SearchGrid) -> float:
     """Distance [m] within which a node is in contact with the mold.
 
-    It is small beside the thickness, but not below what single precision tells apart, in which files have numbers.
+    It is small beside the thickness, but not below the resolution of single precision, in which files have numbers.
     """
     size = max(float(np.abs(np.asarray(parison.positions)).max()), float(grid.size))
     return max(_ON * float(np.median(np.asarray(parison.thickness))), 4 * float(np.finfo(np.float32).eps) * size)

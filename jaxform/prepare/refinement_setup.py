@@ -107,8 +107,8 @@ def pack_forest(
 def bends(mold: Mold, grid: SearchGrid, store: Store | None = None) -> Bend:
     """Distance from the middles of a grid's cells to an edge at which the mold is bent, to half a cell or so.
 
-    The search grid's cells are as large as the mold's triangles, so they are cut into as many along each axis as there
-    is room for.
+    The search grid's cells are as large as the mold's triangles, so they are cut into as many along each axis as memory
+    allows.
     """
     edges = topology.feature_edges(np.asarray(mold.vertices, float), np.asarray(mold.triangles), _BEND, rims=False)
     parts = max(1, int(np.cbrt(_MOST_BEND_CELLS / np.prod(np.asarray(grid.shape, float)))))

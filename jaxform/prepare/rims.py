@@ -23,11 +23,11 @@ def moving_rim(
     Edges of clamped nodes do not move, and those on a symmetry plane through the origin stay in it.
 
     Args:
-        positions: Of the nodes (n_node, 3) [m].
+        positions: Node positions (n_node, 3) [m].
         triangles: Node numbers (n_element, 3).
         held: Components that never move (n_node, 3).
-        origin: From which the enclosed volume is counted (3,) [m].
-        forest: Of a mesh that is refined; its nodes are those above.
+        origin: Point from which the enclosed volume is counted (3,) [m].
+        forest: Forest of a refined mesh; its nodes are those above.
     """
     if forest is None:
         ends, triangle = topology.open_sides(triangles), None

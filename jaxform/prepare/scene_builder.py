@@ -32,7 +32,7 @@ from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
 
 _FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
-_MOST_PAIRS_RUNGS = 3  # by doubling, of the room for pairs when a scene is built
+_MOST_PAIRS_RUNGS = 3  # by doubling, of the capacity for pairs when a scene is built
 
 
 @with_standard_promotion
@@ -69,9 +69,9 @@ def build_scene(
         fill: Whether the mold is to be filled: where a fifth of its depth is left open, the status of a run says so.
         part: The part of the formed sheet, from `make_part`, to which statistics, objectives and pictures refer; all of
             it by default.
-        name: What the scene is called.
+        name: Name of the scene.
         frames: Number of moments at which the run is to be observed, which are boundaries of its windows.
-        store: Where the mold's search structure is kept between runs; nowhere by default.
+        store: Store in which the mold's search structure is kept between runs; nowhere by default.
 
     Raises:
         InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
@@ -208,7 +208,7 @@ def _place_on_mold(
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
     triangles = np.asarray(parison.triangles)
     inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
-    # A component that only a symmetry plane fixes tells where that plane is; the volume is counted from there.
+    # A component that only a symmetry plane fixes defines where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)
     origin = []

@@ -69,7 +69,7 @@ def tool_steps(motion: Motion | None, grid: SearchGrid | None, end_time: float, 
 
 
 def longest_window(planned: int, frames: int, *, steep: bool = False) -> int:
-    """Steps of the longest window, so that of so many planned short ones there are enough that are taken.
+    """Steps of the longest window, so that the planned number of short ones suffices.
 
     Where a steep law is planned for the expected stretch, windows can become longer whatever the plan.
     """

@@ -19,11 +19,11 @@ Mask = NDArray[np.bool_]
 
 _COARSE = 120  # pixels of the longer side, to compare sides
 _ROUGH = 0.02  # of the mold's size: what counts as one height of a base that is not flat, as the back of a scan
-_STANDS, _FOOT = 0.5, 0.1  # of what is seen, that the base should be, and that a flat one is at least
+_STANDS, _FOOT = 0.5, 0.1  # of the visible area, that the base should be, and that a flat one is at least
 _ALIKE = 0.97  # of the best score: as good
 _UPRIGHT = 0.35  # of the best score, from which the side that the file has upwards is chosen
-_WIDEST = 0.985  # of what is seen, that lies above the height at which a mold without a base is cut
-_GROUND = 0.1  # of what is seen, that a platen is at least
+_WIDEST = 0.985  # of the visible area, that lies above the height at which a mold without a base is cut
+_GROUND = 0.1  # of the visible area, that a platen is at least
 _MIDDLE = (0.3, 0.9)  # of the height, between which a mold without a base is cut
 _THICK = 0.4  # of the body's height, how thick a platen is at most
 _DIRECTIONS = ["+z", "+y", "+x", "-z", "-y", "-x"]
@@ -34,7 +34,7 @@ class Buck:
     """A male mold and its pose.
 
     Attributes:
-        view: The mold as the sheet sees it: turned so that pressure pushes to +z.
+        view: The mold viewed from the sheet: rotated so that pressure pushes to +z.
         direction: Unit vector (3,) from the base to the side from which the sheet comes, in the file's axes.
         base: Height of the platen [m], after turning.
         top: Height of what the sheet meets first [m], after turning; less than the base.
@@ -65,7 +65,7 @@ class Buck:
 
 
 class _Stand(NamedTuple):
-    """A direction (3,) in which a mold may stand, the area of its base [m^2], and what that is of what is seen.
+    """A direction (3,) in which a mold may stand, the area of its base [m^2], and its share of the visible area.
 
     The base may be rough; `foot` is the share of what is flat.
     """
@@ -154,7 +154,7 @@ def _choose_stand(stands: list[_Stand]) -> _Stand:
     """The side with the largest base that hides least; of those alike the first; upright as in the file, if it can."""
     good = [stand for stand in stands if stand.share >= _STANDS] or [stand for stand in stands if stand.foot >= _FOOT]
     if not good:
-        # No base: lying, so that most of it is seen.
+        # No base: on its side, so that most of it is visible.
         largest = max(stand.area / max(stand.share, 1e-9) for stand in stands)
         return next(s for s in stands if s.area / max(s.share, 1e-9) >= 0.9 * largest)
     best = max(stand.score for stand in good)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _COUNT = 200  # cells along the longest side
-_AROUND = 2  # cells of air around the mold, and half a cell more, so that no wall lies between two
+_AROUND = 2  # cells of air around the mold, and half a cell more, so that no surface lies between two
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class CellGrid:
 
     Attributes:
         low: Least corner of the first (3,) [m].
-        width: Of a cell [m].
-        wall: Those (nx, ny, nz) that a surface passes through.
-        seen: Those of air that are seen from the sheet along +z, up to the first wall.
+        width: Width of a cell [m].
+        wall: Cells (nx, ny, nz) that a surface passes through.
+        seen: Cells of air that are visible from the sheet along +z, up to the first surface.
         outside: Those of other air from which a way leads out of the mold.
     """
 
@@ -47,12 +47,12 @@ class CellGrid:
 
     @property
     def leaks(self) -> Mask:
-        """Cells (nx, ny, nz) that are seen, beside which the outside is."""
+        """Visible cells (nx, ny, nz) with a neighbour on the outside."""
         return self.seen & neighbour_cells(self.outside)
 
     @property
     def hidden(self) -> float:
-        """Volume of the air behind the sheet that is not seen, over that which is."""
+        """Ratio of the hidden to the visible volume of air behind the sheet."""
         part, count = label_cells(~self.wall & ~self.seen & ~self.outside)
         met = np.zeros(count + 1, bool)
         met[np.unique(part[neighbour_cells(self.seen)])] = True
@@ -61,11 +61,11 @@ class CellGrid:
 
 
 def cells(corners: Array, polygon: Array, found: Opening) -> CellGrid:
-    """The cells of what is behind a sheet.
+    """The cells of the space behind a sheet.
 
     Args:
-        corners: Of the mold's triangles (n, 3, 3) [m], turned so that the sheet is pushed to +z.
-        polygon: Of the sheet (k, 2) [m].
+        corners: Corners of the mold's triangles (n, 3, 3) [m], rotated so that the sheet is pushed to +z.
+        polygon: Outline of the sheet (k, 2) [m].
         found: The opening, in the plane of which the sheet lies.
     """
     level = found.level

@@ -20,15 +20,15 @@ _COUNT = 100  # cells along the longest side
 _AROUND = 4  # cells of air around the mold
 _NARROW = 0.7  # of the width of a hollow, that the way into it is at most, to be a neck
 _SHARE = 0.1  # of the mold's box, that such a hollow is at least
-_LEAST, _STEPS = 1.5, 16  # cells: half the narrowest way that is seen; and how many are looked at
+_LEAST, _STEPS = 1.5, 16  # cells: half the narrowest way that is resolved; and how many are checked
 
 
 class Chamber(NamedTuple):
     """A hollow behind a neck.
 
     Attributes:
-        width: Of the hollow [m].
-        neck: Of the widest way into it [m].
+        width: Width of the hollow [m].
+        neck: Width of the widest way into it [m].
         cells: In which all other air around the mold is seen, and the hollow is what is outside.
     """
 
@@ -92,7 +92,7 @@ def widest_chamber(mold: Mesh) -> Chamber | None:
 
 
 def _border_cells(air: Mask) -> Mask:
-    """The cells of air from which a way leads to the grid's border."""
+    """The cells of air from which a path leads to the grid's edge."""
     part, count = cells.label_cells(air)
     out = np.zeros(count + 1, bool)
     for side in (part[0], part[-1], part[:, 0], part[:, -1], part[..., 0], part[..., -1]):

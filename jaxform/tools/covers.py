@@ -22,7 +22,7 @@ Integers = NDArray[np.integer]
 SEAM = 1e-4
 """Distance, relative to the mold's size, within which rims are a seam, not holes."""
 _CHORDS = 0.1  # of the edge's length, that a seam may be open besides
-_STEP = 4.0  # pixels, from one look under the sheet's edge to the next
+_STEP = 4.0  # pixels, from one check under the sheet's edge to the next
 _SPECK = 5e-7  # of the square of the mold's size, an area: less is no hole
 
 
@@ -31,10 +31,10 @@ class Covers(NamedTuple):
 
     Attributes:
         mesh: The covers, where the mold's file has it; None where nothing is open.
-        holes: How many holes are covered.
+        holes: Number of covered holes.
         gaps: The length [m] of the sheet's edge under which there was no rim.
-        sides: How many of the holes are in side walls, hidden from the sheet.
-        hidden: The volume behind the sheet that is not seen from it, over that which is.
+        sides: Number of these in upright surfaces, hidden from the sheet.
+        hidden: Ratio of the hidden to the visible volume behind the sheet.
     """
 
     mesh: Mesh | None

@@ -20,7 +20,7 @@ from jaxform.tools.search import CLASSES, SearchGrid, split_long_triangles
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
-_CHUNK = 1_000_000  # pairs looked at together, to bound the memory
+_CHUNK = 1_000_000  # pairs processed together, to bound the memory
 _SLACK = 1e-5  # of a radius, for rounding in a grid of float32
 _TOUCH = 1e-9  # of the mold's size, for rounding in heights above planes
 _STEEP = 1e-9  # of the mold's size: a path that changes its height over a triangle by less touches it

@@ -14,12 +14,12 @@ from jaxform.tools.search import split_long_triangles
 Array = NDArray[np.float64]
 
 _TIE = 1e-9  # of the mold's size: triangles as near as that are equally near
-_AT_FIRST = 8  # pieces of triangles that are looked for near a point
+_AT_FIRST = 8  # pieces of triangles that are searched for near a point
 _FINEST = 200  # pieces of triangles along the mold's longest side
 _MOST_PIECES = 100_000, 2  # in all or for each triangle, whichever are more
 _ASKED, _MORE = 256, 4  # points, the farthest by a quick bound, that are measured first, and times as many then
 _POINTS = 4096  # that are looked up together
-_CHUNK = 50_000  # pairs of point and triangle looked at together
+_CHUNK = 50_000  # pairs of point and triangle processed together
 
 
 class TriangleSurface(Protocol):
@@ -69,7 +69,7 @@ class _TriangleGroup(NamedTuple):
         reach = (limit + self.radius) * (1 + _TIE)
         asked, wanted, pairs = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), []
         while len(asked):
-            # So many of the nearest at once; the few points with more of them in reach are asked again.
+            # So many of the nearest at once; the few points with more of them in reach are queried again.
             away, piece = self.tree.query(points[asked], k=wanted, workers=-1)
             away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
             within = away <= reach[asked, None]

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
 _FLAT = 0.95  # of the area of a sheet, what its projection along the push must have
-_BESIDE = 1e-6  # of the sheet's size: what is seen from its edge is before it
+_BESIDE = 1e-6  # of the sheet's size: what is visible from its edge is before it
 _CLOSE = 1e-3  # of the way back, that is left out: the place itself is on the mold
 _EDGE = 1e-6  # of a triangle's sides: a way through an edge is blocked
 _ASKED, _MORE = 64, 4  # places, the deepest ones, whose way back is examined first, and times as many then

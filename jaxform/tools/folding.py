@@ -11,8 +11,8 @@ from jaxform.tools.crossings import all_columns, intersect
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
-_FIRST = 300  # elements that are looked at first
-_MOST_PAIRS = 600_000  # of these and others, from which the rest is not looked at
+_FIRST = 300  # elements that are checked first
+_MOST_PAIRS = 600_000  # of these and others, from which the rest is not checked
 
 
 def self_intersecting_elements(positions: Array, triangles: Integers, asked: Integers) -> NDArray[np.int64]:

@@ -25,7 +25,7 @@ _ROUND, _SQUARE = 0.95, 0.998  # the same where there is no flange to lie on
 _WITHIN = 0.998  # of a disc or rectangle, that must lie on the mold
 _BRIDGE = 0.06  # of the opening's width, half of what parts two pockets of one opening
 _SIMPLER = 0.5  # pixels, that an outline may be off
-_ALIKE = 0.03  # of the area, by which a rim's polygon may differ from what is seen
+_ALIKE = 0.03  # of the area, by which a rim's polygon may differ from the visible outline
 
 
 class Planform(NamedTuple):
@@ -33,7 +33,7 @@ class Planform(NamedTuple):
 
     Attributes:
         shape: The disc, rectangle or corners.
-        flange: Whether it lies on the mold all round, beyond the opening.
+        flange: Whether it is in contact with the mold all round, beyond the opening.
     """
 
     shape: Circle | OrientedRectangle | Array
@@ -178,7 +178,7 @@ def _is_connected(mask: Mask) -> bool:
 
 
 def _rim(found: Opening, vertices: Array, triangles: Integers) -> Array | None:
-    """The open rim that surrounds what is seen of a shell, or None where there is none."""
+    """The open rim that surrounds the visible part of a shell, or None where there is none."""
     view = found.view
     turned = vertices @ view.turn.T
     edges = topology.boundary_edges(triangles)

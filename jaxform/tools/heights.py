@@ -13,16 +13,16 @@ from jaxform.mesh import masks, planform, raster, topology
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_RIM = 2  # pixels beside the surface in which its rim is looked for
+_RIM = 2  # pixels beside the surface in which its rim is searched for
 _ABRUPT = 20.0  # degrees, from which a bend of the surface is an edge that may be thinner than a pixel
 
 
 @dataclass(frozen=True)
 class Heights:
-    """A surface seen along +z, from below, in square pixels.
+    """A surface viewed along +z, from below, in square pixels.
 
     Attributes:
-        turn: Turns the surface (3, 3), so that what looks along +z sees it.
+        turn: Rotation of the surface (3, 3) for a view along +z.
         low: Place of the first pixel's outer corner (2,) [m], after turning.
         pixel: Side of a pixel [m].
         height: The smallest z (ny, nx) [m] in each, after turning; infinite where there is nothing.
@@ -69,7 +69,7 @@ class Heights:
 
 @dataclass(frozen=True)
 class ViewedSurface:
-    """A surface to look at.
+    """A surface to be viewed.
 
     Attributes:
         vertices: Positions (n, 3) [m].

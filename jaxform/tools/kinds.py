@@ -16,9 +16,9 @@ from jaxform.tools.opening import MoldSides
 
 _RECESS, _CAVITY = 0.01, 0.1  # of a solid's volume, that a hollow is at most on a buck, and at least in a cavity
 _PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around is at least, to be a platen
-_LOWER = 0.01  # of what is seen, that may lie lower than a platen
-_PIXELS, _LEVELS = 120, 16  # of the looks at what holds water
-_BOTTOM = 0.1  # of what is seen, that the flat bottom of a cup is at least
+_LOWER = 0.01  # of the visible area, that may lie lower than a platen
+_PIXELS, _LEVELS = 120, 16  # of the views and levels in which held water is measured
+_BOTTOM = 0.1  # of the visible area, that the flat bottom of a cup is at least
 _HANGS = -0.9  # of a direction's z, below which what bulges to there hangs
 
 
@@ -26,7 +26,7 @@ class Verdict(NamedTuple):
     """The kind of a mold.
 
     Attributes:
-        drape: Whether it is a buck.
+        drape: Whether the mold is a buck.
         doubt: The other kind that it may be, and how to request it; empty where it is clear.
         rest: The rest of a cavity that is cut in a half or a quarter.
     """

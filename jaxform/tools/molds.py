@@ -24,7 +24,7 @@ class MoldShape:
     Attributes:
         vertices: Vertex positions [m], shape (n, 3), float64.
         triangles: Vertex indices, shape (m, 3), int32.
-        dropped: How many degenerate triangles were left out.
+        dropped: Number of degenerate triangles that were left out.
     """
 
     vertices: NDArray[np.float64]

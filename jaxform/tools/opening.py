@@ -32,7 +32,7 @@ _FAVOUR = 3.0  # times as much volume must stand out as is hollow, to be formed 
 LEAST_RIM = 0.3
 """The same share, from which on a side is accepted with a warning."""
 _OTHERS, _SAME = 0.2, 0.98  # of the best hollow, that others hold at least; cosine between sides that are one
-_LEVELS = 25  # heights at which a rim is looked for at first
+_LEVELS = 25  # heights at which a rim is searched for at first
 _ABOVE = 0.03  # of the area within a rim, that may stand above it: a few pins
 _KEPT = 0.5  # of what a side seems to hold, that is within the rim at least
 _ALSO = 0.1  # of what one hollow holds, that another beside it holds at least
@@ -58,7 +58,7 @@ class Opening:
     """The opening of a mold, over which the sheet is clamped.
 
     Attributes:
-        view: The mold as the sheet sees it: turned so that pressure pushes to +z.
+        view: The mold viewed from the sheet: rotated so that pressure pushes to +z.
         level: Height of the clamp plane [m], after turning.
         base: Height [m] of the rim or of the base plate.
         cavity: Pixels (ny, nx) behind the clamp plane that are to be formed.
@@ -250,7 +250,7 @@ def _view_side(view: Heights, size: float) -> _SideView:
 
 
 def _candidate_rotations(vertices: Array, triangles: Integers) -> list[Array]:
-    """Rotations (3, 3) that turn each side from which a mold may be meant to be seen towards -z."""
+    """Rotations (3, 3) that turn each side from which a mold may be meant to be viewed towards -z."""
     axes = np.concatenate([np.eye(3)[::-1], -np.eye(3)[::-1]])
     chosen: list[Array] = list(axes)
     for direction in plane_normals(vertices, triangles):

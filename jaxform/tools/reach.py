@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
-_CHUNK = 40_000  # pairs of cell and triangle looked at together: what a core's cache holds
+_CHUNK = 40_000  # pairs of cell and triangle processed together: what a core's cache holds
 _LINES = 100_000  # lines of cells laid out together
 _ROUNDING = 1e-5  # of a cell, by which a triangle counts as nearer than it is
 
@@ -41,7 +41,7 @@ class CellTrianglePairs(NamedTuple):
     Attributes:
         cell: Numbers (n,).
         triangle: Numbers (n,), ascending.
-        distance: Of the cell's middle from the triangle (n,) [m].
+        distance: Distance of the cell's middle from the triangle (n,) [m].
     """
 
     cell: Integers
@@ -58,7 +58,7 @@ class _Local(NamedTuple):
         corners: By corner and axis, (3, 3) arrays (n,).
         plane: The unit normal's components and the place of the plane along it, 4 arrays (n,).
         shape: Number of cells along each axis, 3 arrays (n,).
-        strides: What a step along each axis adds to a cell's number, 3 arrays (n,).
+        strides: Increment of a cell's number in a step along each axis, 3 arrays (n,).
     """
 
     corners: list[list[Array]]

@@ -16,11 +16,11 @@ from jaxform.tools import footprint, opening
 Array = NDArray[np.float64]
 
 WELD = 1e-5
-"""Of a mold's size: corners as near as that are one, where openings are looked for."""
+"""Distance, relative to a mold's size, within which corners are one in the search for openings."""
 
 
 def weld_mold(vertices: Array, triangles: NDArray[np.integer]) -> Mesh:
-    """A mold as openings are looked for in it: pieces that meet are joined."""
+    """A mold for the search for openings: pieces that meet are joined."""
     mold = Mesh(vertices, triangles.astype(np.int32))
     return meshes.drop_degenerate(meshes.weld(mold, WELD * meshes.size(vertices)))[0]
 

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
 
 _APART = 1e-7  # of an element, how far inside it a way begins: it may end at an edge of the mold, but not run along it
-_CHUNK = 300_000  # ways and triangles looked at together
+_CHUNK = 300_000  # paths and triangles processed together
 
 
 def nodal_normals(positions: Array, triangles: Integers) -> Array:
@@ -95,8 +95,8 @@ def penetrating_nodes(
     Args:
         triangles: The sheet's elements (n_element, 3).
         ways: Paths inside the elements that the mold cuts.
-        landed: Nodes (n_node,) that stick to the mold, on the side from which they came. Where there are none, most of
-            the sheet is on its right side.
+        landed: Nodes (n_node,) in contact with the mold, on the side from which they came. Where there are none, most
+            of the sheet is on its right side.
         trust: Weights of the nodes in the vote on their neighbours' side (n_node,).
     """
     edge, weight = _sides_of_edges(triangles, ways, landed)
@@ -123,7 +123,7 @@ def _sides_of_edges(triangles: Integers, ways: Ways, landed: NDArray[np.bool_]) 
     """Edges (n, 2) of the sheet, and 1 (n,) where both ends are on one side of the mold, -1 where not, 0 unknown."""
     edge, _ = topology.edges(triangles)
     total, asked = np.zeros(len(edge)), np.zeros(len(edge), bool)
-    # What lies between nodes that landed tells nothing new.
+    # Edges between nodes in contact add no information.
     row = np.flatnonzero(~landed[ways.triangles].all(1))
     odd = ways.cross_oddly(row, np.eye(3))
     name = np.array([len(landed), 1], np.int64)

@@ -25,8 +25,8 @@ class Tube(NamedTuple):
 
     Attributes:
         direction: Unit vector (3,) along it.
-        width: Of the opening that one sees through [m].
-        length: Of the body along it [m].
+        width: Width of the opening that one sees through [m].
+        length: Length of the body along it [m].
     """
 
     direction: Array
