@@ -22,7 +22,7 @@ from jaxform.results.result import Result, Seconds
 from jaxform.results.scatter import thinnest_recovered
 from jaxform.results.sections import symmetry_planes
 from jaxform.sheet.state import Status
-from jaxform.tools.penetration import Penetration, penetration, resting_directions
+from jaxform.tools.penetration import Penetration, penetration, pull_direction, resting_directions
 
 SLOW_ENOUGH = 0.01  # predicted quasi-static error above which a slow process is warned of
 _NODES_BEYOND = 1e-6  # of the sheet's size: tolerated penetration of a node
@@ -251,7 +251,8 @@ def measure_penetration(result: Result, scene: Scene) -> Penetration:
     resting = resting_directions(start, positions, triangles, scene.strongest_push())
     offset = mold_offset(result, scene)
     wall, grid = np.asarray(result.wall), scene.tables.grid
-    found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting)
+    pull = pull_direction(start, triangles, scene.strongest_push())
+    found = penetration(positions - offset, triangles, wall, scene.mold, grid=grid, resting=resting, pull=pull)
     ribs = found.ribs._replace(place=found.ribs.place + offset)
     return found._replace(place=found.place + offset, ribs=ribs)
 

@@ -30,6 +30,7 @@ Integers = NDArray[np.integer]
 _LIFT = 1e-6  # of the mold's size
 _RESTING_LIFT = 5e-5  # the same of what began on the mold, to within the rounding of its file
 _TRUST_IN_RESTING = 0.3  # what its word counts: a clamped rim may well be a little outside of a mold that is a polygon
+_FACING = 0.5  # length of the mean normal of a sheet, from which it is pulled off one way
 _RESTING = 1e-4  # of the sheet's size: what moved by less is where it began
 _DIVISIONS = 6  # of an element's sides
 _MOST_PIECES, _PIECES_EACH = 4_000_000, 20  # as long as the grid's reach, that elements are compared in
@@ -69,6 +70,7 @@ def penetration(
     *,
     grid: SearchGrid | None = None,
     resting: Array | None = None,
+    pull: Array | None = None,
 ) -> Penetration:
     """Measures the penetration of the mold by a sheet.
 
@@ -80,6 +82,7 @@ def penetration(
         grid: The mold's search structure; made here by default.
         resting: Unit directions (n_node, 3) against the pressure's push, of nodes that are where they began; 0 of the
             others. Where they are in contact, that is the side on which they are, whatever `wall` says.
+        pull: Unit vector (3,) in which the part is pulled off the mold; None where there is none.
     """
     mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     size = float(np.ptp(mold_corners, axis=(0, 1)).max())
@@ -102,7 +105,7 @@ def penetration(
     deepest, _ = distances.largest(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
     away = resting + lift / (_LIFT * size)
-    ribs = find_ribs(lifted, away, landed | rests, ways, mold_corners, grid)
+    ribs = find_ribs(lifted, away, landed | rests, ways, mold_corners, grid, pull)
     return Penetration(max(deepest, below), *deepest_element, unmeasured, ribs)
 
 
@@ -135,6 +138,21 @@ def resting_directions(start: Array, end: Array, triangles: Integers, pressure: 
     length = np.linalg.norm(total, axis=1, keepdims=True)
     away = -np.sign(pressure) * total / np.where(length > 0, length, 1.0)
     return np.where(rests[:, None], away, 0.0)
+
+
+def pull_direction(start: Array, triangles: Integers, pressure: float) -> Array | None:
+    """The unit vector (3,) from which the pressure pushes a sheet as a whole; None where that is curved too much.
+
+    Args:
+        start: Where the nodes began (n_node, 3) [m].
+        triangles: The elements (n_element, 3), whose normals are those along which pressure acts.
+        pressure: The pressure [Pa]; its sign alone counts.
+    """
+    corners = start[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = -np.sign(pressure) * normal.sum(0)
+    length = float(np.linalg.norm(total))
+    return total / length if length > _FACING * np.linalg.norm(normal, axis=1).sum() else None
 
 
 def _lift(

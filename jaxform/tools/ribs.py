@@ -7,7 +7,8 @@ way, but less than it is wide: of a rib the mold stands higher above the sheet t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,10 @@ _FACING = -0.4  # the cosine between the normals of both sides of a rib at most:
 _SAME = 1e-6  # of a side: crossings as near as that are one, at an edge that two triangles share
 _MOST = 4000  # places that are examined, evenly over all
 _UPWARDS = 0.2  # the cosine that the way along a rib has with the way off the mold
+_UPRIGHT = 0.5  # the cosine that it has with the sheet's normal at least: a rib stands up from the sheet
+_LEAN = tuple(np.radians([15.0, -15.0, 30.0, -30.0]))  # aside, of ways out along a rib beside the one straight up
+_TOP = 0.5  # the cosine that the normal of a rib's top has with the way up
+_LOW = 0.1  # of an element's side: what is lower, as a scan's noise, makes its wall thinner by at most a fifth
 
 
 class Ribs(NamedTuple):
@@ -48,15 +53,37 @@ NO_RIBS = Ribs(0, 0.0, 0.0, np.zeros(3))
 
 
 class _Spots(NamedTuple):
-    """Places inside what a sheet passed through (n, 3) [m], how wide it is (n,) [m], and the way up along it (n, 3)."""
+    """Places inside what a sheet passed through.
+
+    Attributes:
+        place: Where they are (n, 3) [m].
+        width: How wide the mold is there (n,) [m].
+        way: Unit vectors (n, 3) up along it.
+        along: Unit vectors (n, 3) along a rib, square to `way`; 0 of a pin.
+        rise: How far such a vector leads away from the sheet (n,).
+        side: Of the element that is cut (n,) [m].
+    """
 
     place: Array
     width: Array
     way: Array
+    along: Array
+    rise: Array
+    side: Array
+
+    def select(self, index: Any) -> _Spots:
+        """Some of the places."""
+        return _Spots(*(values[index] for values in self))
 
 
 def find_ribs(
-    positions: Array, away: Array, sticking: NDArray[np.bool_], ways: Ways, mold_corners: Array, grid: SearchGrid
+    positions: Array,
+    away: Array,
+    sticking: NDArray[np.bool_],
+    ways: Ways,
+    mold_corners: Array,
+    grid: SearchGrid,
+    pull: Array | None = None,
 ) -> Ribs:
     """The ribs and pins that a sheet passed through.
 
@@ -67,6 +94,8 @@ def find_ribs(
         ways: Inside the elements that the mold cuts.
         mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         grid: The mold's search structure.
+        pull: Unit vector (3,) in which the part is pulled off the mold, along which no rib is measured as higher than
+            it is; None where there is none.
     """
     row, triangle = ways.pairs()
     held = sticking[ways.triangles].all(1)[row]
@@ -76,16 +105,19 @@ def find_ribs(
     pins = _through_faces(positions, away, ways.triangles[row[whole]], row[whole], triangle[whole], mold_corners)
     spots = _Spots(*(np.concatenate(parts) for parts in zip(sides, pins, strict=True)))
     step = 1 + len(spots.place) // _MOST
-    spots = _Spots(*(values[::step] for values in spots))
-    if not len(spots.place):
-        return NO_RIBS
-    height = _heights(spots, mold_corners, grid)
-    slender = np.flatnonzero(height > _SLENDER * spots.width)
-    if not len(slender):
-        return NO_RIBS
-    highest = slender[np.argmax(height[slender])]
-    width = float(spots.width[highest])
-    return Ribs(step * len(slender), float(height[highest]), width, spots.place[highest])
+    spots = spots.select(slice(None, None, step))
+    reach = 2 * float(np.ptp(mold_corners, axis=(0, 1)).max())
+    length = np.full(len(spots.place), reach)
+    for find_ways in _ways_out(pull):
+        length = _distances_out(spots, length, find_ways(spots), mold_corners, grid)
+        height = length * spots.rise
+        slender = (height > _SLENDER * spots.width) & (height > _LOW * spots.side) & (length < reach)
+        spots, length = spots.select(slender), length[slender]
+        if not len(length):
+            return NO_RIBS
+    highest = int(np.argmax(length * spots.rise))
+    height, width = float((length * spots.rise)[highest]), float(spots.width[highest])
+    return Ribs(step * len(length), height, width, spots.place[highest])
 
 
 def _between_crossings(
@@ -115,8 +147,11 @@ def _between_crossings(
     middle = 0.5 * (share[enter] + share[enter + 1])
     width = (share[enter + 1] - share[enter]) * np.linalg.norm(end - begin, axis=1)
     off = away[rows[enter, 0]] + away[rows[enter, 1]]
-    way = _directions_along(off, normal[enter]) + _directions_along(off, normal[enter + 1])
-    return _escaping_spots(begin + middle[:, None] * (end - begin), width, way, off), crossed
+    facing = _normals_of_sides(positions, nodes, rows[enter, :2])
+    way = _directions_up(normal[enter], facing, off) + _directions_up(normal[enter + 1], facing, off)
+    place, side = begin + middle[:, None] * (end - begin), np.linalg.norm(end - begin, axis=1)
+    along = _unit(np.cross(way, normal[enter]))
+    return _escaping_spots(place, width, way, along, off, facing, side), crossed
 
 
 def _faces_opposite(positions: Array, rows: Integers, normal: Array, enter: Integers) -> NDArray[np.bool_]:
@@ -151,42 +186,100 @@ def _through_faces(
     place, pair, edge = place[order], pair[order], edge[order]
     first = np.flatnonzero(np.diff(row[pair], prepend=-1))
     if not len(first):
-        return _Spots(place, np.zeros(0), edge)
+        return _Spots(place, np.zeros(0), edge, edge, np.zeros(0), np.zeros(0))
     count = np.diff(first, append=len(pair))[:, None]
     low, high = np.minimum.reduceat(place, first), np.maximum.reduceat(place, first)
     way = np.add.reduceat(edge / np.linalg.norm(edge, axis=1, keepdims=True), first)
     # Each edge comes with both of its triangles; three of them are around a pin.
     kept = np.flatnonzero(count[:, 0] >= 6)
-    middle = (np.add.reduceat(place, first) / count)[kept]
-    return _escaping_spots(middle, np.linalg.norm(high - low, axis=1)[kept], way[kept], up[pair[first]][kept])
+    middle, width = (np.add.reduceat(place, first) / count)[kept], np.linalg.norm(high - low, axis=1)[kept]
+    own = corners[pair[first]][kept]
+    side = np.linalg.norm(own - np.roll(own, 1, axis=1), axis=2).max(1)
+    return _escaping_spots(middle, width, way[kept], 0.0 * way[kept], up[pair[first]][kept], _normals(own), side)
 
 
-def _escaping_spots(place: Array, width: Array, way: Array, off: Array) -> _Spots:
-    """The places from which a way leads off the mold."""
+def _escaping_spots(
+    place: Array, width: Array, way: Array, along: Array, off: Array, facing: Array, side: Array
+) -> _Spots:
+    """The places from which a way leads off the mold and away from the sheet, with unit normals `facing` (n, 3)."""
     length, clear = np.linalg.norm(way, axis=1), np.linalg.norm(off, axis=1)
-    kept = np.einsum("ij,ij->i", way, off) > _UPWARDS * length * clear
-    return _Spots(place[kept], width[kept], way[kept] / length[kept, None])
+    rise = np.abs(np.einsum("ij,ij->i", way, facing)) / np.maximum(length, 1e-300)
+    kept = (np.einsum("ij,ij->i", way, off) > _UPWARDS * length * clear) & (rise >= _UPRIGHT)
+    up = way / np.maximum(length, 1e-300)[:, None]
+    return _Spots(place, width, up, along, rise, side).select(kept)
 
 
-def _heights(spots: _Spots, mold_corners: Array, grid: SearchGrid) -> Array:
-    """Distances (n,) [m] from places in the mold up to its surface; 0 where there is none."""
-    size = float(np.ptp(mold_corners, axis=(0, 1)).max())
-    begin, end = spots.place, spots.place + 2 * size * spots.way
-    share = np.full(len(begin), np.inf)
+class _Out(NamedTuple):
+    """Unit vectors (n, 3) out of the mold, and whether they count only where they leave it by the top of a rib."""
+
+    way: Array
+    by_top: bool = False
+
+
+def _ways_out(pull: Array | None) -> list[Callable[[_Spots], _Out]]:
+    """Ways out of ribs, straight up first; an element may be tilted, and a rib that meets a wall is as long as that."""
+
+    def lean(angle: float) -> Callable[[_Spots], _Out]:
+        return lambda spots: _Out(np.cos(angle) * spots.way + np.sin(angle) * spots.along, by_top=True)
+
+    found: list[Callable[[_Spots], _Out]] = [lambda spots: _Out(spots.way), *map(lean, _LEAN)]
+    return found if pull is None else [*found, lambda spots: _Out(_directions_of_pull(spots, pull))]
+
+
+def _directions_of_pull(spots: _Spots, pull: Array) -> Array:
+    """Unit vectors (n, 3) along ribs, as near to the pull (3,) as they can be; straight up those that lie across it."""
+    across = np.cross(spots.way, spots.along)
+    flat = pull - (across @ pull)[:, None] * across
+    # A pin has no plane.
+    upright = spots.along.any(1) & (np.linalg.norm(flat, axis=1) > _UPRIGHT)
+    return np.where(upright[:, None], _unit(flat), spots.way)
+
+
+def _distances_out(spots: _Spots, length: Array, out: _Out, mold_corners: Array, grid: SearchGrid) -> Array:
+    """How far (n,) [m] it is from places in the mold to its surface; the length (n,) [m] where that is farther."""
+    begin, end = spots.place, spots.place + length[:, None] * out.way
+    found = np.full(len(begin), np.inf)
     for piece, triangle in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):
         met = crosses(begin[piece], end[piece], mold_corners[triangle])
         piece, triangle = piece[met], triangle[met]
         normal = _normals(mold_corners[triangle])
         slope = np.einsum("ij,ij->i", end[piece] - begin[piece], normal)
         height = np.einsum("ij,ij->i", mold_corners[triangle, 0] - begin[piece], normal)
-        np.minimum.at(share, piece, height / np.where(slope == 0, np.inf, slope))
-    return np.where(np.isfinite(share), 2 * size * share, 0.0)
+        share = height / np.where(slope == 0, np.inf, slope)
+        if out.by_top:
+            share[np.abs(np.einsum("ij,ij->i", normal, spots.way[piece])) < _TOP] = np.inf
+        np.minimum.at(found, piece, share)
+    return length * np.minimum(found, 1.0)
 
 
-def _directions_along(vectors: Array, normal: Array) -> Array:
-    """Unit vectors (n, 3) along planes with unit normals (n, 3), as near to vectors (n, 3) as they can be."""
-    flat = vectors - np.einsum("ij,ij->i", vectors, normal)[:, None] * normal
-    return flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
+def _normals_of_sides(positions: Array, nodes: Integers, sides: Integers) -> Array:
+    """Unit normals (n, 3) of the elements, nodes (n_element, 3), that share sides (n, 2), whose nodes are in order."""
+    elements = distinct_rows(nodes).rows
+    one, other = (positions[elements[:, k]] - positions[elements[:, 0]] for k in (1, 2))
+    normal = np.cross(one, other)
+    ends = np.concatenate([np.sort(elements[:, [k, (k + 1) % 3]], axis=1) for k in range(3)])
+    number = np.array([len(positions), 1], np.int64)
+    names, index = np.unique(ends @ number, return_inverse=True)
+    total = np.stack([np.bincount(index, np.tile(part, 3)) for part in normal.T], axis=1)
+    total = total[np.searchsorted(names, sides @ number)]
+    return _unit(total)
+
+
+def _directions_up(wall: Array, facing: Array, off: Array) -> Array:
+    """Unit vectors (n, 3) in walls, square to the line in which they cut the sheet, on the side of `off` (n, 3).
+
+    Args:
+        wall: Unit normals (n, 3) of the walls.
+        facing: Unit normals (n, 3) of the sheet there.
+        off: Vectors (n, 3) off the mold.
+    """
+    up = np.cross(wall, np.cross(wall, facing))
+    up *= np.sign(np.einsum("ij,ij->i", up, off))[:, None]
+    return _unit(up)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
 
 
 def _normals(corners: Array) -> Array:

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 import jaxform
 from jaxform.tools.penetration import Penetration, penetration
+from jaxform.tools.ribs import Ribs, find_ribs
+from jaxform.tools.search import build_grid
+from jaxform.tools.sides import Ways
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]
@@ -66,6 +69,73 @@ def test_a_pin_within_an_element_is_found_by_the_edges_that_come_through() -> No
     assert found.ribs.count == 1
     np.testing.assert_allclose(found.ribs.height, 0.6, rtol=1e-3)
     np.testing.assert_allclose(found.ribs.place, [0.14, 0.06, 0.0], atol=5e-3)
+
+
+def _rises_between(away: Array, *, noise: float = 0.0) -> Ribs:
+    """What a sheet on the floor passed through, whose nodes have directions off the mold (3,): a rib, or noise on it.
+
+    The rib is 0.05 wide and 0.3 high.
+    """
+    rib = _block((0.075, -0.75, -0.1), (0.125, 0.75, 0.3))
+    if noise:
+        bumps = [(x, y) for x in np.arange(-0.69, 0.7, 0.2) for y in np.arange(-0.69, 0.7, 0.1)]
+        rib = np.concatenate([_block((x, y, -0.1), (x + 0.004, y + 0.06, noise)) for x, y in bumps])
+    walls = np.concatenate([_FLOOR[[[0, 1, 2], [0, 2, 3]]], rib])
+    mold = jaxform.make_mold(walls.reshape(-1, 3), np.arange(3 * len(walls)).reshape(-1, 3))
+    positions, triangles = _sheet()
+    positions = positions + np.array([0.0, 0.0, 1e-6])
+    corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
+    grid = build_grid(np.asarray(mold.vertices, float), np.asarray(mold.triangles))
+    ways = Ways(triangles, positions[triangles], corners, grid)
+    sticks = np.ones(len(positions), bool)
+    return find_ribs(positions, np.tile(away / np.linalg.norm(away), (len(positions), 1)), sticks, ways, corners, grid)
+
+
+@pytest.mark.parametrize("along", [0.0, 0.6, 2.0])
+def test_a_rib_is_measured_square_to_the_sheet_where_nodes_look_along_it(along: float) -> None:
+    """Of nodes beside the end of a rib some stick to it, and the way off the mold leads along the rib."""
+    found = _rises_between(np.array([0.3, along, 1.0]))
+    assert 12 <= found.count <= 17
+    np.testing.assert_allclose(found.height, 0.3, rtol=1e-3)
+
+
+def test_a_rib_that_leans_is_as_high_as_its_top_is_above_the_sheet() -> None:
+    rib = _block((0.075, -0.75, -0.1), (0.125, 0.75, 0.3))
+    rib[..., 0] += 0.5 * (rib[..., 2] - 0.0)
+    found = _penetration(rib)
+    assert found.ribs.count >= 12
+    np.testing.assert_allclose(found.ribs.height, 0.3, rtol=0.02)
+
+
+def _beside(block: Array, pull: Array | None) -> Ribs:
+    """What a sheet that stands on a wall, x = 0, passed through where a block comes out of that."""
+    wall = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 2.0], [0.0, -1.0, 2.0]])[[[0, 1, 2], [0, 2, 3]]]
+    walls = np.concatenate([wall, block])
+    mold = jaxform.make_mold(walls.reshape(-1, 3), np.arange(3 * len(walls)).reshape(-1, 3))
+    flat, triangles = _sheet()
+    sheet = np.column_stack([0.0 * flat[:, 0], flat[:, 1], 0.9 + flat[:, 0]])
+    return penetration(sheet, triangles, 1 + (sheet[:, 2] > 1 + sheet[:, 1]), mold, pull=pull).ribs
+
+
+def test_a_rib_that_runs_into_a_wall_is_as_high_as_it_is_above_the_floor() -> None:
+    rib, up = _block((-0.1, 0.05, -0.1), (1.5, 0.1, 0.3)), np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(_beside(rib, None).height, 1.5, rtol=1e-3)
+    assert _beside(rib, up).height <= 0.3
+
+
+def test_a_ridge_up_a_wall_is_as_high_as_it_stands_off_it() -> None:
+    ridge, up = _block((-0.1, 0.05, -0.1), (0.3, 0.1, 1.9)), np.array([0.0, 0.0, 1.0])
+    for pull in (None, up):
+        found = _beside(ridge, pull)
+        assert found.count >= 8
+        np.testing.assert_allclose(found.height, 0.3, rtol=1e-3)
+
+
+def test_noise_that_is_far_lower_than_an_element_is_wide_is_no_rib() -> None:
+    """Bumps of a scan are as high as they are wide, and make no wall thinner."""
+    up = np.array([0.0, 0.0, 1.0])
+    assert _rises_between(up, noise=0.008).count == 0
+    assert _rises_between(up, noise=0.08).count > 20
 
 
 def test_what_is_lower_than_it_is_wide_or_below_the_sheet_is_no_rib() -> None:
