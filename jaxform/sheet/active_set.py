@@ -45,7 +45,7 @@ class Workspace:
 
 
 class InitialProperties(NamedTuple):
-    """What a sheet that cools was like when the run began: temperature (room,) [degC], and zones without a shift."""
+    """Initial properties of a cooling sheet: temperature (room,) [degC], and zones without time-temperature shift."""
 
     temperature: jax.Array
     zones: dict[str, jax.Array]
@@ -127,7 +127,7 @@ class ActiveSet:
         return values.at[..., place].set(own, mode="drop")
 
     def _unpack_memory(self, state: State, memory: jax.Array) -> State:
-        """With the memory of all elements, from the packed ones' and what all had when they were packed."""
+        """Restores the memory of all elements from that of the packed ones and that at the time of packing."""
         account, before = state.account, state.account.viscous_loss
         if self.idle is not None and before is not None:
             memory, lost = self.idle.unpack_stress(memory, state.time)
@@ -137,7 +137,7 @@ class ActiveSet:
         )
 
     def response(self, material: Law, memory: ViscousMemory | None = None) -> Response:
-        """How its elements answer to strain, of a scene with this law."""
+        """The constitutive response of the active elements, for a scene with this material model."""
         return Response(material.elastic.with_zones(self.zones), memory)
 
     def viscous(self, material: Law) -> Modes | None:
@@ -159,7 +159,7 @@ def pack_moving(stuck: jax.Array, mesh: RefinedMesh | None, scene: Scene, discre
 
 
 def active_set_of(state: State, scene: Scene, discrete: Discretization, *, differentiable: bool = False) -> ActiveSet:
-    """What a window works through that begins with a state in the mesh's order."""
+    """The active set of a window that begins with a state in the mesh's order."""
     packed = pack_moving(state.nodes.stuck, state.mesh, scene, discrete)
     now = discrete.with_zones(state.heat, scene.material)
     return _add_cooling(_make_active_set(packed, state, scene, now, differentiable=differentiable), state, discrete)
@@ -218,7 +218,7 @@ def _inactive_totals(
 
 
 def totals_of(state: State, scene: Scene, discrete: Discretization, counted: jax.Array | None = None) -> ElementTotals:
-    """What the elements that count (room,) hold, in the order of the whole; not differentiable."""
+    """Energy and volume of the counted elements (room,), in the order of the whole set; not differentiable."""
     whole, memory = discrete.whole, state.memory
     own = discrete.with_zones(state.heat, scene.material).of_elements(whole.element)
     rows = None if memory is None else memory[:, whole.element]
@@ -255,7 +255,7 @@ def _make_active_set(
 
 
 def _add_memory(active: ActiveSet, state: State, scene: Scene, discrete: Discretization) -> ActiveSet:
-    """With what elements remember, and those that are idle by themselves."""
+    """Adds the history of the elements and the inactive elements whose stress relaxes."""
     modes, memory, idle = scene.material.viscous, state.memory, None
     if modes is None or memory is None:
         return active
@@ -265,7 +265,7 @@ def _add_memory(active: ActiveSet, state: State, scene: Scene, discrete: Discret
 
 
 def _add_cooling(active: ActiveSet, state: State, discrete: Discretization) -> ActiveSet:
-    """With what is needed to cool further."""
+    """Adds the thermal state and the initial properties that further cooling needs."""
     if discrete.temperature is None:
         return active
     element = active.packed.element

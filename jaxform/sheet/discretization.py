@@ -21,7 +21,7 @@ NEVER = jnp.iinfo(jnp.int32).max
 
 @pytree
 class RefinedMesh:
-    """Which triangles of the forest there are, in lists that grow with each that is bisected.
+    """The triangles of the forest that are in use, in lists that grow with each bisection.
 
     Attributes:
         split_at: The window (n_triangle,) at whose border each triangle was bisected; NEVER where it was not.
@@ -56,7 +56,7 @@ class RefinedMesh:
 
 
 class ElementProperties(NamedTuple):
-    """What elements are made of: initial thickness (n,) [m], numbers of the law that vary (..., n), modes that do."""
+    """Element properties: initial thickness (n,) [m], varying material parameters (..., n) and varying modes."""
 
     thickness: jax.Array
     zones: dict[str, jax.Array]
@@ -111,7 +111,7 @@ class Discretization:
     temperature: jax.Array | None = None
 
     def with_zones(self, heat: ThermalState | None, material: Law) -> Discretization:
-        """The same where elements have cooled so far: with the numbers that a law has there."""
+        """The discretization with the material parameters at the present temperature of the elements."""
         if heat is None or self.temperature is None:
             return self
         zones, modes = at_temperature(material, self.zones, self.temperature + heat.felt)
@@ -119,12 +119,12 @@ class Discretization:
 
     @property
     def forest_properties(self) -> ForestProperties:
-        """What the forest's triangles are made of, of a sheet that is refined."""
+        """The properties of the forest's triangles, for a sheet that is refined."""
         assert self.volumes is not None
         return ForestProperties(self.volumes, self.forest_zones, self.forest_temperature)
 
     def of_elements(self, element: jax.Array) -> ElementProperties:
-        """What the elements of these numbers (n,) are made of."""
+        """The properties of the elements with these numbers (n,)."""
         zones, modes = jax.tree.map(lambda own: own[..., element], (self.zones, self.modes))
         return ElementProperties(self.thickness[element], zones, modes)
 
@@ -165,7 +165,7 @@ def present_discretization(
 
 
 class ForestProperties(NamedTuple):
-    """What the forest's triangles are made of: volume [m^3], material numbers that vary, temperature; of each."""
+    """Properties of each forest triangle: volume [m^3], varying material parameters, and temperature."""
 
     volumes: jax.Array
     zones: dict[str, jax.Array]
@@ -201,7 +201,7 @@ def _volumes(scene: Scene, forest: BisectionHierarchy) -> jax.Array:
 
 
 def _forest_mean(nodal: jax.Array, forest: BisectionHierarchy, volumes: jax.Array) -> jax.Array:
-    """Of the forest's triangles, with these volumes (n_triangle,) [m^3], the mean of nodal values (..., n_node).
+    """Mean of nodal values (..., n_node) over each triangle of the forest, with volumes (n_triangle,) [m^3].
 
     At the deepest level from the nodes' values; above, the mean of the parts, weighted by their volume, so that no
     bisection makes or loses mass.
@@ -242,7 +242,7 @@ def first_mesh(scene: Scene, adaptivity: Adaptivity) -> RefinedMesh:
 
 
 def half_edge_elements(element: jax.Array, count: jax.Array, forest: BisectionHierarchy) -> jax.Array:
-    """Which of the elements (room,), of which so many are in use, has each half edge, as `RefinedMesh.side`."""
+    """The element (room,) at each half edge, as `RefinedMesh.side`; `count` elements are in use."""
     number = jnp.arange(element.size, dtype=jnp.int32)
     there = jnp.where(number < count, forest.half_edges[:, element], forest.half_edge_count)
     return jnp.full(forest.half_edge_count, -1, jnp.int32).at[there].set(number, mode="drop")
@@ -254,7 +254,7 @@ def node_room(elements: int, first_nodes: int, most: int) -> int:
 
 
 def element_levels(triangle: jax.Array, forest: BisectionHierarchy) -> jax.Array:
-    """Of triangles (n,) of the forest."""
+    """The refinement level of each triangle (n,) of the forest."""
     begins = [forest.root_count * ((1 << level) - 1) for level in range(1, forest.depth + 1)]
     return jnp.searchsorted(jnp.asarray(begins, jnp.int32), triangle, side="right").astype(jnp.int32)
 

@@ -42,7 +42,7 @@ def strain_energy(state: State, scene: Scene, discrete: Discretization) -> jax.A
 
 
 class ElementTotals(NamedTuple):
-    """What elements hold: strain energy [J], with that of viscous modes, and the volume [m^3] that they enclose."""
+    """Element totals: strain energy [J], including that of viscous modes, and enclosed volume [m^3]."""
 
     energy: jax.Array
     volume: jax.Array
@@ -56,7 +56,7 @@ def element_energy(
     memory: jax.Array | None,
     counted: jax.Array | None = None,
 ) -> ElementTotals:
-    """What elements hold, in one pass; not differentiable.
+    """Strain energy and enclosed volume of the elements, in one pass; not differentiable.
 
     Args:
         positions: (3, place) [m].
@@ -109,9 +109,9 @@ def stored_energy(
 def pressure_at(
     account: EnergyBalance, scene: Scene, time: jax.Array, length: jax.Array, volume: jax.Array | None
 ) -> LoadState:
-    """How the loading presses at a time [s], so long after the begin of the last step [s], with the volume then [m^3].
+    """The load state at a time [s], a `length` after the last step's begin [s], with the volume at that time [m^3].
 
-    The account is that of the last step; the volume is None where the pressure does not follow it.
+    The energy balance is that of the last step; the volume is None where the pressure does not follow it.
     """
     if account.load_state is None or volume is None:
         return LoadState(scene.pressure.at(time, None), None)
@@ -119,7 +119,7 @@ def pressure_at(
 
 
 def present_pressure(state: State, scene: Scene, volume: jax.Array | None) -> LoadState:
-    """How the loading presses now, with the volume that is enclosed now [m^3], None where it does not follow it."""
+    """The present load state, with the enclosed volume [m^3]; None where the pressure does not follow it."""
     return pressure_at(state.account, scene, state.time, state.control.step_length, volume)
 
 
@@ -150,6 +150,6 @@ def enclosed_volume(
 
 
 def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
-    """What the account may miss [J] near rest, where the strain energy of a volume [m^3] is the rounding of I1 - 3."""
+    """Rounding error [J] of the energy balance near rest: a volume [m^3] times the rounding of I1 - 3."""
     scale = jax.lax.stop_gradient(jnp.max(scene.law.stiffness_at_once()) * volume)
     return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale

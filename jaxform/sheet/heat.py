@@ -1,4 +1,4 @@
-"""How far the elements have cooled, and what their law is at the temperature that they have."""
+"""Temperature change of the elements, and their material model at the present temperature."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxform.mechanics.nodes import Nodes
 
 @pytree
 class ThermalState:
-    """How far elements (n,) have cooled.
+    """Temperature change of elements (n,) by cooling.
 
     An element whose nodes all stick keeps the law that it had then, since nothing depends on that any more; how far it
     cools from then on is worked out when it is asked for.
@@ -31,21 +31,21 @@ class ThermalState:
     felt: jax.Array
 
     def select(self, element: jax.Array) -> ThermalState:
-        """That of the elements of these numbers."""
+        """The thermal state of the elements with these numbers."""
         return ThermalState(self.change[element], self.time[element], self.felt[element])
 
 
 def initial_heat(elements: int) -> ThermalState:
-    """Of so many elements when a run begins."""
+    """The thermal state of this number of elements at the begin of a run."""
     return ThermalState(*jnp.zeros((3, elements), as_real(0.0).dtype))
 
 
 def at_temperature(
     material: Law, zones: dict[str, jax.Array], temperature: jax.Array | None
 ) -> tuple[dict[str, jax.Array], Modes | None]:
-    """Of elements with such numbers at temperatures (n,) [degC], all numbers of the law that vary, and the modes.
+    """All varying parameters and the modes of elements with these zones at temperatures (n,) [degC].
 
-    These are None where they do not vary.
+    The modes are None where they do not vary.
     """
     if temperature is None or material.shift is None:
         return zones, None
@@ -67,7 +67,7 @@ def contact_share(nodes: Nodes, triangles: jax.Array, begin: jax.Array, end: jax
 
 
 class ThermalElements(NamedTuple):
-    """What cools, of elements (n,): first temperature [degC], thickness [m], share that touches the mold, density.
+    """Cooling elements (n,): initial temperature [degC], thickness [m], share in contact with the mold, density.
 
     The share is of one side, of its area and of the time; the density [kg/m^3] is a number or (n,).
     """

@@ -1,4 +1,4 @@
-"""What is not active and yet changes: viscous modes of elements that stick, whose stress relaxes where they are."""
+"""Stress relaxation in inactive elements: viscous modes of elements whose nodes all stick."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can still move, packed: elements and nodes in the order in which a window works through them.
+"""Packing of the active set: elements and nodes in the order in which a window processes them.
 
 Elements whose nodes all stick, and nodes that belong to no other element, come last and are not active: the
 problem becomes "a smaller and smaller free inflation problem" (paper, 3.2). Nothing is compiled anew, since the number
@@ -56,7 +56,7 @@ class Packed:
 
 
 def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
-    """Which corners of which elements (n_element, 3) each node gathers its force from; on the host.
+    """The element corners (n_element, 3) from which each node gathers its force; on the host.
 
     The few nodes with far more elements than the others, such as a pole, hand their surplus to a list.
     """
@@ -64,7 +64,7 @@ def make_assembly(triangles: np.ndarray, node_count: int) -> Assembly:
 
 
 def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assembly:
-    """The same with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
+    """The assembly with elements in pairs, of a sheet with nodes at initial positions (n_node, 3) [m]."""
     pairs = pair_elements(triangles)
     corners, orientation = rotate_to_common_edge(triangles, pairs)
     inverse, _ = reference_metric(positions, corners)
@@ -77,7 +77,7 @@ def make_paired_assembly(positions: np.ndarray, triangles: np.ndarray) -> Assemb
 
 
 def _assembly(nodes: np.ndarray, node_count: int, pairs: ElementPairs | None) -> Assembly:
-    """Of the corners' nodes (n, 3) of elements, or (n, 4) of pairs; -1 where there is no such corner."""
+    """The assembly from the corner nodes (n, 3) of elements, or (n, 4) of pairs; -1 where there is no corner."""
     corner_node, width = nodes.ravel(), nodes.shape[1]
     order = np.argsort(corner_node, kind="stable")
     order = order[np.count_nonzero(corner_node < 0) :]
@@ -190,7 +190,7 @@ class _Listing(NamedTuple):
     per_block: int
 
     def share(self, corner: jax.Array | int, rank: jax.Array) -> jax.Array:
-        """Where a corner's share is, of the element or pair of that rank, in the arrays of corner forces."""
+        """The index of a corner's share, of the element or pair of that rank, in the arrays of corner forces."""
         room = self.element.size
         if self.per_block == BLOCK:
             return corner * room + rank
@@ -249,7 +249,7 @@ def _shares(
     exists: jax.Array,
     node_block_count: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Where the shares of the nodes in use are (depth, place), and how many rows each block of nodes uses of it."""
+    """Places of the shares of the nodes in use (depth, place), and the rows in use for each block of nodes."""
 
     def work(node: jax.Array, exists: jax.Array) -> Any:
         codes = gather(table, node)
@@ -263,7 +263,7 @@ def _shares(
 
 
 def _overflow_targets(assembly: Assembly, kept: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Where nodes with surplus shares have them added: to the first of their shares that are active.
+    """The active share to which each node with surplus shares adds them: the first of its shares that are active.
 
     Returns:
         That share of the node of each surplus one (k,); which of these are added to it; and the table with a surplus

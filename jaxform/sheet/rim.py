@@ -1,4 +1,4 @@
-"""What moving rims sweep: the difference between the work of the pressure and that of the enclosed volume.
+"""Volume swept by moving rims: the difference between pressure work and change of the enclosed volume.
 
 The volume is that of cones between the elements and the origin. As a rim moves, the cones' sides between it and the
 origin sweep a volume too, which the sheet does not push against: force times displacement is the pressure times what

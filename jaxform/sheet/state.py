@@ -19,7 +19,7 @@ from jaxform.sheet.heat import ThermalState
 
 
 class Status(enum.IntFlag):
-    """Why a run stopped early, or why it is not to be trusted (UNBALANCED); no bit is set when all went well.
+    """Reasons why a run stopped early or is not to be trusted (UNBALANCED); no bit is set when all went well.
 
     `explain` says each in words. The status of a result is an integer of these bits: `result.status & Status.INPUT`.
 
@@ -123,7 +123,7 @@ class EnergyBalance:
     rim: jax.Array | None = None
 
     def swept_volume(self, volume: jax.Array) -> jax.Array:
-        """What the sheet swept since the last step's begin [m^3], with the volume that it encloses now [m^3]."""
+        """Volume swept by the sheet since the begin of the last step [m^3], with the present enclosed volume [m^3]."""
         change = volume - self.volume
         return change if self.rim is None else change + self.rim
 
@@ -148,7 +148,7 @@ LOSSES = marked_field_names(EnergyBalance, LOSS)
 
 @pytree
 class Control:
-    """What the choice of the step and of a window's length is made from.
+    """Data for choosing the step length and the window length.
 
     Attributes:
         step_length: Of the last step [s]; 0 before the first.
@@ -171,7 +171,7 @@ class Control:
 
 @pytree
 class Replay:
-    """Where a run is in the schedule that it follows: whose steps come next, and how much of their time is over [s]."""
+    """Position in the schedule that a run follows: the row of the next steps, and the elapsed time of it [s]."""
 
     row: jax.Array
     row_time: jax.Array
@@ -179,7 +179,7 @@ class Replay:
 
 @pytree
 class State:
-    """Where a simulation is.
+    """The state of a simulation.
 
     Attributes:
         nodes: Its nodal fields, in the mesh's order; see `PackedState`.
@@ -214,7 +214,7 @@ class State:
         return self.mesh
 
     def replace_nodes(self, **fields: Any) -> Self:
-        """The same with other values of some nodal fields."""
+        """The state with other values of some nodal fields."""
         return dataclasses.replace(self, nodes=dataclasses.replace(self.nodes, **fields))
 
 
@@ -223,7 +223,7 @@ PackedState = NewType("PackedState", State)
 
 
 class InitialNodeState(NamedTuple):
-    """Of nodes (n,) when a run begins: whether they stick, their contact time [s] and wall, as in `State`."""
+    """State of nodes (n,) at the begin of a run: stuck mask, contact time [s] and wall, as in `State`."""
 
     stuck: jax.Array
     contact_time: jax.Array
@@ -231,7 +231,7 @@ class InitialNodeState(NamedTuple):
 
 
 def initial_node_state(scene: Scene, node: jax.Array | None = None) -> InitialNodeState:
-    """Of these nodes (n,) of the parison, or of all: those that cannot move stick, and those that lie on the mold."""
+    """Initial state of these nodes (n,), or of all: immobile nodes and nodes in contact with the mold are stuck."""
     mobility, lying = scene.tables.mobility, scene.tables.initial_contact
     if node is not None:
         mobility, lying = mobility[:, node], None if lying is None else lying[node]
@@ -254,14 +254,14 @@ def noise_vector(positions: jax.Array) -> jax.Array:
 
 
 def is_finished(state: State, scene: Scene) -> jax.Array:
-    """Whether there is nothing left to do: the end is reached, nothing can move, or something went wrong."""
+    """True where the end is reached, nothing can move, or an error was detected."""
     slack = 16 * jnp.finfo(state.time.dtype).eps
     done = (state.time >= scene.solver.end_time * (1.0 - slack)) | (state.status != 0)
     return done | is_at_rest(state, scene)
 
 
 def is_at_rest(state: State, scene: Scene) -> jax.Array:
-    """Whether nothing can move any more, so that a run ends before its time."""
+    """True where no node can move any more, so that a run ends before its time."""
     if not (scene.solver.end_early and scene.rests):
         return jnp.asarray(False)
     return jnp.all(state.nodes.stuck)
@@ -274,7 +274,7 @@ def can_move(stuck: jax.Array, triangles: jax.Array, area: jax.Array) -> jax.Arr
 
 
 def differentiable_leaves(state: State) -> State:
-    """Which leaves of a state carry a derivative."""
+    """Mask of the leaves of a state that carry a derivative."""
     none: Any = jax.tree.map(lambda _: False, state)
     smooth: Any = state.nodes.map_fields(lambda _, rule: rule.smooth)
     pressed: Any = jax.tree.map(lambda x: jnp.issubdtype(x.dtype, jnp.inexact), state.account.load_state)
