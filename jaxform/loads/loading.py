@@ -1,4 +1,4 @@
-"""What loads the sheet, and how another loading is added: a class of its own, decorated with `loading`."""
+"""Loads on the sheet; a new loading is a class decorated with `loading`."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Loading:
 
 @pytree
 class LoadState:
-    """How a loading presses that follows the volume, at the begin of a step.
+    """State of a loading that follows the volume, at the begin of a step.
 
     Attributes:
         pressure: [Pa].
@@ -113,7 +113,7 @@ def next_pressure(loading: Loading, last: LoadState, interval: Interval) -> Load
 
 
 def _array(values: Any) -> jax.Array:
-    """What a user gives, of the type that it keeps from step to step."""
+    """User values as arrays of the dtype that they keep from step to step."""
     return as_real(values) if jnp.issubdtype(jnp.result_type(values), jnp.inexact) else jnp.asarray(values)
 
 

@@ -1,4 +1,4 @@
-"""How a hot sheet cools: to the air on both sides, and to the mold where it touches that.
+"""Cooling of a hot sheet: to the air on both sides, and to the mold where it is in contact.
 
 The temperature is the mean over the thickness. Where a conductivity is given it is taken to be a parabola over the
 thickness, which is what it becomes once heat has crossed the wall; from its mean to either surface there is then a
@@ -19,7 +19,7 @@ _SHORT = 1e-3  # of the time that cooling takes: shorter times take a series
 
 @pytree
 class Cooling:
-    """How the sheet gives off its heat, and how much it has.
+    """Heat transfer coefficients and heat capacity of the sheet.
 
     Attributes:
         heat_capacity: Of the sheet [J/(kg K)].
@@ -53,13 +53,13 @@ class Cooling:
         return temperature - time * loss * _mean_decay(time * rate)
 
     def pace(self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array) -> jax.Array:
-        """How fast temperatures fall (n,) [K/s], of walls as `cooled` has them."""
+        """Cooling rate (n,) [K/s] of walls; arguments as in `cooled`."""
         return self._rates(temperature, wall, touching, density)[1]
 
     def _rates(
         self, temperature: jax.Array, wall: jax.Array, touching: jax.Array, density: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """How fast walls (n,) come to the temperature around them [1/s], and how fast they cool [K/s]."""
+        """Rate constants (n,) [1/s] of walls towards the ambient temperature, and their cooling rates [K/s]."""
         free = self._heat_transfer(self.air, self.air_temperature, wall)
         held = self._heat_transfer(self.mold, self.mold_temperature, wall)
         conductance, drive = (away + touching * (on - away) for away, on in zip(free, held, strict=True))
@@ -69,7 +69,7 @@ class Cooling:
     def _heat_transfer(
         self, other: jax.Array, other_temperature: jax.Array, wall: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """How much heat is given off (n,), for each kelvin [W/(m^2 K)] and less [W/m^2]: to the air, and to something.
+        """Conductance [W/(m^2 K)] and heat flux offset [W/m^2] (n,) of both sides: air, and another medium.
 
         A parabola with the heat q and p through its surfaces has there temperatures that are (2 q - p) wall / 6 k and
         (2 p - q) wall / 6 k below its mean.

@@ -53,7 +53,7 @@ class Gent(Law):
         return 0.5 * self.mu
 
     def _limit_terms(self, i1: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """What of I1 - 3 counts as inside of the limit, the share that is then left of that, and what is beyond."""
+        """The part of I1 - 3 within the limit, the share of the limit that is then left, and the part beyond."""
         x = i1 - 3.0
         inside = jnp.minimum(x, (1.0 - _NEAREST) * self.j_max)
         return inside, 1.0 - inside / self.j_max, x - inside

@@ -1,4 +1,4 @@
-"""What a law of the sheet's material is, and how one is added: a class of its own, decorated with `law`."""
+"""Material models of the sheet; a new one is a class decorated with `law`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNSTRAINED = 3.0  # both invariants of a sheet that is not strained
 
 
 class _Dense:
-    """What each law declares by itself, in the place that it likes."""
+    """Fields that each law declares itself, at a place of its choice."""
 
     density: jax.Array
 
@@ -88,12 +88,12 @@ class Law(_Dense):
         return dataclasses.replace(self.with_zones(numbers), viscous=modes, shift=None)
 
     def stiffness_at_once(self) -> jax.Array:
-        """As `stiffness`, with what the viscous modes add at once."""
+        """The instantaneous stiffness: `stiffness` and the contribution of the viscous modes."""
         return self.stiffness() if self.viscous is None else self.stiffness() + self.viscous.stiffness()
 
     @property
     def stiffest(self) -> Self:
-        """What bounds the stable step: a slack sheet may be taut before the window's end."""
+        """The law that bounds the stable step: a slack sheet may be taut before the window's end."""
         return dataclasses.replace(self, tension_field=False, held_taut=True) if self.tension_field else self
 
     @property
@@ -102,7 +102,7 @@ class Law(_Dense):
         return {name: getattr(self, name) for name in varying_parameter_names(self)}
 
     def with_zones(self, zones: Mapping[str, jax.Array]) -> Self:
-        """The same with other values of numbers that vary."""
+        """The law with other values of parameters that vary."""
         return dataclasses.replace(self, **zones) if zones else self  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
     def energy(self, i1: jax.Array, i2: jax.Array, /) -> jax.Array:
@@ -127,7 +127,7 @@ class Law(_Dense):
         return sum((slope for slope in self.slopes(none, none) if slope is not None), jnp.zeros_like(none))
 
     def _places(self) -> tuple[int, ...]:
-        """How many places its numbers vary over, (n,); () where they do not."""
+        """Shape (n,) of the places over which its parameters vary; () where they do not."""
         return next((values.shape[-1:] for values in self.zones.values()), ())
 
     def verify(self) -> None:
@@ -135,7 +135,7 @@ class Law(_Dense):
 
 
 class PlaneLaw(Law):
-    """The same as a function of the strain in the plane of the sheet, for laws in terms of stretches.
+    """A material model as a function of the strain in the plane of the sheet, for laws in terms of stretches.
 
     `energy`, `slopes` and `curvatures` get the trace T = l1^2 + l2^2 and the determinant D = (l1 l2)^2 of the right
     Cauchy-Green tensor in the plane instead of I1 and I2, and the third stretch is (l1 l2)^-1. Both slopes are there.

@@ -125,7 +125,7 @@ def _slopes_and_curvatures_jvp(at: tuple[Any, ...], changes: tuple[Any, ...]) ->
 
 
 def _jvp_of(function: Callable[..., Any], at: tuple[Any, ...], changes: tuple[Any, ...]) -> Any:
-    """That of a function, with what varies."""
+    """JVP of a function with respect to the arguments that have a tangent."""
     values, tree = jax.tree.flatten(at)
     given = jax.tree.leaves(changes)
     varied = [k for k, change in enumerate(given) if not isinstance(change, SymbolicZero)]
@@ -155,7 +155,7 @@ class _SlopePowers:
     def __init__(
         self, mu: Iterable[jax.Array], alpha: Iterable[jax.Array], trace: jax.Array, determinant: jax.Array
     ) -> None:
-        """Of T and D."""
+        """Computes the powers from T and D."""
         self._terms = [(0.5 * modulus, 0.5 * power - 1.0) for modulus, power in zip(mu, alpha, strict=True)]
         self._trace, self._determinant = trace, determinant
         # By rounding the difference may be below 0. What several loops use each is worked out once, with one division.
@@ -221,7 +221,7 @@ class _SlopePowers:
         return by_trace, mixed, by_determinant + third
 
     def _nearly_equal(self) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Whether both are nearly alike, and the same there but for what x3 adds.
+        """Mask of nearly equal x1 and x2, and the second derivatives there without the contribution of x3.
 
         With m = D^(1/2) and e = T / (2 m) - 1, f(x1) - f(x2) = sum of c m^p U_p(e) (x1 - x2) / m.
         """
@@ -273,7 +273,7 @@ def _smooth_slopes(
 
 
 class _StretchPowers(NamedTuple):
-    """Of stretches to a power p: (l1 l2)^p and (l1 l2)^-p; cosh((p - 1) y), and sinh((p - 1) y) / sinh(y)."""
+    """Powers p of stretches: (l1 l2)^p and (l1 l2)^-p; cosh((p - 1) y), and sinh((p - 1) y) / sinh(y)."""
 
     area: jax.Array
     thickness: jax.Array
@@ -282,10 +282,10 @@ class _StretchPowers(NamedTuple):
 
 
 class _PlaneStretches:
-    """What powers of principal stretches are made of, element by element (n,)."""
+    """Quantities for powers of principal stretches, element by element (n,)."""
 
     def __init__(self, trace: jax.Array, determinant: jax.Array) -> None:
-        """Of the trace l1^2 + l2^2 and the determinant (l1 l2)^2."""
+        """Computes the quantities from the trace l1^2 + l2^2 and the determinant (l1 l2)^2."""
         area = jnp.sqrt(determinant)
         thickness = 1.0 / area
         excess = 0.5 * trace * thickness - 1.0  # of cosh y over 1; by rounding it may be below 0

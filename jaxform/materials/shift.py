@@ -1,4 +1,4 @@
-"""How temperature shifts the relaxation times of viscous modes, and stiffness."""
+"""Time-temperature shift: effect of temperature on the relaxation times of viscous modes and on stiffness."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Wlf(Shift):
         return jnp.exp(jnp.minimum(-jnp.log(10.0) * self.c1 * above / room, _GLASS))
 
     def coldest(self) -> jax.Array:
-        """Where the factor has a pole [degC]."""
+        """The temperature [degC] at which the factor has a pole."""
         return self.reference - self.c2
 
 
@@ -96,7 +96,7 @@ class Arrhenius(Shift):
 
 @shift
 class ArrheniusStiffness(Arrhenius):
-    """The same, of times and of all moduli: those of the law, and those of its viscous modes.
+    """The Arrhenius shift of times and of all moduli: those of the law, and those of its viscous modes.
 
     Attributes:
         reference: T_r [degC].

@@ -47,7 +47,7 @@ class RelaxedStrain(NamedTuple):
         return jnp.where(slack, pull * self.larger, a), jnp.where(slack, -0.5 * scale * pull, b)
 
     def shares(self) -> tuple[jax.Array, jax.Array]:
-        """How much of the present metric and of the initial one make up that of this strain (n,)."""
+        """Weights of the present and of the initial metric in the metric of the relaxed strain (n,)."""
         pulled = jnp.maximum(self.larger, 1.0)
         slack, share = materialize((self.slack, 0.5 * (pulled - self.determinant / pulled) / self.half))
         return jnp.where(slack, share, 1.0), jnp.where(slack, pulled - share * self.larger, 0.0)

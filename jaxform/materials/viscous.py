@@ -32,7 +32,7 @@ _SHORT = 0.05  # of a mode's time: shorter steps take a series
 
 
 class StrainState(NamedTuple):
-    """Of elements (n,): metric, inverse of the initial one, and trace and determinant of the strain in the plane."""
+    """Strain state of elements (n,): metric, inverse initial metric, trace and determinant of the plane strain."""
 
     metric: Symmetric
     inverse: Symmetric
@@ -67,7 +67,7 @@ class StrainState(NamedTuple):
 
 
 class Recursion(NamedTuple):
-    """How modes go over a step (n_mode,): what of their stress is left, what they gain, and what they give back."""
+    """Factors of a step for each mode (n_mode,): stress decay, gain, and weight of the old measure."""
 
     left: jax.Array
     gain: jax.Array
@@ -91,11 +91,11 @@ class Modes:
 
     @staticmethod
     def measure(strained: StrainState) -> Rows:
-        """What the stress of a mode follows: 11, 12, 22 [1/m^2], and across."""
+        """The strain measure that the stress of a mode follows: 11, 12, 22 [1/m^2], and across."""
         raise NotImplementedError
 
     def recursion(self, step: jax.Array) -> Recursion:
-        """Of a step [s]."""
+        """The recursion factors of a step [s]."""
         raise NotImplementedError
 
     def initial_stress(self, inverse: jax.Array) -> jax.Array:
@@ -103,12 +103,12 @@ class Modes:
         raise NotImplementedError
 
     def apply_shift(self, times: jax.Array, moduli: jax.Array) -> Self:
-        """With factors (n,) on times and moduli, of each element."""
+        """The modes of each element, with factors (n,) on times and moduli."""
         numbers = {"modulus": self.modulus[:, None] * moduli[None], "time": self.time[:, None] * times[None]}
         return dataclasses.replace(self, **numbers)  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
     def limit_losses(self, step: jax.Array) -> Self:
-        """The same for `loss` over steps of a length [s]: modes too fast for such a step to show have an endless time.
+        """The modes for `loss` over steps of a length [s]; too fast modes get an infinite relaxation time.
 
         A mode that relaxes in t loses t times the square of the strain rate. From its stress no more than the rounding
         of that, over t, would come; of the power it is less than the share t over the step.
@@ -118,11 +118,11 @@ class Modes:
         return dataclasses.replace(self, time=jnp.where(fast, jnp.inf, time))  # pyright: ignore[reportArgumentType, reportReturnType, reportCallIssue]
 
     def energy(self, stress: list[Rows], strained: StrainState) -> jax.Array:
-        """What the modes store (n,) [J/m^3], from the stress of each."""
+        """Stored energy of the modes (n,) [J/m^3], from the stress of each."""
         raise NotImplementedError
 
     def loss(self, stress: list[Rows], strained: StrainState) -> jax.Array:
-        """What they dissipate (n,) [W/m^3]."""
+        """Dissipated power of the modes (n,) [W/m^3]."""
         raise NotImplementedError
 
     def stiffening(self, larger: jax.Array, smaller: jax.Array) -> jax.Array:
@@ -219,13 +219,13 @@ class Maxwell(Modes):
         return Recursion(left, modulus * lag, modulus * (left - 1.0 + lag))
 
     def initial_stress(self, inverse: jax.Array) -> jax.Array:
-        """As in rubber that is not strained."""
+        """The initial stress of the modes: that of unstrained rubber."""
         rows = jnp.concatenate([inverse, jnp.ones_like(inverse[:1])])
         modulus = self.modulus[:, None, :] if self.modulus.ndim == 2 else self.modulus[:, None, None]
         return (modulus * rows[None]).reshape(-1, inverse.shape[1])
 
     def energy(self, stress: list[Rows], strained: StrainState) -> jax.Array:
-        """That of dumbbells: g / 2 (tr c - ln det c - 3) of the conformation c."""
+        """Stored energy of dumbbells: g / 2 (tr c - ln det c - 3) of the conformation c."""
         total = jnp.zeros_like(strained.determinant)
         for modulus, x in zip(self.modulus, stress, strict=True):
             trace, determinant, across = _conformation(modulus, x, strained)

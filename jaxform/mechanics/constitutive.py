@@ -1,4 +1,4 @@
-"""How an element answers to strain: by the stress of its law, and of viscous modes where it has such."""
+"""Constitutive response of elements: stress of the material model, and overstress of viscous modes if any."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxform.mechanics.membrane import Metric, invariants, plus, relaxed_metric,
 
 @pytree
 class ViscousMemory:
-    """What elements remember: the stress of mode k is `rest[k] + gain[k] M`, M what it follows.
+    """History of the viscous modes of elements: mode k has the stress `history[k] + gain[k] M`, M its measure.
 
     Attributes:
         rest: (4 n_mode, n), four rows a mode; in loops over blocks a list of them.
@@ -34,12 +34,12 @@ class ViscousMemory:
 
 
 def present_memory(stress: jax.Array, modes: Modes) -> ViscousMemory:
-    """Of elements whose modes have this stress (4 n_mode, n) now."""
+    """The history of elements whose modes have this stress (4 n_mode, n) at present."""
     return ViscousMemory(stress, jnp.zeros_like(modes.modulus), modes.kind)
 
 
 def instantaneous_memory(stress: jax.Array, modes: Modes) -> ViscousMemory:
-    """The same, with how it answers to a change of the strain that takes no time."""
+    """The history with the instantaneous response of the modes to a change of the strain."""
     none = jnp.zeros((), modes.time.dtype)
     return ViscousMemory(stress, modes.recursion(none).gain, modes.kind, only_slope=True)
 
@@ -77,7 +77,7 @@ class Response(NamedTuple):
         return {name: number for name, number in self.numbers.items() if name not in zones}
 
     def with_numbers(self, numbers: Mapping[str, jax.Array]) -> Response:
-        """The same with other numbers."""
+        """The response with other parameters."""
         of_law = {name: number for name, number in numbers.items() if not name.startswith("memory.")}
         memory = self.memory
         if memory is not None:
@@ -96,7 +96,7 @@ def weighted_stress(g: Metric, inverse: Any, weight: jax.Array, response: Respon
 def materialized_stress(
     g: Metric, inverse: Any, weight: jax.Array, response: Response
 ) -> tuple[Metric, Overstress | None]:
-    """The same, kept for all its uses, and what the modes do."""
+    """The weighted stress, materialized for all its uses, and the overstress of the modes."""
     memory = response.memory
     if memory is not None:
         g = materialize(g)
@@ -132,14 +132,14 @@ def stress_and_change(
 
 
 def strain_state(g: Metric, inverse: Any) -> StrainState:
-    """What viscous modes look at."""
+    """The strain state from which viscous modes compute their stress."""
     r = inverse[0], inverse[1], inverse[2]
     strain = invariants(g, r)
     return StrainState(g, r, strain.trace, strain.determinant)
 
 
 class Overstress(NamedTuple):
-    """What viscous modes do.
+    """Stress of the viscous modes.
 
     Attributes:
         total: Stress S^ab [Pa/m^2] of all, free across the sheet.
@@ -163,7 +163,7 @@ class Overstress(NamedTuple):
 
 
 def overstress(g: Metric, inverse: Any, memory: ViscousMemory, keep: Callable[[Any], Any] = lambda x: x) -> Overstress:
-    """What viscous modes do at a metric; `keep` is applied to what is used more than once."""
+    """The overstress of viscous modes at a metric; `keep` is applied to values that are used more than once."""
     now = keep(strain_state(g, inverse))
     measure = keep(MODES[memory.kind].measure(now))
     followed = measure

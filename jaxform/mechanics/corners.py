@@ -42,7 +42,7 @@ from jaxform.mechanics.membrane import Metric, Vector, cross, dot, edges, metric
 
 
 class Load(NamedTuple):
-    """What the force depends on smoothly.
+    """Differentiable arguments of the force.
 
     Attributes:
         positions: (3, place) [m]; or its rows, where no derivative is taken.
@@ -60,7 +60,7 @@ class Load(NamedTuple):
 
     @property
     def response(self) -> Response:
-        """How elements answer to strain."""
+        """The constitutive response of the elements."""
         return Response(self.material, self.memory)
 
 
@@ -90,7 +90,7 @@ def corner_forces(load: Load, elements: Elements, into: Corners) -> tuple[Corner
 
 
 class HistoryUpdate(NamedTuple):
-    """What a step makes of what elements remember (4 n_mode, room), and the power that is lost [W]."""
+    """History of the elements after a step (4 n_mode, room), and the dissipated power [W]."""
 
     history: jax.Array
     loss: jax.Array
@@ -99,7 +99,7 @@ class HistoryUpdate(NamedTuple):
 def viscous_corner_forces(
     load: Load, elements: Elements, into: Corners, modes: Modes, recursion: Recursion
 ) -> tuple[Corners, jax.Array, HistoryUpdate]:
-    """As `corner_forces`; with what elements remember after a step with that recursion, written where it was."""
+    """`corner_forces` and the history of the elements after a step with that recursion, updated in place."""
     rows, response, memory = unstack_rows(load.positions), load.response, load.memory
     assert memory is not None
     zones = {name: values for name, values in response.zones.items() if name != "memory.rest"}
@@ -122,7 +122,7 @@ def viscous_corner_forces(
 
 
 def update_history(load: Load, elements: Elements, modes: Modes, recursion: Recursion) -> HistoryUpdate:
-    """The same alone, differentiable."""
+    """The history update alone, differentiable."""
     assert load.memory is not None
     found = overstress(*element_metrics(load.positions, elements), load.memory)
     rate = modes.loss(found.modes, found.strained)
@@ -170,7 +170,7 @@ def _per_element_modes(modes: Modes) -> Modes | None:
 
 
 def _split_varying(recursion: Recursion) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
-    """What of it varies over the elements, and what does not."""
+    """The factors of a recursion that vary over the elements, and those that do not."""
     parts = recursion._asdict()
     return {k: v for k, v in parts.items() if v.ndim == 2}, {k: v for k, v in parts.items() if v.ndim < 2}
 
@@ -218,7 +218,7 @@ def metric_change(edge1: Vector, edge2: Vector, w1: Vector, w2: Vector) -> Metri
 
 
 def corner_force_tangent(load: Load, elements: Elements, change: Load, into: Corners) -> tuple[Corners, jax.Array]:
-    """As `corner_forces`, of the derivative along `change`, a load with None for what does not change."""
+    """Directional derivative of `corner_forces` along `change`, a load with None for constant leaves."""
     moved = None if change.positions is None else unstack_rows(change.positions)
     looked = [unstack_rows(load.positions)] + ([] if moved is None else [moved])
     thickened = () if change.thickness is None else (change.thickness,)

@@ -65,12 +65,12 @@ class Elements:
 
 
 def typical_row_count(paired: bool) -> int:
-    """How many shares a node has as a rule, of elements or of pairs of them."""
+    """The usual number of shares of a node, of elements or of pairs of elements."""
     return _USUAL_PAIR_ROWS if paired else _USUAL_ROWS
 
 
 class GatherTable(NamedTuple):
-    """Where nodes find their shares of corner forces, for `over_blocks`; as in `Elements`."""
+    """Places of the nodes' shares of corner forces, for `over_blocks`; as in `Elements`."""
 
     slots: jax.Array
     row_count: Any
@@ -132,7 +132,7 @@ def nodal_sum(corners: Corners, elements: Elements) -> jax.Array:
 def map_elements(
     work: Callable[..., Any], elements: Elements, more: tuple[Any, ...], into: list[jax.Array], sums: int = 1
 ) -> Any:
-    """What a pass over the blocks of elements in use writes and sums; `work` gets their geometry and `more`."""
+    """Rows and sums of a pass over the blocks of elements in use; `work` gets their geometry and `more`."""
     return over_blocks(work, elements.block_count, (element_block(elements), *more), into, sums=sums)
 
 
@@ -143,7 +143,7 @@ def allocate_corner_forces(positions: jax.Array, elements: Elements) -> Corners:
 
 
 class ElementBlock(NamedTuple):
-    """Of the elements of a block; as in `Elements`."""
+    """The elements of a block; fields as in `Elements`."""
 
     triangles: jax.Array
     inverse_metric: jax.Array
@@ -152,12 +152,12 @@ class ElementBlock(NamedTuple):
 
 
 def element_block(elements: Elements) -> ElementBlock:
-    """What a pass over elements reads of each."""
+    """The element arrays that a pass over the elements reads."""
     return ElementBlock(elements.triangles, elements.inverse_metric, elements.area, elements.orientation)
 
 
 class EdgeVectors(NamedTuple):
-    """Of vectors at the nodes, at elements: the first node's, and along both edges from it; each three times (n,)."""
+    """A nodal vector field at elements: at the first node, and differences along both edges; three (n,) each."""
 
     first: Vector
     edge1: Vector
@@ -165,7 +165,7 @@ class EdgeVectors(NamedTuple):
 
 
 def edge_vectors(own: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
-    """Of several at once, since they lie at the same nodes; kept for all their uses."""
+    """The edge vectors of several nodal fields at once, looked up together and materialized for all uses."""
     rows = [row for values in nodal for row in values]
     places = list(own.triangles)
     if own.orientation is not None:
@@ -183,7 +183,7 @@ def edge_vectors(own: ElementBlock, *nodal: Vector) -> list[EdgeVectors]:
 
 
 def _duplicate_halves(v: Vector) -> Vector:
-    """What both elements of a pair have, of a vector (n / 2,)."""
+    """A vector (n / 2,) that both elements of a pair share, repeated for each of them."""
     return vector(Halves(x, x).concatenate() for x in v)
 
 

@@ -128,7 +128,7 @@ def corner_cotangents(
 
 
 def zero_sums(load: Load, wanted: list[bool]) -> list[jax.Array]:
-    """What `corner_cotangents` adds to, element by element, where nothing was summed yet.
+    """Initial zeros of the sums over steps to which `corner_cotangents` adds, element by element.
 
     Of the logarithm of the thickness (1, room) where that is wanted, then of each number of the response that varies
     and is wanted (k, room).
@@ -140,7 +140,7 @@ def zero_sums(load: Load, wanted: list[bool]) -> list[jax.Array]:
 
 
 def zone_cotangents(load: Load, wanted: list[bool], summed: list[jax.Array]) -> dict[str, jax.Array]:
-    """Of the response's numbers that vary and are wanted (..., room), by name, what they came to."""
+    """Cotangents of the response's varying parameters that are wanted (..., room), by name."""
     names, zones = _differentiated_zones(load, wanted), load.response.zones
     own = summed[int(wanted[1]) :]
     return {name: rows.reshape(zones[name].shape) for name, rows in zip(names, own, strict=True)}

@@ -24,7 +24,7 @@ Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class Invariants(NamedTuple):
-    """Of the right Cauchy-Green tensor, each (n_element,): in-plane trace, in-plane determinant, I1, I2."""
+    """Invariants of the right Cauchy-Green tensor (n_element,): in-plane trace and determinant, I1, I2."""
 
     trace: jax.Array
     determinant: jax.Array
@@ -82,7 +82,7 @@ def _(primals: Any, tangents: Any) -> tuple[list[jax.Array], list[Any]]:
 
 
 def gather_columns(values: jax.Array | Vector, index: jax.Array) -> Vector:
-    """As `gather`, of (3, n_node): component by component, looked up in one row, which neither copies nor strides."""
+    """`gather` of (3, n_node), component by component from one flat row, without copies or strides."""
     if isinstance(values, tuple):
         return vector(gather_rows(values, index))
     flat, size = values.reshape(-1), values.shape[1]

@@ -19,7 +19,7 @@ from jaxform.mechanics.membrane import dot
 
 
 class FieldRule(NamedTuple):
-    """How a nodal field passes from one list of nodes to another.
+    """Rule for transferring a nodal field from one list of nodes to another.
 
     Attributes:
         smooth: Whether it carries a derivative.
@@ -56,7 +56,7 @@ class Nodes:
     fields: dict[str, jax.Array] = dataclasses.field(metadata={"rule": FieldRule(smooth=True, absent=0.0)})
 
     def map_fields(self, function: Callable[[Any, FieldRule], Any]) -> Nodes:
-        """The same of every field, from its values and its rule."""
+        """The nodes with a function applied to each field and its rule."""
         made = {
             part.name: jax.tree.map(lambda values, rule=part.metadata["rule"]: function(values, rule), values)
             for part in dataclasses.fields(self)
@@ -65,11 +65,11 @@ class Nodes:
         return dataclasses.replace(self, **made)
 
     def contact_fields(self) -> Nodes:
-        """What contact knows of: neither the mode nor the scene's own fields."""
+        """The fields that contact uses: all but the mode and the scene's own fields."""
         return dataclasses.replace(self, mode=None, fields={})
 
     def pad(self, count: int) -> Nodes:
-        """With places for so many nodes."""
+        """The nodes with capacity for `count` of them."""
 
         def pad_field(values: jax.Array, rule: FieldRule) -> jax.Array:
             shape = *values.shape[:-1], count - values.shape[-1]
@@ -79,6 +79,6 @@ class Nodes:
 
 
 def highest_speed(velocities: jax.Array, blocks: jax.Array) -> jax.Array:
-    """Of nodes with these velocities (3, n_node) [m/s], so many blocks of them; not differentiable."""
+    """The highest speed [m/s] of nodes with velocities (3, n_node) in `blocks` blocks; not differentiable."""
     _, (square,) = over_blocks(lambda v: ([], [dot(v, v)]), blocks, (velocities,), [], most=1)
     return jnp.sqrt(square)

@@ -1,4 +1,4 @@
-"""How stiff elements are, which bounds the stable step."""
+"""Stiffness of elements, which bounds the stable step."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _slopes_by_stretches(a: jax.Array, b: jax.Array) -> list[Vector]:
 
 
 def viscous_stiffness(strain: Invariants, now: StrainState, stresses: list[Rows], modes: Modes) -> jax.Array:
-    """What viscous modes add at most (n,) [Pa] to the largest eigenvalue of the tangent, from the stress of each.
+    """Upper bound (n,) [Pa] of the viscous modes' part in the largest tangent eigenvalue, from their stresses.
 
     Three terms, each at its largest: the stress in the plane, the pressure that frees the sheet of stress across, and
     how the modes' own stress answers to strain.
@@ -125,7 +125,7 @@ def element_stiffness(
     material: Law,
     memory: jax.Array | None = None,
 ) -> jax.Array:
-    """Of each element D lambda_G (n_element,) [Pa/m^2], which bounds the stable step; 0 where it does not move.
+    """D lambda_G of each element (n_element,) [Pa/m^2], which bounds the stable step; 0 where immobile.
 
     Divided by the density where that varies.
 
