@@ -17,7 +17,9 @@ from jaxform.mesh import meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import molds, motion, rims
+from jaxform.tools.distances import TriangleSurface
 from jaxform.tools.mold import Mold, make_mold
+from jaxform.tools.slivers import has_slivers, merge_slivers
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
@@ -138,13 +140,32 @@ def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold |
         raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
     names = _paths(table)
     chosen = _shape_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)])
+    whole = _shape_of_files(document, table, names)
+    merged = merge_slivers(whole.vertices, whole.triangles)
     # Triangles are identified by their centroids, which do not depend on welding or on triangles left out.
-    middles = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)].mean(1)
-    near = _SAME * meshes.size(middles)
+    middles, near = _centroids(whole), _SAME * meshes.size(whole.vertices)
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
-    tree = KDTree(chosen.vertices[chosen.triangles].mean(1))
-    return tree.query(middles, distance_upper_bound=near)[0] <= near
+    own = KDTree(_centroids(chosen)).query(middles, distance_upper_bound=near)[0] <= near
+    # The mold's triangles are the merged ones, without degenerate ones.
+    return own[merged.source[KDTree(_centroids(merged)).query(_centroids(mold))[1]]]
+
+
+def _centroids(surface: TriangleSurface) -> Any:
+    """The centroids of the triangles (n, 3) [m]."""
+    return np.asarray(surface.vertices, float)[np.asarray(surface.triangles)].mean(1)
+
+
+def _without_slivers(shape: molds.MoldShape, store: Store | None) -> molds.MoldShape:
+    """The mold's shape with its slivers merged; unchanged where it has few."""
+    if not has_slivers(shape.vertices, shape.triangles):
+        return shape
+
+    def merge() -> Arrays:
+        return merge_slivers(shape.vertices, shape.triangles)._asdict()
+
+    kept = (store or Store()).arrays("merged", (shape.vertices, shape.triangles), merge)
+    return molds.MoldShape(kept["vertices"], kept["triangles"], shape.dropped)
 
 
 def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | None:
@@ -162,5 +183,7 @@ def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | No
         shape = molds.MoldShape(kept["vertices"], kept["triangles"])
     else:
         shape = _shape_of_files(document, table, _paths(table))
+    if isinstance(table, schema.FileMold | schema.RevolvedMold):
+        shape = _merged(shape, store)
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
     return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)

@@ -239,6 +239,11 @@ def _segment(points: Array, begin: Array, end: Array) -> tuple[Array, Array]:
     return np.linalg.norm(away - t[:, None] * along, axis=1), t
 
 
+def segment_distance(points: Array, begin: Array, end: Array) -> Array:
+    """Distances (n,) [m] from points (n, 3) to segments between places (n, 3), pair by pair."""
+    return _segment(points, begin, end)[0]
+
+
 def point_triangle_distance(points: Array, corners: Array) -> Array:
     """Distances (n,) [m] from points (n, 3) to triangles (n, 3, 3), pair by pair."""
     return _nearest(points, corners)[0]
