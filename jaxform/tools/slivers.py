@@ -95,7 +95,7 @@ def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> Merged:
 
 def has_slivers(vertices: Array, triangles: NDArray[np.integer]) -> bool:
     """Whether a surface has so many slivers that they are merged."""
-    return len(triangles) >= _FEW and np.count_nonzero(_short_sides(vertices[triangles]).any(1)) >= _FEW
+    return len(triangles) >= _FEW and int(np.count_nonzero(_short_sides(vertices[triangles]).any(1))) >= _FEW
 
 
 def _short_sides(corners: Array) -> Mask:
