@@ -184,6 +184,6 @@ def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | No
     else:
         shape = _shape_of_files(document, table, _paths(table))
     if isinstance(table, schema.FileMold | schema.RevolvedMold):
-        shape = _merged(shape, store)
+        shape = _without_slivers(shape, store)
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
     return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)
