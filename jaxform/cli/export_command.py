@@ -55,14 +55,14 @@ def export(arguments: argparse.Namespace) -> int:
     for name in ("scale", "pose"):
         if getattr(arguments, name) is not None and arguments.onto is None:
             raise InputError("is there without a mesh", "give --onto as well", f"--{name}", getattr(arguments, name))
-    path = _path(arguments, export.FORMATS[arguments.to_power].ending)
+    path = _path(arguments, export.FORMATS[arguments.to].ending)
     wall = export.read_wall(arguments.folder, arguments.whole_sheet)
     for plane in arguments.mirror:
         wall = export.mirror(wall, *_plane(plane, wall))
     said = []
     if arguments.onto is not None:
         wall, said = _map_wall(arguments, wall)
-    export.write_wall(wall, path, arguments.to_power)
+    export.write_wall(wall, path, arguments.to)
     _tell(arguments, wall, said, path)
     return session.DONE
 
