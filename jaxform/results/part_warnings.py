@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from jaxform.core.formatting import format_place
 from jaxform.model.scene import Scene
 from jaxform.results import sections
+from jaxform.results.part import part_elements
 from jaxform.sheet.state import Status
 from jaxform.tools import folding
 
@@ -22,6 +23,8 @@ _OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
 _NEXT_TO = 1e-4  # of the sheet's size
 _MOST_ASKED = 3000  # elements checked for passing through the sheet
 _TORN = 0.01  # of the initial thickness: a thinner free wall is implausible
+# Of the initial thickness. Sheets are drawn to some 10 times their area; 50 times leaves a film of 20 um of 1 mm.
+_THIN = 0.02
 
 
 def thinnest_element(result: Result, scene: Scene) -> dict[str, Any]:
@@ -46,6 +49,7 @@ def warnings_of_part(result: Result, scene: Scene) -> list[str]:
         *_warnings_of_no_contact(result, scene),
         *_warnings_of_escape(result, scene),
         *_warnings_of_tearing(result),
+        *_warnings_of_thinning(result, scene),
         *_warnings_of_crossing(result, scene),
     ]
 
@@ -151,4 +155,21 @@ def _warnings_of_tearing(result: Result) -> list[str]:
     return [
         f"{count} stretched unrealistically far: down to {100 * ratio[worst]:.2g} % of the initial thickness at "
         f"{where}; lower pressure.value or the end time, or put the mold where it stops the sheet"
+    ]
+
+
+def _warnings_of_thinning(result: Result, scene: Scene) -> list[str]:
+    """A warning where the part's wall is implausibly thin; free walls below `_TORN` have a warning of their own."""
+    triangles, ratio = np.asarray(result.triangles), _ratio(result)
+    thin = np.asarray(part_elements(result, scene)) & (ratio < _THIN)
+    thin[_unreliable_elements(result, ratio)] = False
+    if not thin.any():
+        return []
+    worst = int(np.argmin(np.where(thin, ratio, np.inf)))
+    where = format_place(np.asarray(result.positions, float)[triangles[worst]].mean(0))
+    wall = float(np.asarray(result.element_thickness, float)[worst])
+    return [
+        f"the wall is down to {100 * ratio[worst]:.2g} % of the initial thickness ({wall:.2g} m) at {where}, an area "
+        f"draw ratio of {1 / ratio[worst]:.3g}: no material sustains that; make the mold shallower, round its corners, or "
+        "form a wider sheet"
     ]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxform.model.part import make_part
 from jaxform.model.scene import Scene
 from jaxform.results.part_warnings import has_burst, thinnest_element, warnings_of_part
 from jaxform.sheet.state import Status
@@ -105,12 +106,30 @@ def test_walls_that_are_stretched_beyond_any_sense() -> None:
     stretches[3] = [20.0, 10.0]
     told = warnings_of_part(_part(scene, 0.5, contact_time=touched, stretches=stretches), scene)
     assert len(told) == 1 and "an element that touches nothing" in told[0] and "0.5 % of the initial" in told[0]
-    # On the mold a wall may be as thin as it likes.
-    walls = np.zeros(len(touched), int)
-    walls[np.asarray(scene.parison.triangles)[3, 0]] = 5
-    assert warnings_of_part(_part(scene, 0.5, contact_time=touched, stretches=stretches, wall=walls), scene) == []
-    stretches[3] = [9.0, 9.0]
+    stretches[3] = [8.0, 6.0]
     assert warnings_of_part(_part(scene, 0.5, contact_time=touched, stretches=stretches), scene) == []
+
+
+def test_walls_that_no_sheet_bears() -> None:
+    scene = scenes.cup()
+    corners = np.asarray(scene.parison.triangles)
+    touched = np.ones(len(scene.parison.positions))
+    stretches, walls = np.ones((len(corners), 2)), np.zeros(len(touched), int)
+    walls[corners[3, 0]] = 5
+    stretches[3], stretches[8] = [20.0, 10.0], [9.0, 8.0]
+    thickness = 0.01 / np.prod(stretches, axis=1)
+    part = _part(scene, 0.5, contact_time=touched, stretches=stretches, wall=walls, element_thickness=thickness)
+    told = warnings_of_part(part, scene)
+    x, y, z = part.positions[corners[3]].mean(0)
+    assert len(told) == 1 and f"0.5 % of the initial thickness (5e-05 m) at ({x:.4g}, {y:.4g}, {z:.4g}) m" in told[0]
+    assert "an area draw ratio of 200" in told[0]
+    # Just above the limit nothing is said, nor of what is no part: here, all that is lower than the trim plane.
+    stretches[3], stretches[8] = [7.0, 7.0], [1.0, 1.0]
+    assert warnings_of_part(dataclasses.replace(part, stretches=stretches), scene) == []
+    stretches[3] = [20.0, 10.0]
+    assert len(warnings_of_part(dataclasses.replace(part, stretches=stretches), scene)) == 1
+    trimmed = dataclasses.replace(scene, part=make_part(trim=("z", float(z) + 1e-3, "above")))
+    assert warnings_of_part(dataclasses.replace(part, stretches=stretches), trimmed) == []
 
 
 def test_the_thinnest_place_is_told_in_the_part_and_in_the_sheet() -> None:
