@@ -170,6 +170,6 @@ def _warnings_of_thinning(result: Result, scene: Scene) -> list[str]:
     wall = float(np.asarray(result.element_thickness, float)[worst])
     return [
         f"the wall is down to {100 * ratio[worst]:.2g} % of the initial thickness ({wall:.2g} m) at {where}, an area "
-        f"draw ratio of {1 / ratio[worst]:.3g}: no material sustains that; make the mold shallower, round its corners, or "
-        "form a wider sheet"
+        f"draw ratio of {1 / ratio[worst]:.3g}: no material sustains that; make the mold shallower, round its corners, "
+        "or form a wider sheet"
     ]
