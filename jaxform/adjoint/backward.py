@@ -18,7 +18,7 @@ from jaxform.sheet.packing import Packed
 
 
 class ReverseWindow(NamedTuple):
-    """What stays the same within a window, in packed order; as in `step`, and when nodes landed (place,).
+    """Constants of a window, in packed order; as in `step`, and the landing steps of the nodes (place,).
 
     The law has its zones for each element. Beyond the steps that were taken, pressure and kick are 0.
     """
@@ -135,7 +135,7 @@ def _velocities_before(
 
 
 def force_cotangent(velocities: Any, compliance: Any, kick: jax.Array, now: ReverseWindow) -> list[jax.Array]:
-    """Of the force in a step, from those of the velocities after it."""
+    """Cotangents of the force in a step, from those of the velocities after it."""
     factor = kick / (1.0 + _half_damping(kick, now.scene.solver.damping))
     return [factor * c * g for g, c in zip(velocities, compliance, strict=True)]
 
@@ -177,7 +177,7 @@ def add_loss_cotangents(
 def step_nodes_back(
     nodes: BackwardNodes, corners: Corners, turn: AdjointStep, now: ReverseWindow, end: ReverseStart, loss: jax.Array
 ) -> BackwardNodes:
-    """From what the elements pulled back and their forces, goes from one step to the one before.
+    """Steps the nodes back by one step, from the cotangents and forces at the elements' corners.
 
     Nodes that landed in the earlier one are left for `_landings`.
     """

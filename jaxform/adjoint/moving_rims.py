@@ -12,7 +12,7 @@ from jaxform.sheet.rim import rim_ends, rim_swept_volume
 
 
 def rim_end_positions(nodes: BackwardNodes, places: jax.Array) -> jax.Array:
-    """Where the rim's ends are (3, 2, n_edge) [m], read before the nodes go back."""
+    """Positions of the rim's ends (3, 2, n_edge) [m], read before the nodes are stepped back."""
     return materialize(rim_ends(nodes.at, places))
 
 
@@ -54,5 +54,5 @@ def pull_back_rim(
 
 
 def add_rim_cotangents(nodes: BackwardNodes, cotangents: jax.Array, places: jax.Array) -> BackwardNodes:
-    """With more of the cotangents of the positions of the rim's ends (3, 2, n_edge)."""
+    """Adds cotangents of the positions of the rim's ends (3, 2, n_edge)."""
     return nodes._replace(positions=nodes.positions.at[:, places].add(cotangents))

@@ -48,7 +48,7 @@ from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves
 
 @pytree
 class _WindowResiduals:
-    """What the reverse derivative of a window needs.
+    """Residuals for the reverse derivative of a window.
 
     Of its begin stuck, time [s], step [s], volume and rim [m^3], and mesh, as in `State`; of its end the positions
     `end` (3, n_node) [m], wall and the steps in which nodes landed (n_node,), its step [s] and how many were taken.
@@ -117,7 +117,7 @@ def _value(
 
 
 def _is_reversible(damping: jax.Array, timing: WindowTiming, count: jax.Array) -> jax.Array:
-    """Whether the steps of a window leave enough of a velocity to find it again: a longer one is as long as they do."""
+    """True where damping leaves enough of a velocity to invert the steps; longer windows are limited to that."""
     half = 0.5 * damping * jnp.maximum(timing.before, timing.length)
     return (count > SHORT_WINDOW) | (1.0 - half > LEAST_LEFT ** (1.0 / SHORT_WINDOW) * (1.0 + half))
 
@@ -130,7 +130,7 @@ def _plain_window(
 
 
 def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
-    """Where steps cannot be taken back, they are worked out once more."""
+    """The start of the reverse steps; steps that cannot be inverted are recomputed from the begin."""
     packed, elements, damping = now.packed, now.packed.elements, now.scene.solver.damping
     begin, end = packed.pack(kept.positions), packed.pack(kept.end)
     velocities = jnp.where(packed.exists, packed.pack(kept.velocities), 0.0)
@@ -166,7 +166,7 @@ def _recompute_end(kept: _WindowResiduals, now: ReverseWindow) -> ReverseStart:
 
 
 def _pull(kept: _WindowResiduals, cotangents: Cotangents, end: State) -> None:
-    """Of a window's begin and of all that it depends on, from those of its `end`."""
+    """Cotangents of a window's begin and its other arguments, from those of its `end`."""
     scene, begun = kept.scene, cotangents.of[0]
     discrete = present_discretization(scene, kept.mesh, kept.first)
     packed = pack_moving(kept.stuck, kept.mesh, scene, discrete)
@@ -253,7 +253,7 @@ class _ReverseState(NamedTuple):
 
 
 def _rim_cotangents(kept: _WindowResiduals, end: State, mean: jax.Array) -> jax.Array | None:
-    """Of what moving rims sweep in the step before each (steps + 1,), and in the last one; None without such."""
+    """Cotangents of the rim's swept volume before each step (steps + 1,) and in the last; None without rims."""
     if end.account.rim is None:
         return None
     number, work = jnp.arange(len(mean) + 1), end.account.external_work * jnp.append(mean, 0.0)

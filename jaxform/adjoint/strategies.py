@@ -1,4 +1,4 @@
-"""How the reverse derivative of a run is found: a strategy that the user can choose.
+"""Strategies for the reverse derivative of a run, which the user can choose.
 
 Gradients are the same whichever is taken; time and memory are not. New physics is differentiable by checkpoints from
 its first day, and by the reversed scheme once each of its parts can be stepped backwards.
@@ -45,7 +45,7 @@ class Adjoint:
         """Raises InputError where a scene has a part that this cannot go back over."""
 
     def apply_boundary(self, look: Look) -> Look:
-        """What a window's border does, with what is kept of it."""
+        """The work at a window boundary, with its decisions kept for the derivative."""
         return checkpoint(look)
 
     def cond_once(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
@@ -73,7 +73,7 @@ class Reversed(Adjoint):
             raise InputError(problem, "leave it out, or use jaxform.Checkpointed()", "adjoint")
 
     def cond_once(self, asked: jax.Array, work: Callable[[State], State], state: State) -> State:
-        """The same, left out where several runs go side by side and none asks for it.
+        """The state after `work` where asked for; skipped where several runs go side by side and none asks.
 
         Not for JAX's derivative of a window, which goes back over those results alone that have an influence: here it
         would go back over all.

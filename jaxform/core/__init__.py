@@ -1,1 +1,1 @@
-"""What every part stands on: errors, ranges, trees of arrays, compiling, files kept between runs. No physics."""
+"""Foundations without physics: errors, ranges, pytrees, compilation, and files kept between runs."""

@@ -1,4 +1,4 @@
-"""Where the command keeps what it made between runs: in a folder that is the user's alone."""
+"""The cache folder of the command between runs: a folder that only the user can write to."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def guard_folder(folder: Path) -> Iterator[None]:
 
 
 def _read(record: Path) -> dict[str, Any] | None:
-    """What was there at the end of the last run: nothing where there was none, None where the record is damaged."""
+    """The record of the last run: empty where there is no record, None where it is damaged."""
     try:
         content = json.loads(record.read_bytes())
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""What XLA is asked for when it compiles a program, and where JAX keeps the program."""
+"""XLA options for compiling programs, and the folder in which JAX keeps them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CROWDED = 0.5  # of the mappings that Linux lets a process have
 
 
 def compiler_options() -> dict[str, int | str]:
-    """For `jax.jit` around `simulate`, or `compile` of what it lowers: programs then take up to a quarter less time.
+    """Options for `jax.jit` around `simulate`, or for `compile` of its lowering: up to a quarter less run time.
 
     On the CPU the widest vectors it has, 512 bits: LLVM takes half of them by itself. Where there are none so wide it
     changes nothing. And not the highest level of optimization: it unrolls short loops before it looks whether they can
@@ -113,7 +113,7 @@ def compile_function(function: Any, *arguments: Any) -> Any:
 
 @with_standard_promotion
 def compile_on_thread(function: Any, *arguments: Any) -> Any:
-    """The same, on this thread."""
+    """A jitted function, compiled for arguments like these on this thread."""
     return function.lower(*arguments).compile(compiler_options())
 
 
@@ -162,7 +162,7 @@ def _pause_garbage_collection() -> Iterator[None]:
 
 
 def exceeds_program_limit() -> bool:
-    """Whether this process has so many programs that some must go before others are compiled.
+    """True where this process has so many programs that some must be released before others are compiled.
 
     On Linux each takes some hundred mappings of memory, of 65 530 as a rule; where there are none left the compiler
     ends the process. Elsewhere nothing is known of such a limit.

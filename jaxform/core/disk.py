@@ -36,7 +36,7 @@ def expand_path(name: str | Path, folder: str | Path | None = None) -> Path:
 
 
 def is_file(path: Path) -> bool:
-    """Whether something that is no folder has this name; False as well where nothing can have it."""
+    """True where the path exists and is not a folder; False as well where no file can have this name."""
     return os.path.exists(path) and not os.path.isdir(path)
 
 
@@ -102,5 +102,5 @@ def _unreadable(error: OSError, value: str) -> InputError:
 
 
 def error_reason(error: BaseException) -> str:
-    """Why the system could not do something, in a few words."""
+    """The reason why a system call failed, in a few words."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__

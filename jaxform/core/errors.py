@@ -34,7 +34,7 @@ class InputError(ValueError):
     file: str = ""
 
     def with_context(self, *, file: str = "", key: str = "") -> InputError:
-        """The same error told from outside: fills in the file and the key where they are not known yet."""
+        """The error with the file and the key filled in where they are not known yet."""
         return replace(self, file=self.file or file, key=self.key or key)
 
     def __str__(self) -> str:
@@ -93,7 +93,7 @@ def collect_warnings(tell: Callable[[str], object]) -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def defer_warnings() -> Iterator[None]:
-    """What is warned of inside is shown at the end."""
+    """Defers the warnings raised inside the context to its end."""
     held: list[warnings.WarningMessage] = []
     try:
         with warnings.catch_warnings(record=True) as held:

@@ -113,7 +113,7 @@ def _digest(*words: object) -> bytes:
 
 
 def _processor_flags() -> str:
-    """What instructions the processor has, where the system says so."""
+    """The instruction set flags of the processor, where the system tells them."""
     try:
         with Path("/proc/cpuinfo").open() as lines:
             return next((line for line in lines if line.startswith(("flags", "Features"))), "")

@@ -76,7 +76,7 @@ def register_part[T](
 
 
 def is_registered(part: Any, base: type) -> bool:
-    """Whether a part is of a declared class of a kind: one that derives from such a class is none by itself."""
+    """True where the class of a part is itself declared; a subclass of a declared class is not by itself."""
     return isinstance(part, base) and type(part) is not base and "__dataclass_fields__" in vars(type(part))
 
 

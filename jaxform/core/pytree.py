@@ -82,7 +82,7 @@ def marked_field_names(parts: Any, mark: dict[str, Any]) -> list[str]:
 
 
 def is_internal(tree: Any) -> bool:
-    """Whether all classes in a tree are this package's or Python's: programs that take others are not kept in files.
+    """True where all classes in a tree are this package's or Python's: only such programs are kept in files.
 
     Only this package's source is part of the name of such a file.
     """

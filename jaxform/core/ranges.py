@@ -17,7 +17,7 @@ MOST_STEPS = 20_000_000
 
 @dataclass(frozen=True)
 class Range:
-    """What a number may be; always finite.
+    """The allowed range of a number; always finite.
 
     Attributes:
         unit: Of the number; empty where it has none.
@@ -35,7 +35,7 @@ class Range:
     count: bool = False
 
     def contains(self, values: Any) -> Any:
-        """Which values are in the range: of a number, or of an array of NumPy or JAX its shape."""
+        """Mask of the values in the range, of the shape of the values (a number, or an array of NumPy or JAX)."""
         good = abs(values) <= MOST
         if self.above is not None:
             good = good & (values > self.above)
@@ -47,7 +47,7 @@ class Range:
 
     @property
     def rule(self) -> str:
-        """What is asked of the number, in words."""
+        """The requirement on the number, in words."""
         if self.most is not None:
             low = f"({self.above:g}" if self.above is not None else f"[{self.least:g}"
             return f"must be in {low}, {self.most:g}]"
@@ -59,7 +59,7 @@ class Range:
 
     @property
     def remedy(self) -> str:
-        """What to give instead."""
+        """The remedy for a number out of range, in words."""
         kind = "whole numbers" if self.count else "finite numbers"
         limits = [f"> {self.above:g}"] if self.above is not None else []
         limits += [f">= {self.least:g}"] if self.least is not None else []
@@ -182,7 +182,7 @@ def check(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
 
 
 def check_one(key: str, given: ArrayLike, allowed: Range | None = None) -> None:
-    """As `check`, of what must be one number."""
+    """Raises InputError unless the value is one number in its range; as `check`."""
     if as_numbers(key, given).ndim:
         raise InputError("is not one number", (allowed or RANGES[key]).remedy, key, given)
     check(key, given, allowed)

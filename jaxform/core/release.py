@@ -1,4 +1,4 @@
-"""Which version of jaxform this is."""
+"""The installed version of jaxform."""
 
 from __future__ import annotations
 

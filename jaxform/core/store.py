@@ -1,4 +1,4 @@
-"""What is expensive to make and the same every time, kept in files between runs: search grids and compiled programs.
+"""A store of expensive, reproducible results in files between runs: search grids and compiled programs.
 
 The command line keeps one in the user's cache folder, beside JAX's own of small programs. Names of files are digests
 of everything the content depends on, this package's source included, so that nothing in it can be out of date; what
@@ -96,7 +96,7 @@ class Store:
         return self.start_program(function, *arguments).ready()
 
     def has_program(self, function: Any, *arguments: Any) -> bool:
-        """Whether a program is there already, in memory or in a file."""
+        """True where a program is available, in memory or in a file."""
         key = _key(function, arguments)
         if key in self._programs:
             return True
@@ -148,13 +148,13 @@ class Store:
         self._programs.clear()
 
     def _file(self, key: _ProgramKey) -> Path | None:
-        """Where a program is kept; None where it is in no file: files have those of the first device."""
+        """The file of a program; None where it is kept in no file: only programs of the first device are."""
         if not is_internal(key.tree) or ":" in key.backend:
             return None
         return self._path(key.function.__name__, tuple(str(part) for part in key[1:]))
 
     def start_program(self, function: Any, *arguments: Any) -> PendingProgram:
-        """As `program`; it is compiled while others are traced and compiled."""
+        """The program as `program` has it, compiled while others are traced and compiled."""
         key = _key(function, arguments)
         if key not in self._programs:
             path = self._file(key)
@@ -243,7 +243,7 @@ class Store:
 
 
 class _ProgramKey(NamedTuple):
-    """What a program is known by in memory: a function, the structure of its arguments, their shapes and types."""
+    """Key of a program in memory: the function, the structure of its arguments, their shapes and types."""
 
     function: Any
     tree: Any
@@ -264,7 +264,7 @@ def _backend_name() -> str:
 
 
 def _recent_names_file() -> str:
-    """Where the names are kept; for programs of this host alone, but of whatever source, which takes long to read."""
+    """The file of recently used names; for programs of this host alone, of any source, which is slow to read."""
     precision = f"{jax.config.read('jax_enable_x64')}"
     return f"lately-{hashlib.sha256(executables.host_digest() + precision.encode()).hexdigest()[:32]}"
 

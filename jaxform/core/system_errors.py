@@ -1,4 +1,4 @@
-"""What the system or the machine refuses, in one line: no mistake in the input alone, and none of the program."""
+"""One-line descriptions of errors of the system or the machine: not of the input alone, nor of the program."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def describe_system_error(error: BaseException) -> str | None:
-    """What happened and what to do about it; None of an error that only a programmer can do something about."""
+    """A description of the error and its remedy; None for an error that only a programmer can fix."""
     if isinstance(error, OSError):
         return _describe_os_error(error)
     if isinstance(error, RecursionError):

@@ -117,7 +117,7 @@ def _apply_landing(moved: WindowState, landing: sticking.Landing) -> WindowState
 
 
 def any_missed(moving: WindowState, candidates: Candidates, scene: Scene, now: WindowData) -> jax.Array:
-    """Whether, where a list ends, a node may have missed the mold."""
+    """True where, at the end of a list, a node may have missed the mold."""
     seen = moving.last_look
 
     def work(positions: list[jax.Array], stuck: jax.Array, sphere: tuple[jax.Array, ...]) -> tuple[list, list]:
@@ -141,6 +141,6 @@ def _active_pairs(moved: WindowState, candidates: Candidates, scene: Scene, now:
 
 
 def check_free_flight(moved: WindowState, scene: Scene, now: WindowData) -> jax.Array:
-    """Whether a window without contact halts: a sheet that flies off must not overflow where derivatives are taken."""
+    """True where a window without contact halts: a sheet that flies off must not overflow derivatives."""
     far = jnp.max(jnp.abs(jax.lax.stop_gradient(moved.nodes.positions))) > FAR * scene.tables.size
     return moved.halted | far | (moved.count >= now.max_count)

@@ -107,7 +107,7 @@ def step(
 
 
 def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | None, now: WindowData) -> WindowState:
-    """With what moving rims swept in the step, from where they were `before`, unless the window was halted."""
+    """Adds the volume swept by moving rims in the step, from their ends `before`, unless the window was halted."""
     last = moved.account.rim
     if before is None or now.rim is None or last is None:
         return moved
@@ -117,7 +117,7 @@ def _add_rim_volume(moved: WindowState, halted: jax.Array, before: jax.Array | N
 
 
 def _memory(moving: WindowState, scene: Scene, now: WindowData) -> ViscousMemory | None:
-    """What elements remember as the step begins: in a window's first one the stress of their modes itself."""
+    """History of the elements at the step's begin; in the first step of a window it is the stress of the modes."""
     modes = scene.material.viscous
     if modes is None or moving.memory is None or now.recursion is None:
         return None
@@ -126,7 +126,7 @@ def _memory(moving: WindowState, scene: Scene, now: WindowData) -> ViscousMemory
 
 
 def _add_viscous_loss(moving: WindowState, length: jax.Array, remembered: HistoryUpdate | None) -> jax.Array | None:
-    """What modes lost up to half a step after the step's begin, or from there where a window begins; by trapezoids."""
+    """Viscous loss up to half a step after the step's begin, by trapezoids; in the first step, from its begin."""
     before = moving.account.viscous_loss
     if before is None or remembered is None:
         return before
@@ -134,7 +134,7 @@ def _add_viscous_loss(moving: WindowState, length: jax.Array, remembered: Histor
 
 
 def _update_memory(moving: WindowState, remembered: HistoryUpdate | None) -> jax.Array | None:
-    """What elements remember after the step; of a halted window what they did."""
+    """History of the elements after the step; unchanged in a halted window."""
     if remembered is None or moving.memory is None or moving.room is not None:
         return None if remembered is None else remembered.history
     return jnp.where(moving.halted, moving.memory, remembered.history)
@@ -157,7 +157,7 @@ def finalize_history(moving: WindowState, scene: Scene, now: WindowData) -> Wind
 def _advance_fields(
     moved: WindowState, halted: jax.Array, length: jax.Array, scene: Scene, now: WindowData
 ) -> WindowState:
-    """With what the step made of the scene's own fields, unless the window was halted before it."""
+    """Advances the scene's own fields by the step, unless the window was halted before it."""
     nodes = moved.nodes
     step = Surroundings(
         time=now.begin + moved.count * now.length,
@@ -225,7 +225,7 @@ def _advance_nodes_in_blocks(
     now: WindowData,
     frame: ToolFrame | None,
 ) -> _AdvancedNodes:
-    """The same in one pass over the elements in use and one over the nodes in use; not differentiable."""
+    """Advances elements and nodes in one pass over each of those in use; not differentiable."""
     elements = now.active.packed.elements
     modes, rest = now.losing, None
     if modes is None or now.recursion is None:

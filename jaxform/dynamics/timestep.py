@@ -44,7 +44,7 @@ _MOST_GROWTH = 0.7  # by what factor the step is shortened for the stiffness tha
 
 
 class StepLimit(NamedTuple):
-    """How the longest stable step was found, kept for the next window; as in `State`."""
+    """Limit of the stable step and the mode that gave it, kept for the next window; as in `State`."""
 
     mode: jax.Array | None
     bound: jax.Array
@@ -99,7 +99,7 @@ def choose_step(state: PackedState, scene: Scene, active: ActiveSet) -> StepChoi
 
 
 def max_step_count(length: jax.Array, scene: Scene) -> jax.Array:
-    """How many steps of a length [s] a window may take: no more, beyond a short one, than can be taken back."""
+    """Maximum number of steps of a length [s] in a window: beyond a short one, no more than can be inverted."""
     longest, damping = jnp.int32(scene.tables.longest_window), scene.solver.damping
     if damping is None or scene.tables.window_room <= SHORT_WINDOW:
         return longest
@@ -175,14 +175,14 @@ def element_step_bound(state: PackedState, scene: Scene, active: ActiveSet) -> j
 
 
 def _pressure_slope(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """How the pressure follows the volume [Pa/m^3], the volume the nodes (3, place) [m^2], and these a force [1/kg]."""
+    """Slopes of pressure by volume [Pa/m^3] and of volume by nodes (3, place) [m^2], and compliance [1/kg]."""
     volume, rise = jax.value_and_grad(active.volume)(state.nodes.positions)
     slope = jax.grad(lambda volume: present_pressure(state, scene, volume).pressure)(volume)
     return slope, rise, jnp.where(state.nodes.stuck, 0.0, active.compliance)
 
 
 class _Lanczos(NamedTuple):
-    """What goes from product to product.
+    """State of the Lanczos iteration.
 
     Attributes:
         vector: The next one (3, place), and `size`, the norm by which it is to be divided.
@@ -323,7 +323,7 @@ def _largest_of_many(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, ja
 
 
 def _largest_of_few(diagonal: jax.Array, off: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The same of the first two rows, without a call that takes longer than a product with a small sheet's tangent."""
+    """Largest eigenvalue and vector of the first two rows, in closed form: cheap for a small sheet."""
     assert _FEW == 2
     first, second, beside = (jnp.where(jnp.isfinite(x), x, 0.0) for x in (diagonal[0], diagonal[1], off[0]))
     half = 0.5 * (first - second)

@@ -67,7 +67,7 @@ def window(
 
 
 def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tuple[PackedState, ActiveSet]:
-    """As `window`, not differentiable, of a state in packed order; with the room that the next window may write in."""
+    """Advances a state in packed order by a window, not differentiable; also returns the workspace for the next."""
     state, active = cool_state(state, scene, active, differentiable=False)
     decisions = _choose_freely(state, scene, active)
 
@@ -81,7 +81,7 @@ def window_in_place(state: PackedState, scene: Scene, active: ActiveSet) -> tupl
 
 
 def allocate_workspace(active: ActiveSet, scene: Scene) -> ActiveSet:
-    """With room for what is worked out in every window."""
+    """The active set with a workspace for the arrays computed in every window."""
     places, elements = active.compliance, active.packed.elements
     basis = allocate_basis(places.shape[1], places.dtype) if scene.solver.sharp_step else None
     lists = None if scene.mold is None else _allocate_lists(scene, places)
@@ -91,7 +91,7 @@ def allocate_workspace(active: ActiveSet, scene: Scene) -> ActiveSet:
 def window_and_impacts(
     state: State, scene: Scene, discrete: Discretization, schedule: Schedule | None
 ) -> tuple[State, jax.Array, jax.Array | None]:
-    """As `window`, not differentiable; with the step in which each node (n_node,) landed, NEVER where it did not.
+    """`window`, not differentiable, and the landing step of each node (n_node,), NEVER without a landing.
 
     And its impact (6, n_node), as in `sticking.Landing`; None where there is no mold.
     """
@@ -229,7 +229,7 @@ def _set_positions(moving: WindowState, positions: Any) -> WindowState:
 
 
 class _Decisions(NamedTuple):
-    """What is decided at a window's border: the steps, and the row they belong to, where a schedule is followed."""
+    """Decisions at a window boundary: the steps, and their row where a schedule is followed."""
 
     chosen: StepChoice
     row: ScheduleRow | None = None
@@ -305,7 +305,7 @@ def _scan_in_chunks(advance: Callable[..., Any], moving: WindowState, steps: tup
 
 
 def _list_candidates(moving: WindowState, scene: Scene, now: WindowData, into: CandidateLists) -> Candidates:
-    """For the steps that are left of a window."""
+    """Candidates for the remaining steps of a window."""
     assert scene.tool is not None
     (positions, velocities), grid = jax.lax.stop_gradient((to_tool_frame(moving, scene, now), scene.tool.grid))
     return list_candidates(

@@ -136,7 +136,7 @@ def _next_span(
 
 
 class WindowEnd(NamedTuple):
-    """What a window's end comes to.
+    """Quantities at a window's end.
 
     Kinetic energy [J], and that of the velocities, which are half a step behind. The largest coordinate [m], counted
     from the middle of sheet and mold where there is a mold; not finite where any position is not. The work of the tool
@@ -150,7 +150,7 @@ class WindowEnd(NamedTuple):
 
 
 def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> tuple[WindowEnd, Corners]:
-    """In one pass over the elements and one over the nodes; no derivative is taken of it. With the corners' room.
+    """Energies at a window's end and the workspace of the corners, in two passes; no derivative is taken of them.
 
     Velocities are half a step behind, which shows at the begin and in fast modes: the half step that follows counts as
     well. The product of both is what a linear mode keeps.
@@ -199,7 +199,7 @@ def end_of_window_energy(moving: WindowState, scene: Scene, now: WindowData) -> 
 def _health(
     state: PackedState, end: WindowEnd, rounding: jax.Array, scene: Scene, active: ActiveSet
 ) -> tuple[jax.Array, jax.Array]:
-    """What is wrong with the state at a window's end, as bits of `Status`, and the energy it holds too much [J]."""
+    """Errors of the state at a window's end, as bits of `Status`, and its energy imbalance [J]."""
     state, scene, active = jax.lax.stop_gradient((state, scene, active))
     law = active.law(scene.material)
     inside = element_energy(state.nodes.positions, active.packed.elements, active.thickness, law, state.memory)

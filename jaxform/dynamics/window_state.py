@@ -1,4 +1,4 @@
-"""What changes from step to step inside a window, and what stays the same."""
+"""Data of a window: its state, which changes from step to step, and its constants."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxform.sheet.state import EnergyBalance
 
 @pytree
 class WindowState:
-    """What changes from step to step inside a window, in packed order.
+    """State that changes from step to step inside a window, in packed order.
 
     The memory is what elements remember from one step to the next (4 n_mode, room), before the first step and at the
     window's end the stress of their viscous modes; None where they have none. Positions (3, place) [m] are three rows
@@ -44,14 +44,14 @@ class WindowState:
 
     @property
     def last_look(self) -> BroadPhaseCheck:
-        """What was seen last of the mold, where it is looked for."""
+        """The last broad-phase check, where contact is searched for."""
         assert self.check is not None
         return self.check
 
 
 @pytree
 class WindowData:
-    """What stays the same within a window, in packed order.
+    """Constants of a window, in packed order.
 
     Attributes:
         active: The elements and nodes that are active.
@@ -86,7 +86,7 @@ class ScheduleRow(NamedTuple):
 
 
 class KnownContact(NamedTuple):
-    """What is known of a window's contact where its steps are taken again, in packed order.
+    """Known contact of a window whose steps are recomputed, in packed order.
 
     The step in which each node landed (place,), NEVER where it did not, and on what, as in `State`; and how many steps
     were taken.
@@ -98,7 +98,7 @@ class KnownContact(NamedTuple):
 
 
 class ContactSearch(NamedTuple):
-    """What the search for contact came to in a window.
+    """Result of the contact search in a window.
 
     The most pairs of node and triangle that it listed at once; whether any found no room; and whether a node may have
     missed the mold, out of its sphere or faster than it was looked at.

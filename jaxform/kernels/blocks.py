@@ -39,7 +39,7 @@ def padded_length(count: int) -> int:
 
 
 def split_halves(values: jax.Array) -> Halves:
-    """Of values (n,), whole blocks, what is in the blocks' first halves, and in their second."""
+    """The values (n,), whole blocks, of the blocks' first halves and of their second halves."""
     half = BLOCK // 2
     if values.size == BLOCK:
         return Halves(values[:half], values[half:])
@@ -48,7 +48,7 @@ def split_halves(values: jax.Array) -> Halves:
 
 
 class ArraySlice(NamedTuple):
-    """Of an array (k, several rooms) one room, (k, size) from `begin` on: read, or written, where it is."""
+    """A slice (k, size) from `begin` on of an array (k, several slices), read or written in place."""
 
     array: jax.Array
     begin: jax.Array | int
@@ -151,7 +151,7 @@ def entry(array: jax.Array, place: jax.Array) -> jax.Array:
 
 
 def lax_cond_once[T](asked: jax.Array, work: Callable[[T], T], value: T, *, differentiable: bool = False) -> T:
-    """What `work` makes of the value where it is asked for, else the value as it is.
+    """The value transformed by `work` where `asked` is true, else the value unchanged.
 
     A loop that is entered at most once: other than a branch it copies nothing, but has no reverse derivative.
     """
@@ -162,7 +162,7 @@ def lax_cond_once[T](asked: jax.Array, work: Callable[[T], T], value: T, *, diff
 
 
 def compile_as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
-    """What `work` makes of the value, compiled into one function; without derivative.
+    """The value transformed by `work`, compiled into one function; not differentiable.
 
     XLA's CPU compiler does so with a loop that holds neither scatters nor sorts nor calls. Else each of a hundred small
     operations is started by itself, which takes longer than most of them do.
@@ -176,7 +176,7 @@ def compile_as_one[T](work: Callable[[T], T], value: T, count: jax.Array) -> T:
 
 
 def on_cpu() -> bool:
-    """Whether programs are compiled for the CPU, where loops over blocks are the faster way."""
+    """True where programs are compiled for the CPU, where loops over blocks are the faster way."""
     return jax.default_backend() == "cpu"
 
 
@@ -231,7 +231,7 @@ def _write_rows(flat: jax.Array, rows: Rows, first: jax.Array) -> jax.Array:
 
 
 def compact_indices(keep: jax.Array, room: int, count: jax.Array | None = None) -> tuple[jax.Array, jax.Array]:
-    """Where the entries (n,) to be kept are (room,), one after the other, then any others; and how many they are.
+    """Indices (room,) of the marked entries (n,), one after the other, then any others; and the number marked.
 
     Of the first `count` entries, or of all.
     """
@@ -252,7 +252,7 @@ def compact_indices(keep: jax.Array, room: int, count: jax.Array | None = None) 
 
 
 def running_count(keep: jax.Array, count: jax.Array | None = None) -> jax.Array:
-    """How many are to be kept up to each entry (n,), itself included; beyond the first `count` anything."""
+    """Running count (n,) of the marked entries, each included; arbitrary beyond the first `count`."""
     if not on_cpu():
         return jnp.cumsum(keep, dtype=jnp.int32)
 

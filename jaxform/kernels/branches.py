@@ -24,7 +24,7 @@ Leaves = Sequence[jax.Array]
 
 @pytree
 class _BranchResiduals:
-    """What the reverse derivative of a branch needs.
+    """Residuals for the reverse derivative of a branch.
 
     Attributes:
         asked: Whether it was taken.
@@ -44,7 +44,7 @@ class _BranchResiduals:
 
 
 def branch[T](asked: jax.Array, work: Callable[[T], T], value: T, smooth: Callable[[T], Any] | None = None) -> T:
-    """What `work` makes of the value where it is asked for, else the value as it is; differentiable.
+    """The value transformed by `work` where `asked` is true, else unchanged; differentiable.
 
     Args:
         asked: Whether it is.

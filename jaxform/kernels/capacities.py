@@ -82,7 +82,7 @@ def table_row_capacity(count: int) -> int:
 
 
 def valence_capacity(count: int) -> int:
-    """How many triangles of a forest can meet at a node."""
+    """Capacity for the triangles of a forest that meet at a node."""
     return bucket_size(count, 16, 1.5)
 
 
@@ -97,7 +97,7 @@ def knot_capacity(count: int) -> int:
 
 
 def window_capacity(count: int, *, recorded: bool = False) -> int:
-    """How many windows are planned for; where they are only recorded, room for more takes nothing."""
+    """Capacity for windows; where they are only recorded, more capacity takes no time."""
     return bucket_size(count, _RECORDED if recorded else _WINDOWS)
 
 

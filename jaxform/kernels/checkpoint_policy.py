@@ -1,4 +1,4 @@
-"""What a derivative keeps of a part of a run that it works out once more: what is decided there, and what is found.
+"""Checkpoint policy for recomputed parts of a run: decisions and search results are saved.
 
 Decisions and searches carry no derivative, but without them the part cannot be taken again, and they take longer than
 the rest. They are few numbers beside the state.

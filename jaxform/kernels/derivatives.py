@@ -28,7 +28,7 @@ from jaxform.kernels.opaque_primitive import call_opaque, lower_without_axes, ma
 
 
 class Cotangents:
-    """What a reverse derivative is to find, and has found: of some leaves of the arguments.
+    """Cotangents of some leaves of the arguments: those wanted, and those found so far.
 
     Attributes:
         of: The arguments' tree with the number of each leaf in its place.
@@ -43,7 +43,7 @@ class Cotangents:
         self.found: list[jax.Array | None] = [None] * len(wanted)
 
     def want(self, part: Any) -> bool:
-        """Whether any leaf of a part of `of` is wanted."""
+        """True where any leaf of a part of `of` is wanted."""
         return any(self.wanted[k] for k in jax.tree.leaves(part))
 
     def put(self, part: Any, values: Any) -> None:
@@ -54,7 +54,7 @@ class Cotangents:
 
 
 class DerivativeRule(NamedTuple):
-    """How a function is worked out and differentiated; called, it is that function.
+    """A function with its own reverse derivative; called, it is that function.
 
     Attributes:
         value: From which of the arguments' leaves move, and the arguments: the result, and what the reverse derivative
@@ -102,7 +102,7 @@ def recompute(function: Callable[..., Any], like: Callable[..., Any], smooth: Ca
 
 @pytree
 class _Pullback:
-    """What JAX keeps for the reverse derivative, and of which leaves it is one."""
+    """The pullback that JAX keeps for the reverse derivative, and a mask of its leaves."""
 
     apply: Any
     moving: tuple[bool, ...] = static()
@@ -256,7 +256,7 @@ def _transpose(
 
 @with_standard_promotion
 def _batch(leaves: Any, axes: Any, *, rule: DerivativeRule, structure: Any) -> tuple[Any, Any]:
-    """The same function of many arguments side by side, with its derivative."""
+    """The batching rule: one function of many arguments side by side, with its derivative."""
     size = next(leaf.shape[axis] for leaf, axis in zip(leaves, axes, strict=True) if axis is not None)
 
     def vectorize(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -308,7 +308,7 @@ def _batch_tangents(leaves: Any, axes: Any, **static: Any) -> tuple[Any, Any]:
 
 @with_standard_promotion
 def _tangents_jvp(primals: Any, tangents: Any, **static: Any) -> tuple[Any, Any]:
-    """By the arguments and their tangents; what was kept follows from these."""
+    """The JVP of the tangents, by the arguments and their tangents; the residuals follow from these."""
     first = static["kept"].num_leaves
     moving = [k >= first and not isinstance(t, ad.Zero) for k, t in enumerate(tangents)]
 

@@ -106,7 +106,7 @@ def type_like(shape: tuple[int, ...], dtype: Any, example: Any) -> Any:
 
 
 def lower_without_axes(function: Callable[..., Any]) -> Any:
-    """How a primitive is compiled that does what a function of flat arguments does: without types of mesh axes."""
+    """The lowering rule of a primitive from a function of flat arguments, without types of mesh axes."""
     lower = mlir.lower_fun(function, multiple_results=True)
 
     def rule(context: Any, *values: Any, **static: Any) -> Any:
@@ -155,7 +155,7 @@ def _no_transpose(*_: Any, **__: Any) -> Any:
 
 
 def _batch(axis: Any, leaves: Any, axes: Any, *, jaxpr: Any) -> tuple[Any, Any]:
-    """What depends on nothing that differs from one to the next stays as it is: `jax.jacfwd` relies on that."""
+    """The batching rule: unbatched results stay unbatched, on which `jax.jacfwd` relies."""
     asked = [batching.zero_if_mapped] * len(jaxpr.out_avals)
     many, differs = batching.batch_jaxpr_axes(jaxpr, axis, axes, asked)
     results = _sealed_p.bind(*match_mesh_axes(leaves), jaxpr=many)

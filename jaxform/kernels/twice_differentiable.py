@@ -74,7 +74,7 @@ class TwiceDifferentiable:
     def _second_flat(
         self, *leaves: Any, structure: Any, smooth: int, present: tuple[bool, ...], bent: tuple[bool, ...]
     ) -> Pair:
-        """How the tangent changes as the load does, along the second of two directions."""
+        """Change of the tangent with the load, along the second of two directions."""
         (load, elements), given = _split(leaves, structure)
         first, second = given[: sum(present)], given[sum(present) :]
         changes = _fill_missing(load, present, first)
@@ -203,5 +203,5 @@ def _primitive(name: str, function: Callable[..., Any]) -> Primitive:
 
 
 def _result_types(positions: Any) -> list[Any]:
-    """Of both results; known, so that the function is not traced to find them."""
+    """The types of both results, known without tracing the function."""
     return [ShapedArray(positions.shape, positions.dtype), ShapedArray((), positions.dtype)]
