@@ -152,9 +152,10 @@ def _check(arguments: argparse.Namespace) -> int:
     for line in [*lines, *check_command.scene_lines(document, scene, store)]:
         say(line)
     if arguments.out is not None:
-        from jaxform.io import preview
+        from jaxform.io import geometry, preview
 
-        preview.check_picture(arguments.out / "check.png", scene, arguments.warned)
+        covers = geometry.cover_triangles(document, scene.mold)
+        preview.check_picture(arguments.out / "check.png", scene, arguments.warned, covers)
         say(f"picture in {arguments.out / 'check.png'}")
     return session.DONE
 

@@ -60,6 +60,8 @@ def part(
 def wall(result: Result, scene: Scene, ax: Any = None, **style: Any) -> Any:
     """Draws the wall over the arc length: all nodes of a disc over its meridian, else the first section.
 
+    Of a scene with a `Part` that alone is drawn.
+
     Args:
         result: The part.
         scene: The simulated scene.
@@ -70,11 +72,11 @@ def wall(result: Result, scene: Scene, ax: Any = None, **style: Any) -> Any:
         The axes.
     """
     ax, (scene, result) = _axes(ax), drop_unused(scene, result)
-    curve = sections.curves(scene, result)[0]
+    curve = plots.curves_of_part(scene, result)[0]
     disc = sections.is_disc(scene)
     shown = distinguishable_points(curve.arc, curve.thickness) if disc else slice(None)
     look = {"marker": "o", "linestyle": "none", "markersize": 3.5, "alpha": 0.6} if disc else {}
-    ax.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], **(look | {"label": curve.label} | style))
+    ax.plot(1e3 * curve.arc[shown], 1e3 * curve.part_thickness[shown], **(look | {"label": curve.label} | style))
     where = "arc length from the axis" if disc else "arc length along the section"
     ax.set(xlabel=f"{where} [mm]", ylabel="wall thickness [mm]", ylim=(0.0, None))
     return ax

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.store import Arrays, Store
 from jaxform.io import previous_results, schema
+from jaxform.io.scene_text import COVERS
 from jaxform.mesh import meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
@@ -133,14 +135,29 @@ def build_part(document: SceneDocument, mold: Mold | None) -> Part | None:
     return make_part(box=table.box, trim=trim, walls=walls)
 
 
+def cover_triangles(document: SceneDocument, mold: Mold | None) -> Any:
+    """Mask of the mold's triangles (n_triangle,) that `jaxform new` made to cover holes; None where there are none."""
+    table = document.model.mold
+    if mold is None or not isinstance(table, schema.FileMold):
+        return None
+    names = _paths(table)
+    covers = [name for name in names if Path(name).name == COVERS]
+    return _triangles_of_files(document, table, covers, mold) if covers else None
+
+
 def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold | None) -> Any:
     """Mask of the mold's triangles (n_triangle,) that belong to the wanted files."""
     table = document.model.mold
     if mold is None or not isinstance(table, schema.FileMold):
         raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
     names = _paths(table)
-    chosen = _shape_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)])
-    whole = _shape_of_files(document, table, names)
+    return _triangles_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)], mold)
+
+
+def _triangles_of_files(document: SceneDocument, table: schema.FileMold, names: Sequence[str], mold: Mold) -> Any:
+    """Mask of the mold's triangles (n_triangle,) that belong to files of these names."""
+    chosen = _shape_of_files(document, table, names)
+    whole = _shape_of_files(document, table, _paths(table))
     merged = merge_slivers(whole.vertices, whole.triangles)
     # Triangles are identified by their centroids, which do not depend on welding or on triangles left out.
     middles, near = _centroids(whole), _SAME * meshes.size(whole.vertices)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jaxform.core.formatting import format_coordinate
 from jaxform.core.parameters import parameter_ranges
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 Part = tuple[Scene, Result]
 
 _BEFORE, AFTER, _EXACT = "#7f7f7f", "#0072b2", "#d55e00"
+_FAINT = {"color": "#c8c8c8", "alpha": 0.7, "zorder": 1}  # of what is formed with the part, but cut off it
 _POINTS = {"marker": "o", "linestyle": "none"}
 _KEPT = 5e-3  # of a limit, by which it may be broken
 
@@ -195,15 +196,24 @@ def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: M
     if reference is not None and disc:
         return _exact(scene, result, thin, reference)
     lines = []
-    for curve, color in zip(sections.curves(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
+    for curve, color in zip(curves_of_part(scene, result, thin["initial"]), (AFTER, _EXACT), strict=False):
         style = _POINTS | {"markersize": 3.5, "alpha": 0.6} if disc else {}
         shown = distinguishable_points(curve.arc, curve.thickness) if disc else slice(None)
-        style |= {"color": color, "label": curve.label}
-        lines.append(Line(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], style))
+        arc = 1e3 * curve.arc[shown]
+        if curve.own is not None and not curve.own.all():
+            label = "_" if lines else "cut off the part"
+            lines.append(Line(arc, 1e3 * curve.thickness[shown], style | _FAINT | {"label": label}))
+        lines.append(Line(arc, 1e3 * curve.part_thickness[shown], style | {"color": color, "label": curve.label}))
         if curve.marked is not None:
             lines.append(_mark(1e3 * curve.marked, thin, lines))
     where = "arc length from the axis" if disc else "arc length along the section"
     return Diagram(lines, f"{where} [mm]", "wall thickness [mm]")
+
+
+def curves_of_part(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[sections.SectionCurve]:
+    """The curves of `jaxform.results.sections.curves`, which know which of their points are the scene's `Part`."""
+    own = None if scene.part is None else np.asarray(restrict_to_part(result, scene)[0].used)
+    return sections.curves(scene, result, through, own)
 
 
 def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Line:
@@ -272,9 +282,10 @@ def _draw_field(figure: Any, axes: Any, scene: Scene, key: str, words: str) -> N
 def _draw_walls(axes: Any, before: Part, after: Part, target: float | None) -> None:
     through = thinnest_element(restrict_to_part(after[1], after[0])[0], after[0])["initial"]
     for (scene, result), color, words in ((before, _BEFORE, "before"), (after, AFTER, "after")):
-        for curve in sections.curves(scene, result, through)[:1]:
+        for curve in curves_of_part(scene, result, through)[:1]:
             shown = distinguishable_points(curve.arc, curve.thickness)
-            axes.plot(1e3 * curve.arc[shown], 1e3 * curve.thickness[shown], ".", color=color, markersize=4, label=words)
+            wall = 1e3 * curve.part_thickness[shown]
+            axes.plot(1e3 * curve.arc[shown], wall, ".", color=color, markersize=4, label=words)
     if target is not None:
         axes.axhline(1e3 * target, color=_EXACT, linestyle="--", label="target")
     axes.set(xlabel="arc length in the part [mm]", ylabel="wall thickness [mm]")

@@ -25,18 +25,21 @@ _AT_END = "mold at the end"
 _MUCH = 8.0  # times as large as the sheet, a mold leaves a dot of it
 
 
-def check_picture(path: str | Path, scene: Scene, warned: Sequence[str] = ()) -> None:
+def check_picture(
+    path: str | Path, scene: Scene, warned: Sequence[str] = (), covers: NDArray[np.bool_] | None = None
+) -> None:
     """The sheet in the mold before the first step, from outside and cut in the middle, and the direction of the push.
 
     Args:
         path: Path of the PNG.
         scene: The scene to simulate.
         warned: Warnings to write over it.
+        covers: Mask (n_triangle,) of the mold's triangles that cover its holes, through which one sees.
     """
     seen = survey(scene)
     figure = new_figure(16, 7.5, f"{scene.name}: the pressure pushes the sheet {seen.direction}")
     view = figure.add_axes((0.0, 0.02, 0.5, 0.82), projection="3d")
-    draw(view, sheet_view(scene))
+    draw(view, sheet_view(scene, covers))
     _draw_cut(figure.add_axes((0.57, 0.12, 0.4, 0.68)), scene, seen)
     for line, words in enumerate(warned[:3]):
         text = words if len(words) < 190 else f"{words[:187]}..."

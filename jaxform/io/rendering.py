@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _SIZE = 2000, 1000  # pixels, of both views
 _LINES = 9  # of equal thickness
+_CUT_OFF, _FAINT = "#a0a0a0", 0.25  # colour and opacity of what is cut off the part
 _CREASE = 40.0  # degrees between elements, from which the surface is drawn with an edge
 _ASIDE, _AHEAD = 0.8, 0.75  # of the way from the part to the eye: across its depth, and along it
 
@@ -42,10 +43,12 @@ def render(folder: Path, path: Path) -> None:
     with _quiet():
         plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=_SIZE, border=False)
         plotter.set_background("white")
-        part, limits = _part(pyvista, results), _range(results.part)
+        (part, rest), limits = _split_part(_part(pyvista, results)), _range(results.part)
         for column, eye in enumerate(_eyes(results.part)):
             plotter.subplot(0, column)
             _draw(plotter, part, limits, last=column == 1)
+            if rest is not None:
+                plotter.add_mesh(rest, color=_CUT_OFF, opacity=_FAINT)
             _look(plotter, part, *eye)
         with atomic_path(path) as fresh:
             _write(plotter, fresh)
@@ -89,7 +92,17 @@ def _whole(surface: Any, planes: dict[int, float]) -> Any:
 def _part(pyvista: Any, results: Results) -> Any:
     surface = _surface(pyvista, results.part.positions, results.part.triangles)
     surface.point_data["wall"] = 1e3 * results.part.nodal["thickness"]
+    if results.part.part_mask is not None:
+        surface.cell_data["own"] = results.part.part_mask
     return _whole(surface, previous_results.symmetry_planes(results.summary))
+
+
+def _split_part(surface: Any) -> tuple[Any, Any]:
+    """The part that the scene selects, and what is cut off it; None where nothing is."""
+    own = np.asarray(surface.cell_data["own"]) != 0 if "own" in surface.cell_data else np.ones(surface.n_cells, bool)
+    if own.all() or not own.any():
+        return surface, None
+    return tuple(surface.extract_cells(np.flatnonzero(some)).extract_surface() for some in (own, ~own))
 
 
 def _range(part: StoredPart) -> tuple[float, float]:

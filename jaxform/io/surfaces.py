@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 SHEET = "#5b9bd5"
 _GREY, _MOLD_SHARE = 0.62, 0.55  # of the mold, and how much of it the paper lets through
+_COVER_SHARE, _SHEET_SHARE = 0.15, 0.5  # the same of covers of its holes; and of a sheet over it, before the run
 _MOLD_LINES = 2000  # triangles, above which a mold's outline is not drawn
 _MOLD_PIECES = 20  # of its size, along a large triangle of the mold
 _FLAT = 1e-3  # of the sheet's size: one that is as flat has a side that faces the mold
@@ -51,14 +52,28 @@ def part_view(
     return View([*mold, part], outline, _hangs(scene, result), turned, scale, place)
 
 
-def sheet_view(scene: Scene) -> View:
-    """The sheet before the first step, with the mold in grey behind it."""
+def sheet_view(scene: Scene, covers: NDArray[np.bool_] | None = None) -> View:
+    """The sheet before the first step, with the mold in grey behind it; one sees through both.
+
+    Args:
+        scene: The scene.
+        covers: Mask (n_triangle,) of the mold's triangles that cover its holes, which hardly show; None without any.
+    """
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     faces = 1e3 * np.concatenate(mirror_points(scene, corners))
     paint = np.array([*bytes.fromhex(SHEET[1:])]) / 255
-    sheet = DrawnSurface(faces, np.tile(paint, (len(faces), 1)), opaque=0.8, edges=True)
+    sheet = DrawnSurface(faces, np.tile(paint, (len(faces), 1)), opaque=_SHEET_SHARE, edges=True)
     mold, outline = _mold(scene, faces, whole=True)
+    if covers is not None and mold:
+        mold = _split_covers(mold[0], covers)
     return View([*mold, sheet], outline, hangs_before(scene), hangs_before(scene))
+
+
+def _split_covers(mold: DrawnSurface, covers: NDArray[np.bool_]) -> list[DrawnSurface]:
+    """The mold (n, 3, 3) without its covers, and these, of which a mask (n_triangle,) says where they are."""
+    images = np.tile(covers, len(mold.faces) // len(covers))
+    parts = ((~images, mold.opaque), (images, _COVER_SHARE))
+    return [mold._replace(faces=mold.faces[some], paint=mold.paint[some], opaque=share) for some, share in parts]
 
 
 def hangs_before(scene: Scene) -> bool:

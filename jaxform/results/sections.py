@@ -20,7 +20,7 @@ class SectionCurve(NamedTuple):
     """Thickness [m] over arc length [m] in the formed part, (n,) each, and the name of the curve.
 
     Where it was to run through a place, `marked` is the arc length there. Where its points are in the formed part,
-    `place` says (n, 3) [m].
+    `place` says (n, 3) [m]. `own` is a mask (n,) of the points in the part that was asked for; None for all.
     """
 
     arc: Array
@@ -28,6 +28,12 @@ class SectionCurve(NamedTuple):
     label: str
     place: Array
     marked: float | None = None
+    own: NDArray[np.bool_] | None = None
+
+    @property
+    def part_thickness(self) -> Array:
+        """Thickness (n,) [m] in the part, NaN outside."""
+        return self.thickness if self.own is None else np.where(self.own, self.thickness, np.nan)
 
 
 def is_disc(scene: Scene) -> bool:
@@ -63,13 +69,16 @@ def meridian_arc(scene: Scene, result: Result) -> Array:
     return np.interp(radius, radius[order], arc)
 
 
-def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[SectionCurve]:
+def curves(
+    scene: Scene, result: Result, through: ArrayLike | None = None, part: ArrayLike | None = None
+) -> list[SectionCurve]:
     """The curves to draw: all nodes of a disc over the meridian, else sections through the initial sheet.
 
     Args:
         scene: The simulated scene.
         result: The part.
         through: A place (3,) [m] in the initial sheet through which they run; its middle by default.
+        part: Mask (n_element,) of the elements that are the part; all by default.
     """
     start = np.asarray(scene.parison.positions, float)
     if is_disc(scene):
@@ -81,16 +90,17 @@ def curves(scene: Scene, result: Result, through: ArrayLike | None = None) -> li
             outwards = np.argsort(radius)
             marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
         wall, place = np.asarray(result.thickness, float)[order], np.asarray(result.positions, float)[order]
-        return [SectionCurve(arc[order], wall, "all nodes", place, marked)]
+        own = None if part is None else _nodes_of(scene, part)[order]
+        return [SectionCurve(arc[order], wall, "all nodes", place, marked, own)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
     longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
     found = []
     for axis in sorted(longest.tolist(), reverse=True):
         level = _middle(scene, axis) if through is None else float(np.asarray(through)[axis])
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
-        pieces = cuts(scene, result, axis, level)
+        pieces = cuts(scene, result, axis, level, part=part)
         if through is None:
-            found += [SectionCurve(piece.arc, piece.thickness, name, piece.place) for piece in pieces[:1]]
+            found += [_curve_of(piece, name) for piece in pieces[:1]]
         elif pieces:
             found.append(_nearest(pieces, scene, result, np.asarray(through), name))
     return found
@@ -103,8 +113,19 @@ def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, na
     place = np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)[element]].mean(0)
     away = [np.linalg.norm(piece.place - place, axis=1) for piece in pieces]
     best = int(np.argmin([distance.min() for distance in away]))
-    arc, wall = pieces[best].arc, pieces[best].thickness
-    return SectionCurve(arc, wall, name, pieces[best].place, float(arc[np.argmin(away[best])]))
+    curve = _curve_of(pieces[best], name)
+    return curve._replace(marked=float(curve.arc[np.argmin(away[best])]))
+
+
+def _curve_of(piece: Cut, name: str) -> SectionCurve:
+    return SectionCurve(piece.arc, piece.thickness, name, piece.place, own=piece.own)
+
+
+def _nodes_of(scene: Scene, part: ArrayLike) -> NDArray[np.bool_]:
+    """Mask of the nodes (n_node,) of the elements in a mask (n_element,)."""
+    nodes = np.zeros(len(np.asarray(scene.parison.positions)), bool)
+    nodes[np.asarray(scene.parison.triangles)[np.asarray(part) != 0]] = True
+    return nodes
 
 
 def symmetry_planes(scene: Scene) -> dict[int, float]:
@@ -123,10 +144,14 @@ def _middle(scene: Scene, axis: int) -> float:
 
 
 class Cut(NamedTuple):
-    """Cut of a part by a plane: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order."""
+    """Cut of a part by a plane: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order.
+
+    `own` is a mask (n,) of those in the part that was asked for; None for all.
+    """
 
     place: Array
     thickness: Array
+    own: NDArray[np.bool_] | None = None
 
     @property
     def arc(self) -> Array:
@@ -143,8 +168,18 @@ def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple
     return [(piece.arc, piece.thickness) for piece in cuts(scene, result, axis, level)]
 
 
-def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool = False) -> list[Cut]:
+def cuts(
+    scene: Scene, result: Result, axis: int, level: float, *, formed: bool = False, part: ArrayLike | None = None
+) -> list[Cut]:
     """Cut of the initial sheet, or of the formed part itself, by the plane at `level` [m] across an axis.
+
+    Args:
+        scene: The simulated scene.
+        result: The part.
+        axis: 0, 1 or 2.
+        level: Place of the plane [m].
+        formed: Cut the formed part.
+        part: Mask (n_element,) of the elements whose points the pieces mark as their own; None for no mark.
 
     Returns:
         Each connected piece, the longest first; a closed one ends where it began.
@@ -163,7 +198,10 @@ def cuts(scene: Scene, result: Result, axis: int, level: float, *, formed: bool 
     place = end[edge[:, 0]] + share[:, None] * (end[edge[:, 1]] - end[edge[:, 0]])
     wall = np.asarray(result.thickness, float)
     value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
-    pieces = [Cut(place[path], value[path]) for path in _chains(index.reshape(-1, 2))]
+    own = None if part is None else _nodes_of(scene, part)[edge].all(1)
+    pieces = [
+        Cut(place[path], value[path], None if own is None else own[path]) for path in _chains(index.reshape(-1, 2))
+    ]
     return sorted(pieces, key=lambda piece: -piece.arc[-1])
 
 

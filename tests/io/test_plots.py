@@ -10,12 +10,14 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 import jaxform
 from jaxform import shapes
 from jaxform.core.errors import InputError
-from jaxform.io import canvas, plots, surfaces, views
+from jaxform.core.store import Store
+from jaxform.io import canvas, files, geometry, plots, surfaces, views
 from jaxform.mesh import raster, topology
 from jaxform.results import sections
 from jaxform.results.result import Result
@@ -163,6 +165,72 @@ def test_triangles_cover_the_pixels_whose_middles_they_hold() -> None:
     behind = raster.nearest_in_pixels(corners, np.concatenate([depth, [[0.0, 12.0, 0.0]], [[0.0] * 3]]), 10, 8)
     # From 0 to 12 in 60 pixels: at 1 where x = -15, so the square is in front.
     assert np.all(behind.reshape(8, 10)[wanted] < 2) and np.all(behind.reshape(8, 10)[~wanted] == 2)
+
+
+@pytest.mark.parametrize("name", ["disc", "rectangle"])
+def test_of_a_part_the_diagram_draws_what_is_in_it_and_the_rest_faintly(name: str) -> None:
+    """A sheet that is folded up beyond a plane, where its wall is half as thick; the part is what lies below."""
+    scene, result = _at_rest(SHEETS[name])
+    start = np.asarray(scene.parison.positions, float)
+    along = np.hypot(start[:, 0], start[:, 1]) if name == "disc" else np.abs(start[:, 0] - 1.0)
+    up = np.clip(along - 0.5, 0.0, None)
+    formed = start + np.outer(up, [0.0, 0.0, 1.0])
+    wall = np.where(up > 0.0, 5e-3, 1e-2)
+    changes = {"positions": jnp.asarray(formed), "thickness": jnp.asarray(wall)}
+    result = dataclasses.replace(result, **changes)
+    picture = plots.part_picture(dataclasses.replace(scene, part=jaxform.make_part(trim=("z", 1e-9, "below"))), result)
+    faint, drawn = picture.diagram.lines[:2]
+    assert faint.style["label"] == "cut off the part" and faint.style["color"] != drawn.style["color"]
+    shown = np.isfinite(drawn.up)
+    np.testing.assert_array_equal(faint.across, drawn.across)
+    # Nodes of the part's elements lie at most an element beyond the plane.
+    np.testing.assert_array_equal(drawn.up[shown], faint.up[shown])
+    middle = np.median(faint.across) if name == "rectangle" else 0.0
+    reach = np.abs(faint.across - middle)
+    assert shown[reach < 400].all() and not shown[reach > 800].any() and 0.2 < shown.mean() < 0.9
+    whole = plots.part_picture(scene, result).diagram.lines
+    assert np.isfinite(whole[0].up).all() and all(line.style["label"] != "cut off the part" for line in whole)
+
+
+def test_covers_of_holes_hardly_show_before_a_run(tmp_path: Path) -> None:
+    """Of a mold that is a box without a floor, which a cover closes: beneath it a sheet and the box are seen."""
+    box = trimesh.creation.box(bounds=[[0.0, 0.0, 0.0], [1.0, 1.0, 0.4]])
+    open_box = trimesh.Trimesh(box.vertices, box.faces[np.abs(box.face_normals[:, 2]) < 0.5])
+    cover = trimesh.Trimesh(
+        [[0.0, 0.0, 0.4], [1.0, 0.0, 0.4], [1.0, 1.0, 0.4], [0.0, 1.0, 0.4]], [[0, 1, 2], [0, 2, 3]]
+    )
+    open_box.export(tmp_path / "box.stl")
+    cover.export(tmp_path / "covers.stl")
+    (tmp_path / "scene.toml").write_text(
+        """[parison]
+shape = "rectangle"
+size = [1.0, 1.0]
+elements = 30
+thickness = 0.01
+[material]
+model = "neo-hookean"
+c = 1e5
+density = 1000.0
+[pressure]
+time = [0.0, 1.0]
+value = [0.0, 100.0]
+[mold]
+shape = "file"
+path = ["box.stl", "covers.stl"]
+[solver]
+end_time = 1.0
+"""
+    )
+    document = files.read_scene(str(tmp_path / "scene.toml"))
+    scene = files.build(document, Store())
+    covers = geometry.cover_triangles(document, scene.mold)
+    assert scene.mold is not None and len(covers) == 10
+    heights = np.asarray(scene.mold.vertices)[np.asarray(scene.mold.triangles)][..., 2].min(1)
+    np.testing.assert_array_equal(covers, heights > 0.39)
+    walls, closing, sheet = surfaces.sheet_view(scene, covers).surfaces
+    assert closing.opaque < 0.5 * walls.opaque and sheet.opaque < 0.6
+    np.testing.assert_allclose(closing.faces[..., 2], 400.0, rtol=1e-6)
+    assert len(walls.faces) == 8
 
 
 def _colors(path: Path) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -57,3 +58,17 @@ def test_the_picture_shows_the_part_twice(folder: Path) -> None:
     colored = pixels.max(-1) - pixels.min(-1) > 0.1
     half = pixels.shape[1] // 2
     assert all(0.1 < share.mean() < 0.9 for share in (colored[:, :half], colored[:, half:]))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pyvista") is None, reason="PyVista is not installed")
+@pytest.mark.filterwarnings("ignore")
+def test_what_is_cut_off_the_part_is_apart_from_it(tmp_path: Path) -> None:
+    scene = scenes.cup()
+    scene = dataclasses.replace(scene, part=jaxform.make_part(trim=("z", 0.25, "above")))
+    output.write_result(scene, jaxform.run(scene), tmp_path)
+    results = read_results(tmp_path)
+    surface = rendering._part(rendering._pyvista(), results)
+    part, rest = rendering._split_part(surface)
+    assert part.n_cells + rest.n_cells == surface.n_cells == 4 * len(results.part.triangles)
+    assert part.cell_centers().points[:, 2].min() >= 250.0 > rest.cell_centers().points[:, 2].max()
+    assert command.main(["render", str(tmp_path), "--quiet"]) == 0
