@@ -236,7 +236,7 @@ def _directions_of_pull(spots: _Spots, pull: Array) -> Array:
 
 
 def _distances_out(spots: _Spots, length: Array, out: _Out, mold_corners: Array, grid: SearchGrid) -> Array:
-    """How far (n,) [m] it is from places in the mold to its surface; the length (n,) [m] where that is farther."""
+    """The distances (n,) [m] from places in the mold to its surface, at most the length (n,) [m]."""
     begin, end = spots.place, spots.place + length[:, None] * out.way
     found = np.full(len(begin), np.inf)
     for piece, triangle in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):

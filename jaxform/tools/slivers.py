@@ -94,12 +94,12 @@ def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> Merged:
 
 
 def has_slivers(vertices: Array, triangles: NDArray[np.integer]) -> bool:
-    """Whether a surface has so many slivers that they are merged."""
+    """True where a surface has so many slivers that they are merged."""
     return len(triangles) >= _FEW and int(np.count_nonzero(_short_sides(vertices[triangles]).any(1))) >= _FEW
 
 
 def _short_sides(corners: Array) -> Mask:
-    """Which sides (n, 3) of triangles (n, 3, 3), from each corner to the next, are short beside the longest."""
+    """Mask of the sides (n, 3) of triangles (n, 3, 3), from each corner to the next, that are short beside the longest."""
     side = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     return _THIN * side < side.max(1, keepdims=True)
 
@@ -118,7 +118,7 @@ def _edges(triangles: Integers, count: int) -> _Edges:
 
 
 def _wanted(places: Array, triangles: Integers, edges: _Edges, refused: Integers) -> _Collapses:
-    """Of each vertex the shortest way into another along a short side of a sliver, which was not refused before."""
+    """The shortest collapse of each vertex into another along a short side of a sliver, unless it was refused before."""
     count = len(places)
     key = _side_keys(triangles, count)
     short = np.zeros(len(edges.key), bool)
@@ -141,7 +141,7 @@ def _wanted(places: Array, triangles: Integers, edges: _Edges, refused: Integers
 def _fitting(
     places: Array, triangles: Integers, edges: _Edges, wanted: _Collapses, error: Array, tolerance: float
 ) -> tuple[Mask, Array]:
-    """Which of the wanted collapses leave the surface where it is (k,), and the bound for each vertex (n,) [m]."""
+    """Mask (k,) of the wanted collapses that keep the surface in place, and the bound for each vertex (n,) [m]."""
     count = len(places)
     target = np.full(count, -1)
     target[wanted.vertex] = wanted.target
@@ -165,7 +165,7 @@ def _fitting(
 
 
 def _deviations(places: Array, star: tuple[Integers, ...]) -> tuple[Array, Mask]:
-    """How far targets are off the planes of triangles (vertex, target, a, b) [m]; which would turn or become flat."""
+    """The distances of targets from the planes of triangles (vertex, target, a, b) [m]; and those that would turn or flatten."""
     vertex, goal, a, b = star
     before = np.cross(places[a] - places[vertex], places[b] - places[vertex])
     before /= np.linalg.norm(before, axis=1, keepdims=True)
@@ -178,7 +178,7 @@ def _deviations(places: Array, star: tuple[Integers, ...]) -> tuple[Array, Mask]
 
 
 def _off_the_rim(places: Array, edges: _Edges, target: Integers) -> Array:
-    """How far vertices (n,) of an open edge are from where it runs once they have moved to their targets [m]."""
+    """The distances (n,) [m] of an open edge's vertices from the edge after they have moved to their targets."""
     ends = edges.ends[edges.count == 1]
     begin, end = np.concatenate([ends, ends[:, ::-1]]).T
     other = (target[begin] >= 0) & (target[begin] != end)
