@@ -99,7 +99,7 @@ def has_slivers(vertices: Array, triangles: NDArray[np.integer]) -> bool:
 
 
 def _short_sides(corners: Array) -> Mask:
-    """Mask of the sides (n, 3) of triangles (n, 3, 3), from each corner to the next, that are short beside the longest."""
+    """Mask (n, 3) of the sides of triangles (n, 3, 3), from each corner to the next, that are short."""
     side = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     return _THIN * side < side.max(1, keepdims=True)
 
@@ -118,7 +118,7 @@ def _edges(triangles: Integers, count: int) -> _Edges:
 
 
 def _wanted(places: Array, triangles: Integers, edges: _Edges, refused: Integers) -> _Collapses:
-    """The shortest collapse of each vertex into another along a short side of a sliver, unless it was refused before."""
+    """The shortest collapse of each vertex along a short side of a sliver, unless it was refused before."""
     count = len(places)
     key = _side_keys(triangles, count)
     short = np.zeros(len(edges.key), bool)
@@ -165,7 +165,7 @@ def _fitting(
 
 
 def _deviations(places: Array, star: tuple[Integers, ...]) -> tuple[Array, Mask]:
-    """The distances of targets from the planes of triangles (vertex, target, a, b) [m]; and those that would turn or flatten."""
+    """The distances of targets from planes of triangles (vertex, target, a, b) [m]; a mask of what would turn."""
     vertex, goal, a, b = star
     before = np.cross(places[a] - places[vertex], places[b] - places[vertex])
     before /= np.linalg.norm(before, axis=1, keepdims=True)

@@ -340,7 +340,7 @@ def test_a_batch_is_single_runs(scene: Scene) -> None:
 def test_too_little_room_is_told_and_a_run_takes_more(live: Result) -> None:
     small = cup(96)  # becomes the room of the other tests
     short = jax.jit(jaxform.simulate)(small)
-    assert "room" in jaxform.explain(short) and "refinement.elements" in jaxform.explain(short)
+    assert "capacity" in jaxform.explain(short) and "refinement.elements" in jaxform.explain(short)
     grown = jaxform.run(small)
     assert jaxform.explain(grown) == "ok"
     assert int(grown.used.sum()) == int(live.used.sum())
