@@ -139,13 +139,14 @@ def _scenes(_: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     say, store = session.prepare(arguments)
     from jaxform.cli import check_command
-    from jaxform.io import files
+    from jaxform.io import files, leaks
 
     if catalog.kind_of(arguments.source) == "study":
         document, scene, lines = check_command.read_study(arguments.source, store)
     else:
         document, lines = files.read_scene(arguments.source), []
         scene = files.build(document, store)
+    leaks.warn_of_side_holes(scene, document.file)
     files.read_reference(document)
     if arguments.out is not None:
         session.open_folder(arguments.out, arguments.force)

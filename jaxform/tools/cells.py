@@ -6,6 +6,7 @@ through the opening and has a neighbour from which a way leads out of the mold i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,7 +69,22 @@ def cells(corners: Array, polygon: Array, found: Opening) -> CellGrid:
         polygon: Outline of the sheet (k, 2) [m].
         found: The opening, in the plane of which the sheet lies.
     """
-    level = found.level
+
+    def over(places: Array) -> Mask:
+        # A sheet may reach over the outer edge of a narrow rim, by less than a cell.
+        return found.view.sample(found.cavity, places) & planform.inside(places, [polygon])
+
+    return cells_behind(corners, found.level, over)
+
+
+def cells_behind(corners: Array, level: float, over: Callable[[Array], Mask]) -> CellGrid:
+    """The cells of the space behind a flat sheet.
+
+    Args:
+        corners: Corners of the mold's triangles (n, 3, 3) [m], rotated so that the sheet is pushed to +z.
+        level: Height of the sheet [m].
+        over: The mask (n,) of places (n, 2) [m] that are behind the sheet.
+    """
     used = corners.reshape(-1, 3)
     extent = np.append(np.ptp(used[:, :2], axis=0), used[:, 2].max() - level)
     width = float(extent.max()) / _COUNT
@@ -77,9 +93,7 @@ def cells(corners: Array, polygon: Array, found: Opening) -> CellGrid:
     wall = surface_cells((corners - low) / width, shape)
     columns, rows = (low[k] + width * (np.arange(shape[k]) + 0.5) for k in range(2))
     places = np.stack(np.meshgrid(columns, rows, indexing="ij"), axis=-1)
-    # A sheet may reach over the outer edge of a narrow rim, by less than a cell.
-    hollow = found.view.sample(found.cavity, places.reshape(-1, 2))
-    sheet = (hollow & planform.inside(places.reshape(-1, 2), [polygon])).reshape(places.shape[:2])
+    sheet = over(places.reshape(-1, 2)).reshape(places.shape[:2])
     seen = sheet[..., None] & ~np.logical_or.accumulate(wall, axis=2)
     # A flange may lie anywhere in the first layer: nothing passes between the sheet and it.
     wall[..., 0] |= ~seen[..., 0]
