@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from jaxform import molds, shapes
 from jaxform.core.errors import InputError
 from jaxform.io import files, report, scene_rewriting
-from jaxform.io.report import binary_packing, contents, measuring_points, stored_results
+from jaxform.io.report import binary_packing, contents, measurement, stored_results
 from jaxform.mesh import meshes, raster
 from tests import browser, scenes
 
@@ -225,14 +225,14 @@ def test_the_page_says_what_the_summary_says_and_asks_nobody(folder: Path) -> No
 def test_places_to_measure(folder: Path) -> None:
     """The wall grows outwards from the middle: thinnest there, thickest at the rim."""
     results = stored_results.read_results(folder)
-    thin, thick, other = measuring_points.measuring_points(results.part, results.summary)
+    thin, thick, other = measurement.measuring_points(results.part, results.summary)
     radius = [float(np.linalg.norm(point.initial[:2])) for point in (thin, thick, other)]
     walls, mean = results.part.cells["thickness"], results.summary["thickness"]["mean"]
     assert thin.thickness == walls.min() and thick.thickness == walls.max()
     assert radius[0] < 0.02 and radius[1] > 0.08 and radius[0] < radius[2] < radius[1]
     away = np.abs(walls / mean - 1)
     assert abs(other.thickness / mean - 1) <= max(0.02, float(away.min())) + 1e-12
-    assert measuring_points.is_disc(results.part, {"x": 0.0, "y": 0.0})
+    assert measurement.is_disc(results.part, {"x": 0.0, "y": 0.0})
 
 
 def test_a_large_part_takes_little_room() -> None:
@@ -535,7 +535,7 @@ def test_the_keyboard_turns_it_and_reads_the_middle(page: browser.Browser, folde
 def test_places_of_the_table_and_of_the_diagram_are_shown(page: browser.Browser, folder: Path) -> None:
     _visit(page, folder / "report.html")
     results = stored_results.read_results(folder)
-    for number, point in enumerate(measuring_points.measuring_points(results.part, results.summary)):
+    for number, point in enumerate(measurement.measuring_points(results.part, results.summary)):
         page.value(f"document.querySelector('[data-point=\"{number}\"]').click()")
         read = page.value("({...document.getElementById('reading').dataset})")
         assert float(read["thickness"]) == pytest.approx(point.thickness, rel=3e-5)

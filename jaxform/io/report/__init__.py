@@ -18,7 +18,7 @@ from jaxform.io.report import page
 from jaxform.io.report.binary_packing import Parcel
 from jaxform.io.report.charts import pack_charts
 from jaxform.io.report.contents import pack_parts
-from jaxform.io.report.measuring_points import measuring_points
+from jaxform.io.report.measurement import measuring_points
 from jaxform.io.report.stored_results import Results, read_results
 
 NAME = "report.html"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jaxform.io.report.binary_packing import Parcel
 from jaxform.io.report.contents import symmetry_of
-from jaxform.io.report.measuring_points import is_disc, wall_curves
+from jaxform.io.report.measurement import is_disc, wall_curves
 from jaxform.io.report.stored_results import Results, StoredPart
 from jaxform.io.scales import distinguishable_points
 from jaxform.results.sections import SectionCurve

@@ -8,7 +8,7 @@ from typing import Any
 
 from jaxform.core.formatting import format_coordinate
 from jaxform.io.report.contents import symmetry_of
-from jaxform.io.report.measuring_points import MeasuringPoint
+from jaxform.io.report.measurement import MeasuringPoint
 from jaxform.io.report.stored_results import Results
 
 _ENERGY = {
