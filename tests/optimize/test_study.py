@@ -117,7 +117,7 @@ def test_the_command_goes_on_after_a_kill(
     refused = command.main(["optimize", str(path), "--out", str(out)])
     assert refused == 2 and "--out" in capfd.readouterr().err
     assert command.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
-    assert "2 answers were known" in capfd.readouterr().out
+    assert "2 evaluations were reused" in capfd.readouterr().out
     again = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     scenes.assert_same(again["objective"], whole["objective"])
     facts = json.loads((out / "design.json").read_text())

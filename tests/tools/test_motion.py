@@ -63,7 +63,7 @@ def plug(folder: Path, further: str = "", **changed: str) -> jaxform.Scene:
 
 
 @pytest.fixture(scope="module")
-def form(tmp_path_factory: pytest.TempPathFactory) -> tuple[jaxform.Scene, Result]:
+def formed(tmp_path_factory: pytest.TempPathFactory) -> tuple[jaxform.Scene, Result]:
     scene = plug(tmp_path_factory.mktemp("plug"))
     return scene, jaxform.run(scene)
 
