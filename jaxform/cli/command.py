@@ -155,7 +155,7 @@ def _check(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         from jaxform.io import geometry, preview
 
-        covers = geometry.cover_triangles(document, scene.mold)
+        covers = geometry.cover_triangles(document, scene.mold, store)
         preview.check_picture(arguments.out / "check.png", scene, arguments.warned, covers)
         say(f"picture in {arguments.out / 'check.png'}")
     return session.DONE

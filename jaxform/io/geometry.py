@@ -21,7 +21,7 @@ from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import molds, motion, rims
 from jaxform.tools.distances import TriangleSurface
 from jaxform.tools.mold import Mold, make_mold
-from jaxform.tools.slivers import has_slivers, merge_slivers
+from jaxform.tools.slivers import Merged, has_slivers, merge_slivers
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
@@ -121,7 +121,7 @@ def _shape_of_files(document: SceneDocument, table: schema.FileMold, names: Sequ
         return molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
 
 
-def build_part(document: SceneDocument, mold: Mold | None) -> Part | None:
+def build_part(document: SceneDocument, mold: Mold | None, store: Store | None = None) -> Part | None:
     """The part of the formed sheet that the document's [part] selects; None without one.
 
     Raises:
@@ -131,34 +131,36 @@ def build_part(document: SceneDocument, mold: Mold | None) -> Part | None:
     if table is None:
         return None
     trim = None if table.trim is None else (table.trim.axis, table.trim.at, table.trim.keep)
-    walls = None if table.molds is None else _wall_triangles(document, table.molds, mold)
+    walls = None if table.molds is None else _wall_triangles(document, table.molds, mold, store)
     return make_part(box=table.box, trim=trim, walls=walls)
 
 
-def cover_triangles(document: SceneDocument, mold: Mold | None) -> Any:
+def cover_triangles(document: SceneDocument, mold: Mold | None, store: Store | None = None) -> Any:
     """Mask of the mold's triangles (n_triangle,) that `jaxform new` made to cover holes; None where there are none."""
     table = document.model.mold
     if mold is None or not isinstance(table, schema.FileMold):
         return None
     names = _paths(table)
     covers = [name for name in names if Path(name).name == COVERS]
-    return _triangles_of_files(document, table, covers, mold) if covers else None
+    return _triangles_of_files(document, table, covers, mold, store) if covers else None
 
 
-def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold | None) -> Any:
+def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold | None, store: Store | None) -> Any:
     """Mask of the mold's triangles (n_triangle,) that belong to the wanted files."""
     table = document.model.mold
     if mold is None or not isinstance(table, schema.FileMold):
         raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
     names = _paths(table)
-    return _triangles_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)], mold)
+    return _triangles_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)], mold, store)
 
 
-def _triangles_of_files(document: SceneDocument, table: schema.FileMold, names: Sequence[str], mold: Mold) -> Any:
+def _triangles_of_files(
+    document: SceneDocument, table: schema.FileMold, names: Sequence[str], mold: Mold, store: Store | None
+) -> Any:
     """Mask of the mold's triangles (n_triangle,) that belong to files of these names."""
     chosen = _shape_of_files(document, table, names)
     whole = _shape_of_files(document, table, _paths(table))
-    merged = merge_slivers(whole.vertices, whole.triangles)
+    merged = _merge_slivers(whole, store)
     # Triangles are identified by their centroids, which do not depend on welding or on triangles left out.
     middles, near = _centroids(whole), _SAME * meshes.size(whole.vertices)
     from scipy.spatial import KDTree  # takes a tenth of a second to import
@@ -173,16 +175,15 @@ def _centroids(surface: TriangleSurface) -> Any:
     return np.asarray(surface.vertices, float)[np.asarray(surface.triangles)].mean(1)
 
 
-def _without_slivers(shape: molds.MoldShape, store: Store | None) -> molds.MoldShape:
-    """The mold's shape with its slivers merged; unchanged where it has few."""
+def _merge_slivers(shape: molds.MoldShape, store: Store | None) -> Merged:
+    """The mold's surface with its slivers merged, which is kept; unchanged where it has few."""
+
+    def merge() -> Merged:
+        return merge_slivers(shape.vertices, shape.triangles)
+
     if not has_slivers(shape.vertices, shape.triangles):
-        return shape
-
-    def merge() -> Arrays:
-        return merge_slivers(shape.vertices, shape.triangles)._asdict()
-
-    kept = (store or Store()).arrays("merged", (shape.vertices, shape.triangles), merge)
-    return molds.MoldShape(kept["vertices"], kept["triangles"], shape.dropped)
+        return merge()
+    return Merged(**(store or Store()).arrays("merged", (shape.vertices, shape.triangles), lambda: merge()._asdict()))
 
 
 def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | None:
@@ -201,6 +202,7 @@ def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | No
     else:
         shape = _shape_of_files(document, table, _paths(table))
     if isinstance(table, schema.FileMold | schema.RevolvedMold):
-        shape = _without_slivers(shape, store)
+        merged = _merge_slivers(shape, store)
+        shape = molds.MoldShape(merged.vertices, merged.triangles, shape.dropped)
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
     return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)
