@@ -23,7 +23,8 @@ _OUTSIDE = 0.02  # of the mold's size, that a sheet may reach out of its box
 _NEXT_TO = 1e-4  # of the sheet's size
 _MOST_ASKED = 3000  # elements checked for passing through the sheet
 _TORN = 0.01  # of the initial thickness: a thinner free wall is implausible
-# Of the initial thickness. Sheets are drawn to some 10 times their area; 50 times leaves a film of 20 um of 1 mm.
+# Of the initial thickness, of a wall on the mold. Sheets are drawn to some 10 times their area; 50 times leaves a film
+# of 20 um of 1 mm.
 _THIN = 0.02
 
 
@@ -114,9 +115,12 @@ def _ratio(result: Result) -> Array:
 
 
 def _unreliable_elements(result: Result, ratio: Array) -> NDArray[np.int64]:
-    triangles, used = np.asarray(result.triangles), np.asarray(result.used)
-    free = ~(np.asarray(result.wall) != 0)[triangles].any(1)
-    return np.flatnonzero(used & free & (ratio < _TORN))
+    return np.flatnonzero(np.asarray(result.used) & ~_on_mold(result) & (ratio < _TORN))
+
+
+def _on_mold(result: Result) -> NDArray[np.bool_]:
+    """Mask of the elements (n_element,) of which a node is in contact."""
+    return (np.asarray(result.wall) != 0)[np.asarray(result.triangles)].any(1)
 
 
 def _crossing_elements(result: Result, scene: Scene) -> NDArray[np.int64]:
@@ -159,10 +163,9 @@ def _warnings_of_tearing(result: Result) -> list[str]:
 
 
 def _warnings_of_thinning(result: Result, scene: Scene) -> list[str]:
-    """A warning where the part's wall is implausibly thin; free walls below `_TORN` have a warning of their own."""
+    """A warning where the part's wall on the mold is implausibly thin; free walls have `_warnings_of_tearing`."""
     triangles, ratio = np.asarray(result.triangles), _ratio(result)
-    thin = np.asarray(part_elements(result, scene)) & (ratio < _THIN)
-    thin[_unreliable_elements(result, ratio)] = False
+    thin = np.asarray(part_elements(result, scene)) & _on_mold(result) & (ratio < _THIN)
     if not thin.any():
         return []
     worst = int(np.argmin(np.where(thin, ratio, np.inf)))
