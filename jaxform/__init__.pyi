@@ -38,14 +38,11 @@ from .model.scene import (
     make_solver,
 )
 from .prepare.scene_builder import build_scene
-from .results.explanation import explain
-from .results.result import Result
-from .results.stages import parison_of
-from .results.summary import summarize
-from .runs.batch import simulate_batch
+from .results.result import Result, parison_of
+from .results.summary import explain, summarize
 from .runs.host import Moment, run
 from .runs.padding import padded
-from .runs.simulation import simulate
+from .runs.simulation import simulate, simulate_batch
 from .sheet.state import Schedule, Status
 from .tools.mold import Mold, make_mold
 from .tools.motion import Motion, make_motion

@@ -14,10 +14,10 @@ import numpy as np
 
 import jaxform
 from jaxform import Scene
-from jaxform.core.atomic_write import atomic_path
+from jaxform.core.disk import atomic_path
 from jaxform.core.errors import InputError
 from jaxform.core.store import Store
-from jaxform.io import fields, files, schema
+from jaxform.io import files, geometry, schema
 from jaxform.mesh import meshes
 from jaxform.mesh.profiles import Profile
 from jaxform.results.result import drop_unused
@@ -111,7 +111,7 @@ def _target(table: schema.TargetTable, document: files.StudyDocument, scene: Sce
     if isinstance(wanted, schema.FieldReference):
         path = document.folder / wanted.file
         positions = np.asarray(scene.parison.positions, float)
-        return Target(scene, fields.nodal_field(path, wanted.field, positions, key), limit=table.limit)
+        return Target(scene, geometry.nodal_field(path, wanted.field, positions, key), limit=table.limit)
     if isinstance(wanted, schema.SceneReference):
         return Target(scene, _wall_of(wanted.scene, document, scene), limit=table.limit)
     return Target(scene, wanted, limit=table.limit)
@@ -131,7 +131,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
     places, triangles = np.asarray(other.parison.positions, float), np.asarray(result.triangles)
     try:
         wall = np.asarray(result.thickness, float)
-        return fields.transfer_values(
+        return geometry.transfer_values(
             meshes.Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float)
         )
     except InputError as error:

@@ -13,13 +13,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxform.adapt.inheritance import find_ancestry, inherit_stress
 from jaxform.adapt.insertion import insert_nodes, present_frame
-from jaxform.adapt.remeshing import Queue, add_sides, bisect_mesh, close_queue, make_queue
-from jaxform.contact.cells import cell_of
+from jaxform.adapt.remeshing import (
+    Queue,
+    add_sides,
+    bisect_mesh,
+    close_queue,
+    find_ancestry,
+    inherit_stress,
+    make_queue,
+)
 from jaxform.kernels import capacities
 from jaxform.kernels.blocks import BLOCK, compact_indices, lax_cond_once, over_blocks, padded_length
-from jaxform.kernels.checkpoint_policy import save_decision
+from jaxform.kernels.derivatives import save_decision
 from jaxform.mechanics import membrane
 from jaxform.mechanics.membrane import Vector, dot, gather, minus
 from jaxform.model.scene import Adaptivity, Refinement, Scene
@@ -36,7 +42,7 @@ from jaxform.sheet.discretization import (
 from jaxform.sheet.energy_balance import kinetic_energy
 from jaxform.sheet.scheme import synchronize_velocity
 from jaxform.sheet.state import PackedState, Schedule, State, Status
-from jaxform.tools.search import SearchGrid
+from jaxform.tools.search import SearchGrid, cell_of
 
 _SPARE_BLOCKS = 2
 

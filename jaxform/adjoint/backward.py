@@ -1,4 +1,4 @@
-"""One step of the reversed scheme: over the nodes, from one step to the one before."""
+"""One step of the reversed scheme, from the state after it to the state before: nodes, contact, moving rims."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.kernels.blocks import ArraySlice, materialize, over_blocks
+from jaxform.contact import sticking
+from jaxform.kernels import blocks
+from jaxform.kernels.blocks import ArraySlice, compact_indices, materialize, over_blocks
 from jaxform.materials import Law
 from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, gather_shares, gather_table
-from jaxform.mechanics.membrane import Vector, dot, vector
+from jaxform.mechanics.membrane import Vector, dot, unstack_rows, vector
+from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Scene
+from jaxform.sheet.energy_balance import rim_ends, rim_swept_volume
 from jaxform.sheet.packing import Packed
+from jaxform.tools.mold import Mold
 
 
 class ReverseWindow(NamedTuple):
@@ -218,3 +223,118 @@ def step_nodes_back(
     at, before, position, velocity, (power,), *more, force = new
     nodes = nodes._replace(at=at, speeds=before, positions=position, velocities=velocity, force=force, compliance=power)
     return nodes if damping is None else nodes._replace(mass=more[0][0], damping=nodes.damping + sums[0])
+
+
+# The way back over what moving rims sweep, from one step to the one before.
+
+
+def rim_end_positions(nodes: BackwardNodes, places: jax.Array) -> jax.Array:
+    """Positions of the rim's ends (3, 2, n_edge) [m], read before the nodes are stepped back."""
+    return materialize(rim_ends(nodes.at, places))
+
+
+def pull_back_rim(
+    nodes: BackwardNodes,
+    before: jax.Array,
+    after: jax.Array,
+    turn: AdjointStep,
+    places: jax.Array,
+    now: ReverseWindow,
+    cotangent: jax.Array,
+) -> tuple[BackwardNodes, jax.Array, jax.Array]:
+    """Adds what the rim swept in the earlier step has of the cotangents, for the step's end.
+
+    Args:
+        nodes: At the earlier step's begin; those that land in it, at its end.
+        before: Of nodes that landed, before that step (3, place) [m].
+        after: The rim's ends at the step's end (3, 2, n_edge) [m].
+        turn: The steps.
+        places: Of the rim's ends (2, n_edge).
+        now: The window.
+        cotangent: Of the volume swept.
+
+    Returns:
+        The nodes; the cotangents of the rim's ends at the step's begin (3, 2, n_edge), for `add_rim_cotangents` once
+        all nodes are there; and the volume that the rim swept [m^3].
+    """
+    landed = now.landing_step[places]
+    begin = jnp.where(landed == turn.number, rim_ends(before, places), rim_ends(nodes.at, places))
+    origin = now.packed.elements.origin
+    swept, pull = jax.vjp(lambda begin, after: rim_swept_volume(begin, after, origin), begin, after)
+    early, late = pull(cotangent)
+    speeds = turn.length * jnp.where(landed > turn.number, late, 0.0)
+    compliance = rim_ends(now.compliance, places)
+    force = jnp.stack(force_cotangent(unstack_rows(speeds), unstack_rows(compliance), turn.kick, now))
+    nodes = add_rim_cotangents(nodes, late, places)
+    velocities, power = nodes.velocities.at[:, places].add(speeds), nodes.force.at[:, places].add(force)
+    return nodes._replace(velocities=velocities, force=power), early, swept
+
+
+def add_rim_cotangents(nodes: BackwardNodes, cotangents: jax.Array, places: jax.Array) -> BackwardNodes:
+    """Adds cotangents of the positions of the rim's ends (3, 2, n_edge)."""
+    return nodes._replace(positions=nodes.positions.at[:, places].add(cotangents))
+
+
+# The way back over the steps in which nodes landed on the mold.
+
+
+def pull_back_landings(
+    nodes: BackwardNodes,
+    before: jax.Array,
+    turn: AdjointStep,
+    at: tuple[jax.Array, jax.Array],
+    mold: Mold,
+    now: ReverseWindow,
+    loss: jax.Array,
+) -> BackwardNodes:
+    """Goes back over the landings of a step, for the nodes that landed: one by one, each to where it was `before`.
+
+    `at` is what nodes stick to in the end (place,), as in `State`, and the window's begin [s].
+    """
+    wall, begin_time = at
+    number, time = turn.number, begin_time + (turn.number + 1) * turn.length
+    places, count = compact_indices(now.landing_step == number, now.landing_step.size)
+
+    def one(k: jax.Array, nodes: BackwardNodes) -> BackwardNodes:
+        place = blocks.entry(places, k)
+
+        def read_node(values: jax.Array) -> jax.Array:
+            return blocks.slice_at(values, place, 1)
+
+        def write_node(values: jax.Array, new: jax.Array) -> jax.Array:
+            return blocks.put(values, new, place)
+
+        def land(after: jax.Array, velocity: jax.Array, mass: jax.Array, corners: jax.Array) -> Any:
+            free, none = jnp.zeros(1, bool), jnp.zeros(1, jnp.int32)
+            flying = sticking.Landing(
+                Nodes(after, velocity, free, jnp.zeros_like(mass), none, None, {}), none, jnp.zeros_like(time)
+            )
+            triangle = Mold(corners, jnp.arange(3, dtype=jnp.int32)[None])
+            there = sticking.place_on_mold(
+                flying, sticking.ContactStep(turn.length, time, number), mass, triangle, none
+            )
+            return there.nodes.positions, there.nodes.contact_time, there.loss
+
+        # All is read before anything is written (docs/explanation/kernels.md).
+        old = materialize(jax.tree.map(read_node, nodes._replace(damping=None, vertices=None)))
+        begin = read_node(before)
+        triangle = mold.triangles[jnp.abs(read_node(wall)[0]) - 1]
+        after = begin + turn.length * old.speeds
+        _, pull = jax.vjp(land, after, old.speeds, read_node(now.mass), mold.vertices[triangle])
+        position, velocity, mass, corners = pull((old.positions, old.contact_time, loss))
+        velocity = velocity + turn.length * position
+        force = force_cotangent(unstack_rows(velocity), unstack_rows(read_node(now.compliance)), turn.kick, now)
+        return BackwardNodes(
+            at=write_node(nodes.at, begin),
+            speeds=nodes.speeds,
+            positions=write_node(nodes.positions, position),
+            velocities=write_node(nodes.velocities, velocity),
+            force=write_node(nodes.force, jnp.stack(force)),
+            mass=write_node(nodes.mass, old.mass + mass),
+            compliance=nodes.compliance,
+            contact_time=write_node(nodes.contact_time, jnp.zeros_like(old.contact_time)),
+            damping=nodes.damping,
+            vertices=None if nodes.vertices is None else nodes.vertices.at[triangle].add(corners),
+        )
+
+    return jax.lax.fori_loop(0, count, one, nodes)

@@ -23,10 +23,12 @@ from jaxform.adjoint.backward import (
     ReverseStart,
     ReverseWindow,
     add_loss_cotangents,
+    add_rim_cotangents,
+    pull_back_landings,
+    pull_back_rim,
+    rim_end_positions,
     step_nodes_back,
 )
-from jaxform.adjoint.contact_adjoint import pull_back_landings
-from jaxform.adjoint.moving_rims import add_rim_cotangents, pull_back_rim, rim_end_positions
 from jaxform.core.parameters import parameter_ranges
 from jaxform.core.pytree import pytree
 from jaxform.dynamics.timestep import LEAST_LEFT
@@ -35,13 +37,13 @@ from jaxform.kernels.blocks import ArraySlice, lax_cond_once, over_blocks
 from jaxform.kernels.derivatives import Cotangents, DerivativeRule
 from jaxform.mechanics.corners import Load, corner_forces
 from jaxform.mechanics.elements import Corners, allocate_corner_forces, gather_shares, gather_table
-from jaxform.mechanics.force_vjp import corner_cotangents, zero_sums, zone_cotangents
+from jaxform.mechanics.force import corner_cotangents, zero_sums, zone_cotangents
 from jaxform.mechanics.membrane import dot
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import inactive_volume, pack_moving
 from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh, present_discretization
-from jaxform.sheet.rim import rim_places
+from jaxform.sheet.energy_balance import rim_places
 from jaxform.sheet.scheme import WindowTiming, pressures, update_velocity, velocity_steps
 from jaxform.sheet.state import LOSSES, Schedule, State, differentiable_leaves
 

@@ -16,7 +16,7 @@ from jaxform.core.errors import InputError
 from jaxform.dynamics.window import window
 from jaxform.kernels.blocks import lax_cond_once
 from jaxform.kernels.branches import branch
-from jaxform.kernels.checkpoint_policy import checkpoint
+from jaxform.kernels.derivatives import checkpoint
 from jaxform.model.scene import Scene
 from jaxform.sheet.discretization import Discretization
 from jaxform.sheet.state import Schedule, State, differentiable_leaves

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from jaxform.cli import export_command, fit_command, new_command, session
-from jaxform.core import disk, release, system_errors
+from jaxform.core import disk, errors, release
 from jaxform.core.errors import InputError, collect_warnings
 from jaxform.io import catalog
 
@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _complain("interrupted")
         return session.INTERRUPTED
     except (OSError, MemoryError, RuntimeError) as error:
-        words = system_errors.describe_system_error(error)
+        words = errors.describe_system_error(error)
         if words is None:
             raise
         _complain(words)
@@ -139,24 +139,24 @@ def _scenes(_: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> int:
     say, store = session.prepare(arguments)
     from jaxform.cli import check_command
-    from jaxform.io import files, leaks
+    from jaxform.io import files, scene_checks
 
     if catalog.kind_of(arguments.source) == "study":
         document, scene, lines = check_command.read_study(arguments.source, store)
     else:
         document, lines = files.read_scene(arguments.source), []
         scene = files.build(document, store)
-    leaks.warn_of_side_holes(scene, document.file)
+    scene_checks.warn_of_side_holes(scene, document.file)
     files.read_reference(document)
     if arguments.out is not None:
         session.open_folder(arguments.out, arguments.force)
     for line in [*lines, *check_command.scene_lines(document, scene, store)]:
         say(line)
     if arguments.out is not None:
-        from jaxform.io import geometry, preview
+        from jaxform.io import geometry, plots
 
         covers = geometry.cover_triangles(document, scene.mold, store)
-        preview.check_picture(arguments.out / "check.png", scene, arguments.warned, covers)
+        plots.check_picture(arguments.out / "check.png", scene, arguments.warned, covers)
         say(f"picture in {arguments.out / 'check.png'}")
     return session.DONE
 

@@ -125,7 +125,7 @@ def _path(arguments: argparse.Namespace, ending: str) -> Path:
 
 def _plane(text: str, wall: WallSurface) -> tuple[int, float]:
     """Axis and place [m] of a plane such as `x` or `x=0.15`; without a place that of the run, or 0."""
-    from jaxform.mesh.surfaces import parse_plane
+    from jaxform.mesh.shapes import parse_plane
 
     try:
         axis, level = parse_plane(text)

@@ -43,7 +43,7 @@ def fit(arguments: argparse.Namespace) -> int:
     say, _ = session.prepare(arguments)
     import optimize
     from jaxform.core.ranges import RANGES, check_one
-    from jaxform.io import fit_output, output
+    from jaxform.io import output
 
     check_one("--density", arguments.density, RANGES["material.density"])
     tables = [optimize.fitting.read_table(source) for source in arguments.sources]
@@ -63,12 +63,12 @@ def fit(arguments: argparse.Namespace) -> int:
     table = found.table(arguments.density)
     if folder is None:
         say("")
-        print(fit_output.material_text(table, words), end="")
+        print(output.material_text(table, words), end="")
         return session.DONE
-    fit_output.write_material(folder / "material.toml", table, words)
+    output.write_material(folder / "material.toml", table, words)
     output.write_json(folder / "summary.json", facts)
-    fit_output.write_rows(folder / "fit.csv", _NAMES, _rows(found))
-    fit_output.fit_picture(folder / "fit.png", _title(facts), list(_curves(found)))
+    output.write_rows(folder / "fit.csv", _NAMES, _rows(found))
+    output.fit_picture(folder / "fit.png", _title(facts), list(_curves(found)))
     say(f"results in {folder}")
     return session.DONE
 
@@ -110,7 +110,7 @@ def _rows(found: Any) -> Iterator[list[Any]]:
 
 
 def _curves(found: Any) -> Iterator[Any]:
-    from jaxform.io.fit_output import FitCurve
+    from jaxform.io.output import FitCurve
 
     for match in found.matches:
         table, used = match.table, match.used
@@ -129,7 +129,7 @@ def _curves(found: Any) -> Iterator[Any]:
 
 
 def _time_curve(label: str, time: Any, measured: Any, fitted: Any) -> Any:
-    from jaxform.io.fit_output import FitCurve
+    from jaxform.io.output import FitCurve
 
     shown = time > 0.0
     columns = (time[shown], 1e-6 * measured[shown], 1e-6 * fitted[shown])

@@ -89,18 +89,18 @@ def _check_positive(key: str, value: float | None) -> None:
 
 def _warn(made: Draft) -> None:
     """Warns of findings that the user may not intend."""
-    from jaxform.io import drape_setup, scene_text, units
+    from jaxform.io import scene_choices, scene_text, unit_checks
     from jaxform.tools import opening
 
     found, largest = made.found, float(made.size.max())
-    if made.guessed and units.METRES < largest <= _LARGE:
+    if made.guessed and unit_checks.METRES < largest <= _LARGE:
         problem = f"its box is {largest:.4g} units long: taken for {made.units.name}"
         warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
     if made.rest is not None:
         problem = f"looks cut in {scene_text.cut_planes_text(made.rest, made.scale)}: {scene_text.IMAGES} completes it"
         warn_of(problem, "look at check.png, and write the scene by hand where the mold is meant so", key="--mold")
     if made.drape is not None:
-        drape_setup.warn(made.drape, made.scale)
+        scene_choices.warn(made.drape, made.scale)
         return
     if found.depth > _DEEP * made.width:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
@@ -114,12 +114,12 @@ def _warn(made: Draft) -> None:
 
 
 def _lines(made: Draft) -> Iterator[str]:
-    from jaxform.io import drape_setup, scene_text
+    from jaxform.io import scene_choices, scene_text
 
     box = " x ".join(f"{side:.4g}" for side in made.size)
     otherwise = made.units.others or "--scale says otherwise"
     yield f"the mold's box is {box} in its file's units, taken for {made.units.name} ({otherwise})"
-    yield from _cavity_lines(made) if made.drape is None else drape_setup.lines(made.drape)
+    yield from _cavity_lines(made) if made.drape is None else scene_choices.lines(made.drape)
     if made.doubt:
         yield f"it is {made.doubt}"
     yield f"sheet: {scene_text.shape_text(made)}, {1e3 * made.width:.3g} mm wide, {_clamp_words(made)}"

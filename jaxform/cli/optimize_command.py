@@ -68,7 +68,7 @@ def optimize_study(arguments: argparse.Namespace) -> int:
 
 def _exit_status(design: Any) -> int:
     """The exit status of a design; an unfilled mold is no failure of the search, only a warning, as in its summary."""
-    from jaxform.results.explanation import explain
+    from jaxform.results.summary import explain
     from jaxform.sheet.state import Status
 
     if int(design.result.status) == Status.UNFILLED:

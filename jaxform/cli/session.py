@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxform.cli.worker_process import DirectCaller, PendingCall, make_caller
-from jaxform.core import cachefolder, disk
-from jaxform.core.atomic_write import PREFIX
+from jaxform.core import disk
+from jaxform.core.disk import PREFIX
 from jaxform.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
     jax.config.update("jax_traceback_in_locations_limit", 0)
     folder = cache_folder()
     if folder is not None:
-        use_compile_cache(folder / cachefolder.COMPILED)
-    store = Store(None if folder is None else folder / cachefolder.MADE)
+        use_compile_cache(folder / disk.COMPILED)
+    store = Store(None if folder is None else folder / disk.MADE)
     if subject:
         store.preload(subject)
     gc.freeze()
@@ -61,7 +61,7 @@ def prepare(arguments: argparse.Namespace, subject: str = "") -> tuple[Callable[
 
 def cache_folder() -> Path | None:
     """The folder in the user's cache folder; None where that is not the user's alone, or cannot be written."""
-    return cachefolder.user_cache_folder()
+    return disk.user_cache_folder()
 
 
 def use_compile_cache(folder: Path) -> None:
@@ -219,7 +219,7 @@ def write_report(folder: Path) -> None:
 
 def exit_status(result: Result) -> int:
     """The exit status of a run; prints to standard error why it stopped."""
-    from jaxform.results.explanation import explain
+    from jaxform.results.summary import explain
 
     if int(result.status):
         print(f"jaxform: {explain(result)}", file=sys.stderr)

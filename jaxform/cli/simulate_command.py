@@ -109,7 +109,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
 
 
 def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> None:
-    from jaxform.core.formatting import format_place
+    from jaxform.core.errors import format_place
 
     wall = {key: 1e3 * summary["thickness"][key] for key in ("min", "mean", "max")}
     say(
@@ -130,7 +130,7 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
 
 def _thinnest(found: dict[str, Any]) -> str:
     """The thinnest recovered wall in words, with its scatter."""
-    from jaxform.core.formatting import format_place
+    from jaxform.core.errors import format_place
 
     where, around = (
         format_place(found["recovered_place"]),

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxform.contact import cells
 from jaxform.kernels.blocks import compact_indices, materialize, slice_at
 from jaxform.mechanics.membrane import dot
+from jaxform.tools import search
 from jaxform.tools.search import SearchGrid
 
 _LANES = 64  # paths that are searched together
@@ -76,14 +76,14 @@ def _trace_ways(begin: jax.Array, end: jax.Array, used: jax.Array, grid: SearchG
     path = end - begin
     length = jnp.sqrt(dot(path, path))
     unit = path / jnp.maximum(length, jnp.finfo(length.dtype).tiny)[None]
-    apart = _APART * cells.touch_distance(grid)
+    apart = _APART * search.touch_distance(grid)
     last = length - apart
 
     def more(look: _SearchProgress) -> jax.Array:
         return jnp.any(used & (look.way < last))
 
     def step(look: _SearchProgress) -> _SearchProgress:
-        cell, bound = cells.cell_bounds(begin + look.way[None] * unit, grid)
+        cell, bound = search.cell_bounds(begin + look.way[None] * unit, grid)
         # All that is within reach of its cell is listed there, and nothing is nearer than the bound.
         till = jnp.minimum(look.way + jnp.maximum(bound, grid.reach), last)
         met, triangle, side = _first_crossing(begin, unit, look.way, till, cell, grid)

@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 
 from jaxform.contact.broad_phase import DueBlocks
-from jaxform.contact.cells import touch_distance
 from jaxform.contact.lists import TEST_BLOCK, Candidates
 from jaxform.kernels.blocks import entry, lax_cond_once, materialize, put, read_rows, slice_at
 from jaxform.mechanics.membrane import Vector, cross, dot, gather, gather_columns, minus, plus, unstack_rows
@@ -22,6 +21,7 @@ from jaxform.mechanics.nodes import Nodes
 from jaxform.model.scene import Tool
 from jaxform.tools.mold import Mold
 from jaxform.tools.motion import ToolFrame
+from jaxform.tools.search import touch_distance
 
 _SOONEST = 1e-6  # of a step: a node that touches as it starts is no clamped one, whose contact time is 0
 

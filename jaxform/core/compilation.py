@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxform.core import cachefolder, disk
+from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.promotion import with_standard_promotion
 
@@ -68,10 +68,10 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
         _cache_every_program()
         return Path(known)
     if folder is None:
-        own = cachefolder.user_cache_folder()
+        own = disk.user_cache_folder()
         if own is None:
             return None
-        chosen = own / cachefolder.COMPILED
+        chosen = own / disk.COMPILED
         keep_programs_in(chosen, _exit_stack())
         return chosen
     chosen = Path(folder).absolute()
@@ -86,7 +86,7 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
 
 def keep_programs_in(folder: Path, guard: contextlib.ExitStack) -> None:
     """Keeps compiled programs between processes in a folder, which is looked over now and when the guard is closed."""
-    guard.enter_context(cachefolder.guard_folder(folder))
+    guard.enter_context(disk.guard_folder(folder))
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # Else what was compiled before would have settled for this process that nothing is kept.
     compilation_cache.reset_cache()

@@ -1,13 +1,18 @@
-"""The one place where files that a user names are found and read, within bounds."""
+"""Files: those that a user names are read within bounds, written ones are complete or absent; the cache folder."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import hashlib
+import json
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
 
 MOST_TEXT = 32_000_000
 """Bytes of a scene, a study or a table: a thousand times what people write."""
@@ -104,3 +109,123 @@ def _unreadable(error: OSError, value: str) -> InputError:
 def error_reason(error: BaseException) -> str:
     """The reason why a system call failed, in a few words."""
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+# Files that are there whole or not at all: written beside their place, and moved to it when they are complete.
+
+PREFIX = ".jaxform-"
+"""How names of files begin that are no results yet: what was killed may leave them, what comes next overwrites them."""
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path, remedy: str = "make room, or choose another folder") -> Iterator[Path]:
+    """Gives a path to write to; what was written there then replaces the file at `path`, or nothing does.
+
+    Args:
+        path: The file, replaced if it is there.
+        remedy: What to do where it cannot be written, for the message.
+
+    Raises:
+        InputError: The disk is full, the folder is gone or may not be written.
+    """
+    path = Path(path)
+    fresh = path.with_name(PREFIX + path.name)
+    try:
+        yield fresh
+        fresh.replace(path)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            fresh.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise write_error(path, error, remedy) from None
+        raise
+
+
+def write_error(path: str | Path, error: OSError, remedy: str) -> InputError:
+    """The error in words of a file that cannot be written."""
+    return InputError(f"cannot be written ({error.strerror or error})", remedy, file=str(path))
+
+
+# The cache folder of the command between runs: a folder that only the user can write to.
+
+COMPILED, MADE = "compiled", "made"
+_RECORD = "record.json"
+
+
+def user_cache_folder() -> Path | None:
+    """`jaxform` in the user's cache folder, with a folder for compiled programs and one for what else was made.
+
+    None where there is no home, it cannot be written, or somebody else could put something into it: programs that are
+    kept there are run.
+    """
+    try:
+        named = os.environ.get("XDG_CACHE_HOME", "")
+        # One that is not absolute is to be passed over, says the standard that named it.
+        folder = (Path(named) if os.path.isabs(named) else Path.home() / ".cache") / "jaxform"
+        for place in (folder, folder / COMPILED, folder / MADE):
+            place.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _belongs_to_user(place):
+                problem = "is not used as a cache: others own it or can write to it"
+                warn_of(problem, "make it yours alone (chown, chmod go-w), or remove it", value=str(place))
+                return None
+    # Without HOME, a user whom the system does not know has none.
+    except (OSError, RuntimeError, ValueError):
+        return None
+    return folder
+
+
+def _belongs_to_user(folder: Path) -> bool:
+    if not hasattr(os, "geteuid"):
+        return True
+    status = folder.stat()
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+@contextlib.contextmanager
+def guard_folder(folder: Path) -> Iterator[None]:
+    """Sees to it that JAX finds under each name in a folder what it wrote there itself.
+
+    JAX believes what it reads: a program under the name of another would be run. What differs in size or date from
+    what was there at the end of the last run is removed, so that it is compiled anew; all of it, where the record of
+    that is damaged.
+    """
+    record = folder / _RECORD
+    known = _read(record)
+    for name, facts in _facts(folder).items():
+        if known is None or known.get(name, facts) != facts:
+            with contextlib.suppress(OSError):
+                (folder / name).unlink()
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            fresh = record.with_suffix(f".{os.getpid()}")
+            facts = _facts(folder)
+            fresh.write_text(json.dumps({"seal": _checksum(facts), "facts": facts}), encoding="utf-8")
+            fresh.replace(record)
+
+
+def _read(record: Path) -> dict[str, Any] | None:
+    """The record of the last run: empty where there is no record, None where it is damaged."""
+    try:
+        content = json.loads(record.read_bytes())
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, RecursionError):
+        return None
+    whole = isinstance(content, dict) and content.get("seal") == _checksum(content.get("facts"))
+    return content["facts"] if whole and isinstance(content["facts"], dict) else None
+
+
+def _checksum(facts: Any) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _facts(folder: Path) -> dict[str, list[int]]:
+    """Size and date of each program."""
+    try:
+        with os.scandir(folder) as files:
+            found = {file.name: file.stat() for file in files if file.name.endswith("-cache")}
+    except OSError:
+        return {}
+    return {name: [status.st_size, status.st_mtime_ns] for name, status in found.items()}

@@ -1,11 +1,12 @@
-"""The one error that bad input raises, and the warning that doubtful input gives: file, key, value and remedy."""
+"""Errors and warnings about input (file, key, value, remedy), errors of the system, and places in words."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any
@@ -111,3 +112,49 @@ def _format_value(value: Any, limit: int = 160) -> str:
 def truncate_text(text: str, limit: int = 1000) -> str:
     """The text for people; of a long one the begin and the end, where a path has its name."""
     return text if len(text) <= limit else f"{text[: limit // 4]} ... {text[-limit // 2 :]}"
+
+
+# Places in words.
+
+
+def format_coordinate(value: float, factor: float = 1.0, digits: int = 4) -> str:
+    """A coordinate [m], times a factor, without what rounding makes of 0, or its sign."""
+    return f"{factor * round(float(value), 10) + 0.0:.{digits}g}"
+
+
+def format_place(point: Iterable[float]) -> str:
+    """A place [m] in words."""
+    return f"({', '.join(map(format_coordinate, point))}) m"
+
+
+def format_extent(low: Iterable[float], high: Iterable[float]) -> str:
+    """The least and the largest coordinates [m] in words."""
+    sides = zip(map(format_coordinate, low), map(format_coordinate, high), strict=True)
+    return " x ".join(f"{least} to {largest}" for least, largest in sides) + " m"
+
+
+# One-line descriptions of errors of the system or the machine: not of the input alone, nor of the program.
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def describe_system_error(error: BaseException) -> str | None:
+    """A description of the error and its remedy; None for an error that only a programmer can fix."""
+    if isinstance(error, OSError):
+        return _describe_os_error(error)
+    if isinstance(error, RecursionError):
+        return "the input is nested too deeply; simplify it"
+    # XLA's is a RuntimeError, told by its words alone.
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        return "there is not enough memory; use fewer elements, a lower max_level or a coarser mold"
+    return None
+
+
+def _describe_os_error(error: OSError) -> str:
+    what = " ".join((error.strerror or str(error) or type(error).__name__).split())
+    place = f"{truncate_text(error.filename)}: " if isinstance(error.filename, str) else ""
+    if error.errno in _NO_ROOM:
+        return f"{place}{what}; make room, or choose another folder"
+    if isinstance(error, FileNotFoundError):
+        return f"{place}{what}; somebody has removed it meanwhile, or the folder it is in"
+    return f"{place}{what}; check the file, its folder and their permissions"

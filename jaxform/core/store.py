@@ -13,7 +13,10 @@ import hashlib
 import io
 import json
 import os
+import pickle
+import platform
 import tempfile
+import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
@@ -21,9 +24,16 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxlib import version as jaxlib
 
-from jaxform.core import disk, executables
-from jaxform.core.compilation import compile_on_thread, exceeds_program_limit, start_compiling, submit_compilation
+from jaxform.core import disk
+from jaxform.core.compilation import (
+    compile_on_thread,
+    compiler_options,
+    exceeds_program_limit,
+    start_compiling,
+    submit_compilation,
+)
 from jaxform.core.errors import InputError
 from jaxform.core.promotion import default_device
 from jaxform.core.pytree import is_internal
@@ -198,13 +208,11 @@ class Store:
             return PendingProgram(*start_compiling(function, *arguments))
 
         def store_program(shapes: Any, program: Any) -> None:
-            content = executables.serialize_program(shapes, program)
+            content = serialize_program(shapes, program)
             if content is not None:
                 self._write(path, content)
 
-        return PendingProgram(
-            *start_compiling(executables.jit_under_new_name(function), *arguments, done=store_program)
-        )
+        return PendingProgram(*start_compiling(jit_under_new_name(function), *arguments, done=store_program))
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:
@@ -266,19 +274,19 @@ def _backend_name() -> str:
 def _recent_names_file() -> str:
     """The file of recently used names; for programs of this host alone, of any source, which is slow to read."""
     precision = f"{jax.config.read('jax_enable_x64')}"
-    return f"lately-{hashlib.sha256(executables.host_digest() + precision.encode()).hexdigest()[:32]}"
+    return f"lately-{hashlib.sha256(host_digest() + precision.encode()).hexdigest()[:32]}"
 
 
 class _PendingLoad(NamedTuple):
     """A program that is being loaded."""
 
-    program: executables.StoredProgram
+    program: StoredProgram
     loaded: Future[Callable[..., Any]]
 
 
 def _start_deserializing(kept: Any) -> _PendingLoad | None:
     """Begins to load a program; None where these bytes are none."""
-    found = None if kept is None else executables.deserialize_program(kept)
+    found = None if kept is None else deserialize_program(kept)
     return None if found is None else _PendingLoad(found, submit_compilation(found.load))
 
 
@@ -313,7 +321,7 @@ def _read_verified(path: Path) -> memoryview | None:
 def _environment_digest() -> bytes:
     """A digest of what makes the things: this package's source, the precision, and what programs are made for."""
     precision = jax.config.read("jax_enable_x64")
-    return hashlib.sha256(f"{precision}".encode() + executables.machine_digest() + _source_digest(PACKAGE)).digest()
+    return hashlib.sha256(f"{precision}".encode() + machine_digest() + _source_digest(PACKAGE)).digest()
 
 
 def _source_digest(package: Path) -> bytes:
@@ -323,3 +331,109 @@ def _source_digest(package: Path) -> bytes:
         name, content = source.relative_to(package).as_posix().encode(), source.read_bytes()
         digest.update(b"%d %d " % (len(name), len(content)) + name + content)
     return digest.digest()
+
+
+# Compiled programs as bytes, and programs from them: they need be neither traced nor lowered to be found again.
+
+Program = Callable[..., Any]
+
+
+def jit_under_new_name(function: Any) -> Any:
+    """A jitted function under a name that JAX's own cache has no program of: what it gave could not be packed.
+
+    XLA leaves out of a program that it has read what it would need to write it again.
+    """
+
+    def call(*arguments: Any) -> Any:
+        return function(*arguments)
+
+    call.__name__ = f"{function.__name__.strip('_')}_{os.urandom(8).hex()}"
+    return jax.jit(call)
+
+
+def serialize_program(shapes: Any, program: Any) -> bytes | None:
+    """A compiled program and the shapes of its results, as bytes; None where XLA cannot write it down."""
+    from jax.experimental import serialize_executable
+
+    leaves, tree = jax.tree.flatten(shapes)
+    described = [(tuple(leaf.shape), str(leaf.dtype)) for leaf in leaves]
+    try:
+        code, given, made = serialize_executable.serialize(program)
+        content = pickle.dumps((code, given.num_leaves, made.num_leaves, pickle.dumps((described, tree, made))))
+    except Exception:  # whatever: it is compiled again next time
+        return None
+    return zlib.compress(content, 1)
+
+
+class StoredProgram(NamedTuple):
+    """A program that was read from bytes.
+
+    Attributes:
+        load: Loads it, as a function from leaves to leaves: that needs none of the classes of its arguments.
+        known: What else is known of it.
+    """
+
+    load: Callable[[], Program]
+    known: bytes
+
+    def shapes(self) -> tuple[Any, Callable[[Program], Program]]:
+        """The shapes of its results, and what makes of the loaded function one of trees.
+
+        Raises:
+            Exception: Whatever pickle raises for what another version has written.
+        """
+        described, tree, made = pickle.loads(self.known)
+        shapes = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(shape, kind) for shape, kind in described])
+
+        def of_trees(flat: Program) -> Program:
+            return lambda *arguments: jax.tree.unflatten(made, flat(*jax.tree.leaves(arguments)))
+
+        return shapes, of_trees
+
+
+def deserialize_program(content: Any) -> StoredProgram | None:
+    """A program from bytes; None where they are none of this version's.
+
+    Args:
+        content: What `serialize_program` gave, from a place that is the user's alone: such bytes can do anything.
+    """
+    try:
+        code, given, made, known = pickle.loads(zlib.decompress(content))
+        leaves = jax.tree.structure((tuple(range(given)), {})), jax.tree.structure(tuple(range(made)))
+    except Exception:  # whatever pickle raises for what another version has written
+        return None
+
+    def load() -> Program:
+        from jax.experimental import serialize_executable
+
+        return serialize_executable.deserialize_and_load(code, *leaves, execution_devices=jax.local_devices()[:1])
+
+    return StoredProgram(load, known)
+
+
+@functools.cache
+def machine_digest() -> bytes:
+    """A digest of what a compiled program is made for, its source aside: versions, XLA's options, the processor."""
+    device = jax.local_devices()[0]
+    seen = device.client.platform_version, device.device_kind, len(jax.local_devices()), compiler_options()
+    return _digest(host_digest(), *seen)
+
+
+@functools.cache
+def host_digest() -> bytes:
+    """A digest of what of that is known before any device is looked at."""
+    asked = os.environ.get("XLA_FLAGS", ""), os.environ.get("JAX_PLATFORMS", "")
+    return _digest(jax.__version__, jaxlib.__version__, *asked, platform.machine(), _processor_flags())
+
+
+def _digest(*words: object) -> bytes:
+    return hashlib.sha256("\n".join(map(str, words)).encode()).digest()
+
+
+def _processor_flags() -> str:
+    """The instruction set flags of the processor, where the system tells them."""
+    try:
+        with Path("/proc/cpuinfo").open() as lines:
+            return next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    except OSError:
+        return platform.processor()

@@ -30,8 +30,7 @@ from jaxform.mechanics.force import force
 from jaxform.mechanics.membrane import vector
 from jaxform.model.field import Surroundings, advance_fields
 from jaxform.model.scene import Scene
-from jaxform.sheet.energy_balance import pressure_at
-from jaxform.sheet.rim import rim_ends, rim_swept_volume
+from jaxform.sheet.energy_balance import pressure_at, rim_ends, rim_swept_volume
 from jaxform.sheet.scheme import apply_tool_velocity, update_velocity
 from jaxform.tools.motion import ToolFrame
 

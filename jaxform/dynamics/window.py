@@ -32,7 +32,7 @@ from jaxform.dynamics.timestep import (
 from jaxform.dynamics.window_end import SLACK, end_of_window_energy, end_window
 from jaxform.dynamics.window_state import ContactSearch, KnownContact, ScheduleRow, WindowData, WindowState
 from jaxform.kernels.blocks import compile_as_one, entry
-from jaxform.kernels.checkpoint_policy import save_decision
+from jaxform.kernels.derivatives import save_decision
 from jaxform.mechanics import membrane
 from jaxform.mechanics.elements import Corners, allocate_corner_forces
 from jaxform.model.scene import Scene
@@ -40,7 +40,7 @@ from jaxform.model.tables import SHORT_WINDOW
 from jaxform.sheet.active_set import ActiveSet, Workspace, active_set_of
 from jaxform.sheet.cooling import cool_state
 from jaxform.sheet.discretization import NEVER, Discretization
-from jaxform.sheet.rim import rim_places
+from jaxform.sheet.energy_balance import rim_places
 from jaxform.sheet.scheme import WindowTiming, pressures, velocity_steps
 from jaxform.sheet.state import PackedState, Schedule, State
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_real
 from jaxform.io import plots, surfaces, views
-from jaxform.io.scales import distinguishable_points
+from jaxform.io.surfaces import distinguishable_points
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.result import Result, drop_unused

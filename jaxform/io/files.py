@@ -20,10 +20,9 @@ from jaxform.core.promotion import with_standard_promotion
 from jaxform.core.pytree import as_real
 from jaxform.core.ranges import check
 from jaxform.core.store import Store
-from jaxform.io import catalog, fields, schema
+from jaxform.io import catalog, geometry, schema
 from jaxform.io.geometry import build_mold, build_part, build_profile, build_sheet, error_context
-from jaxform.io.scene_checks import warn_of_scene
-from jaxform.io.thin_features import warn_of_thin_features
+from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
 from jaxform.mesh import bisection, shapes
@@ -249,7 +248,7 @@ def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet
     if isinstance(table, schema.FieldReference):
         with error_context("", f"{key}.file"):
             path = disk.expand_path(table.file, document.folder)
-        return fields.nodal_field(path, table.field, sheet.positions, key)
+        return geometry.nodal_field(path, table.field, sheet.positions, key)
     if isinstance(table, str):
         name = table.removeprefix("field:")
         if name not in sheet.fields:

@@ -10,7 +10,7 @@ from typing import Any
 from jaxform.core import disk
 from jaxform.core.errors import InputError, warn_of
 from jaxform.mesh.meshes import LARGEST
-from jaxform.mesh.surfaces import parse_plane
+from jaxform.mesh.shapes import parse_plane
 
 AGAIN = "name the folder that `jaxform simulate` or `jaxform optimize` wrote, or run it again"
 """Remedy of results that are missing or damaged."""

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.atomic_write import atomic_path
+from jaxform.core.disk import atomic_path
 from jaxform.core.errors import InputError
 from jaxform.io import previous_results
 from jaxform.io.report.contents import formed_element_areas
 from jaxform.io.report.stored_results import Results, StoredPart, read_results
-from jaxform.io.scales import color_range
+from jaxform.io.surfaces import color_range
 
 Array = NDArray[np.float64]
 

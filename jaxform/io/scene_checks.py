@@ -1,22 +1,86 @@
-"""Survey of a scene before it runs, and warnings of likely errors: units, sides, overlap, loads. On the host."""
+"""Survey of a scene before it runs, and warnings of likely errors: units, sides, holes, ribs, overlap, loads."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import warn_of
-from jaxform.core.formatting import format_extent, format_place
+from jaxform.core.errors import format_extent, format_place, warn_of
 from jaxform.core.pytree import as_real, memoize
-from jaxform.io.mold_approach import warn_of_motion
+from jaxform.io.surfaces import mirror_points
 from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import masks, raster
 from jaxform.model.mesh_connectivity import warn_of_connectivity
 from jaxform.model.scene import Scene
 from jaxform.results import sections
+from jaxform.tools.cells import cells_behind
+from jaxform.tools.distances import Distances
+from jaxform.tools.opening import rotation_to_z
+from jaxform.tools.patches import find_side_holes
+from jaxform.tools.ribs import SlenderFeature, slender_feature
+
+# Distance of a moving mold from the sheet. On the host.
+
+_NEAR = 1e-4  # of the sheet's size: a mold that touches it at first may well pull it along
+_SAME = 1e-3  # of a distance: one that is as much less is nearer
+_FARTHER = 0.02  # of the sheet's size, that a mold moves off
+_TIMES = 21  # times at which the distance of the mold is measured
+
+
+class Approach(NamedTuple):
+    """Distances of a moving mold from the initial sheet.
+
+    Attributes:
+        first: Distance at the start [m].
+        nearest: Smallest distance [m].
+        last: Distance at the end of the motion [m].
+        end: Time of that end [s].
+    """
+
+    first: float
+    nearest: float
+    last: float
+    end: float
+
+
+def measure_approach(scene: Scene) -> Approach | None:
+    """Distances of a scene's mold from the initial sheet; None where it does not move."""
+    if scene.mold is None or scene.motion is None:
+        return None
+    sheet = np.asarray(scene.parison.positions, float)[np.unique(np.asarray(scene.parison.triangles))]
+    size = float(np.ptp(np.concatenate([sheet, scene.mold.where_it_turns()]), axis=0).max())
+    end = min(float(scene.solver.end_time), float(np.asarray(scene.motion.time)[-1]))
+    distances = Distances(scene.mold, size)
+    away = [
+        float(distances.upper_bounds(sheet - np.asarray(scene.motion.offset(as_real(time)), float)).min())
+        for time in np.linspace(0.0, end, _TIMES)
+    ]
+    return Approach(away[0], min(away), away[-1], end)
+
+
+def warn_of_motion(scene: Scene, file: str) -> None:
+    """Warns of a mold that moves away from a sheet which it is not near to, and never comes nearer."""
+    found = measure_approach(scene)
+    if found is None or scene.motion is None:
+        return
+    size = float(np.ptp(np.asarray(scene.parison.positions, float), axis=0).max())
+    moves_off = found.nearest >= (1 - _SAME) * found.first and found.last > found.first + _FARTHER * size
+    if found.first <= _NEAR * size or not moves_off:
+        return
+    way = np.asarray(scene.motion.direction, float).tolist()
+    ends = f"{found.first:.3g} m from the sheet at first, {found.last:.3g} m at {found.end:.3g} s"
+    warn_of(
+        f"the mold moves without coming nearer to the sheet: {ends}",
+        "turn mold.motion.direction round, or move the mold to the other side of the sheet (mold.translate)",
+        key="mold.motion.direction",
+        value=way,
+        file=file,
+    )
+
 
 Array = NDArray[np.float64]
 
@@ -347,3 +411,94 @@ def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tupl
 def _unit_mismatch(ratio: float, factors: dict[str, float], units: str) -> float:
     """Misfit of units; millimetres, which most files have, come first."""
     return 0.0 if units == "millimetres" else abs(float(np.log(ratio * factors[units]))) + 1e-9
+
+
+# A mold with holes in its side walls, which no view along the push shows. On the host, before a run.
+
+Mask = NDArray[np.bool_]
+
+_LEAKS_PIXELS = 800  # of the longer side of the sheet
+
+
+def warn_of_side_holes(scene: Scene, file: str = "") -> None:
+    """Warns of holes in the side walls of a mold at rest, before which a flat sheet lies."""
+    seen = survey(scene)
+    if scene.mold is None or scene.motion is not None or not seen.faces or seen.changes_sign:
+        return
+    turn = rotation_to_z(seen.push / np.linalg.norm(seen.push))
+    sheet, mold = (
+        np.concatenate(mirror_points(scene, np.asarray(surface, float)[np.asarray(triangles)])) @ turn.T
+        for surface, triangles in (
+            (scene.parison.positions, scene.parison.triangles),
+            (scene.mold.vertices, scene.mold.triangles),
+        )
+    )
+    if np.ptp(sheet[..., 2]) > _FLAT * seen.sheet.size or mold[..., 2].max() <= sheet[..., 2].min():
+        return
+    level = float(sheet[..., 2].min())
+    holes = find_side_holes(cells_behind(mold, level, _region_before_mold(sheet[..., :2], mold, level)))
+    if not holes:
+        return
+    what = "a hole in a side wall" if len(holes) == 1 else f"{len(holes)} holes in side walls"
+    where = f"{holes[0].size:.2g} m wide at {format_place(holes[0].place @ turn)}"
+    largest = "" if len(holes) == 1 else "the largest "
+    remedy = "close it in the file, or let `jaxform new` cover it: it writes covers.stl"
+    warn_of(f"has {what}, {largest}{where}: the sheet would be blown through", remedy, key="mold", file=file)
+
+
+def _region_before_mold(sheet: Array, mold: Array, level: float) -> Callable[[Array], Mask]:
+    """A function that masks the places (n, 2) [m] at which a sheet (m, 3, 2) [m] has mold (k, 3, 3) [m] before it."""
+    low, high = sheet.min((0, 1)), sheet.max((0, 1))
+    pixel = float((high - low).max()) / _LEAKS_PIXELS
+    width, height = (max(1, round(float(extent) / pixel)) for extent in high - low)
+    covered, before = np.zeros(width * height, bool), np.zeros(width * height, bool)
+    for found in raster.rasterize((sheet - low) / pixel, width, height):
+        covered[found.pixel] = True
+    for found in raster.rasterize((mold[..., :2] - low) / pixel, width, height):
+        before[found.pixel[found.interpolate(mold[..., 2]) >= level]] = True
+    region = (covered & before).reshape(height, width)
+
+    def over(places: Array) -> Mask:
+        column, row = np.floor((places - low) / pixel).astype(np.int64).T
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        return inside & region[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+
+    return over
+
+
+# Check for ribs and pins of a mold that are thinner than the elements of the sheet. On the host, before a run.
+
+
+def warn_of_thin_features(scene: Scene, file: str = "") -> None:
+    """Warns of the highest rib or pin of the mold that may pass between the nodes of a nearly flat sheet."""
+    side = finest_side(scene)
+    found = _thin_feature(scene, side)
+    if found is None:
+        return
+    problem = (
+        f"has a rib or pin at {format_place(found.place)} that is {found.height:.2g} m high and at most "
+        f"{found.width:.2g} m wide, and elements have sides of {side:.2g} m: it may pass through the "
+        "sheet between two nodes"
+    )
+    remedy = f"make the elements smaller (parison.element_size = {0.5 * found.width:.1g}), or refine near the mold"
+    warn_of(problem, f"{remedy} ([refinement])", key="mold", file=file)
+
+
+def finest_side(scene: Scene) -> float:
+    """The median of the elements' longest sides [m], as short as refinement near the mold makes them."""
+    corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    levels = 0 if scene.refinement is None else int(scene.refinement.base_level)
+    # Two bisections halve a side.
+    return float(np.median(longest)) * 0.5 ** (0.5 * levels)
+
+
+def _thin_feature(scene: Scene, side: float) -> SlenderFeature | None:
+    seen = survey(scene)
+    if scene.mold is None or not seen.faces:
+        return None
+    positions = np.asarray(scene.parison.positions, float)
+    sheet = positions[np.asarray(scene.parison.triangles)]
+    mold = np.asarray(scene.mold.vertices, float)[np.asarray(scene.mold.triangles)]
+    held = positions[np.asarray(scene.parison.clamped)]
+    return slender_feature(sheet, mold, seen.push / np.linalg.norm(seen.push), side, held)

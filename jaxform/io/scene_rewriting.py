@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core import disk
-from jaxform.core.atomic_write import atomic_path
+from jaxform.core.disk import atomic_path
 from jaxform.mesh import meshes
 
 if TYPE_CHECKING:

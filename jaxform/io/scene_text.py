@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.atomic_write import atomic_path
+from jaxform.core.disk import atomic_path
 from jaxform.core.errors import InputError
 from jaxform.io.scene_choices import ALPHA, DENSITY, STIFFNESS, Draft
 from jaxform.io.scene_rewriting import inline
 from jaxform.mesh import meshes
-from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.outlines import Circle, OrientedRectangle
 from jaxform.tools.halves import MoldCompletion
 
 COVERS, IMAGES, PLATEN = "covers.stl", "images.stl", "platen.stl"

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.io import drape_setup
+from jaxform.io import scene_choices
 from jaxform.io.scene_choices import Draft, UserChoices, round_digits
-from jaxform.io.units import Units, guess_units
-from jaxform.mesh import contours, masks, meshes
-from jaxform.mesh.contours import Circle, OrientedRectangle
+from jaxform.io.unit_checks import Units, guess_units
+from jaxform.mesh import masks, meshes, outlines
+from jaxform.mesh.grids import triangle_side
 from jaxform.mesh.meshes import Mesh
-from jaxform.mesh.resolution import triangle_side
-from jaxform.tools import chambers, covers, footprint, halves, kinds, molds, opening, rims, tubes
+from jaxform.mesh.outlines import Circle, OrientedRectangle
+from jaxform.tools import covers, footprint, halves, kinds, molds, opening, patches
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.halves import MoldCompletion
@@ -50,7 +50,7 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
     raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, wishes.scale)
-    read = _WeldedMold(rims.weld_mold(raw.positions * units.scale, raw.triangles), extent, units, wishes)
+    read = _WeldedMold(footprint.weld_mold(raw.positions * units.scale, raw.triangles), extent, units, wishes)
     verdict = _verdict(read.mold, wishes)
     if verdict.drape:
         return replace(_draft_buck(read), doubt=verdict.doubt)
@@ -70,8 +70,8 @@ def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
     if wishes.drape is not None:
         rest = None if wishes.drape or wishes.direction is not None else halves.find_completion(mold)
         return kinds.Verdict(wishes.drape, rest=rest)
-    chambers.refuse_bottles(mold)
-    tubes.refuse_tubes(mold)
+    patches.refuse_bottles(mold)
+    kinds.refuse_tubes(mold)
     return kinds.classify(mold)
 
 
@@ -80,11 +80,11 @@ def _draft_cavity(read: _WeldedMold, rest: MoldCompletion | None) -> Draft:
     mold, wishes = read.mold, read.wishes
     if rest is not None:
         whole = meshes.merge([mold, rest.mesh])
-        mold = rims.weld_mold(whole.positions, whole.triangles)
+        mold = footprint.weld_mold(whole.positions, whole.triangles)
     found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=wishes.direction)
     planform = footprint.fit_planform(found, mold.positions, mold.triangles)
     place = _place(found, planform)
-    area = abs(contours.outlines.area(place.polygon))
+    area = abs(outlines.area(place.polygon))
     width = _width(place.polygon, area)
     pockets = _pockets(found)
     pocket = min(pockets.half, 0.5 * width)
@@ -103,9 +103,9 @@ def _draft_cavity(read: _WeldedMold, rest: MoldCompletion | None) -> Draft:
 def _draft_buck(read: _WeldedMold) -> Draft:
     """A first scene in which a sheet is draped over a buck."""
     wishes = read.wishes
-    made = drape_setup.drape(read.mold, wishes.direction)
+    made = scene_choices.drape(read.mold, wishes.direction)
     planform = made.site.planform
-    area = abs(contours.outlines.area(planform.polygon))
+    area = abs(outlines.area(planform.polygon))
     width = _width(planform.polygon, area)
     thickness = wishes.thickness or round_digits(_THICKNESS * width)
     found = made.opening(thickness)
@@ -173,7 +173,7 @@ def _place(found: Opening, planform: Planform) -> _Place:
 
 def _width(polygon: Array, area: float) -> float:
     """Width of a planform [m]: the shorter side of the rectangle round it, less where it fills that poorly."""
-    sides = contours.smallest_rectangle(contours.hull(polygon)).sides
+    sides = outlines.smallest_rectangle(outlines.hull(polygon)).sides
     return float(min(sides.min(), area / sides.max() * 1.2))
 
 

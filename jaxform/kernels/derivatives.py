@@ -17,6 +17,7 @@ import jax.numpy as jnp
 
 # Private, for want of a public way: such rules alone are told whether `jax.linearize` asks or `jax.vjp`.
 from jax._src.interpreters.ad import fallback_linearize_rule, primitive_linearizations
+from jax.ad_checkpoint import checkpoint_name
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -338,3 +339,21 @@ ad.primitive_transposes[_change_p] = _transpose
 ad.primitive_jvps[_change_p] = _tangents_jvp
 batching.primitive_batchers[_change_p] = _batch_tangents
 mlir.register_lowering(_change_p, lower_without_axes(_tangents))
+
+
+# Checkpoint policy for recomputed parts of a run: decisions and search results are saved.
+#
+# Decisions and searches carry no derivative, but without them the part cannot be taken again, and they take longer than
+# the rest. They are few numbers beside the state.
+
+_NAME = "decided"
+
+
+def save_decision[T](found: T) -> T:
+    """A decision, or what was searched for (any tree of arrays), unchanged; `checkpoint` keeps it."""
+    return jax.tree.map(lambda values: checkpoint_name(values, _NAME), found)
+
+
+def checkpoint[**P, R](work: Callable[P, R]) -> Callable[P, R]:
+    """The function; its reverse derivative keeps arguments and what `save_decision` saves, and recomputes the rest."""
+    return jax.checkpoint(work, policy=jax.checkpoint_policies.save_only_these_names(_NAME))

@@ -1,4 +1,4 @@
-"""Sheets on the host: disc, rectangle, sphere, half a bottle's parison, and a user's mesh."""
+"""Sheets on the host: disc, rectangle, sphere, half a bottle's parison, and a user's surface."""
 
 from __future__ import annotations
 
@@ -10,13 +10,103 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jaxform.core.errors import InputError
-from jaxform.mesh import filling, grids, meshes, outlines, rings, topology, volumes
+from jaxform.core.errors import InputError, format_coordinate
+from jaxform.mesh import grids, meshes, outlines, planform, topology, volumes
 from jaxform.mesh.bisection import Snap
+from jaxform.mesh.grids import as_length, check_count, check_resolution, triangle_side
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
-from jaxform.mesh.resolution import as_length, check_count, check_resolution, triangle_side
-from jaxform.mesh.surfaces import check_surface, clamped_nodes, snap_corners, snap_to_planes
+
+# Surfaces of a user's own as sheets: what they must be, where they are held, and their symmetry planes.
+
+PLANE_TOLERANCE = 1e-6
+"""Distance from a symmetry plane up to which a node is on it, relative to the size: float32 files round."""
+
+
+def check_surface(mesh: Mesh) -> None:
+    """Raises InputError where triangles are degenerate or turned, or three meet at an edge."""
+    bad = np.flatnonzero(meshes.find_degenerate(mesh.positions, mesh.triangles))
+    many = topology.nonmanifold_edges(mesh.triangles)
+    against = topology.inconsistent_edges(mesh.triangles)
+    if bad.size:
+        problem = f"{bad.size} degenerate triangles (no area, or twice the same), the first is number {bad[0]}"
+        raise InputError(problem, "remove them from the mesh", key="parison.path")
+    if len(many):
+        problem = f"{len(many)} edges belong to more than two triangles, the first {_place(mesh, many[0])}"
+        raise InputError(problem, "a parison is one surface: remove inner walls and copies", key="parison.path")
+    if len(against):
+        problem = f"inverted triangles at {len(against)} edges, the first {_place(mesh, against[0])}"
+        raise InputError(problem, "turn the triangles so that all normals agree", key="parison.path")
+
+
+def _place(mesh: Mesh, edge: NDArray[np.int64]) -> str:
+    return "at (" + ", ".join(format_coordinate(x, digits=6) for x in mesh.positions[edge].mean(axis=0)) + ") m"
+
+
+def parse_plane(text: str) -> tuple[int, float]:
+    """Axis and place [m] of a symmetry plane that is written `x`, which is x = 0, or `x=0.15`.
+
+    Raises:
+        InputError: It is no such plane.
+    """
+    axis, equals, place = text.partition("=")
+    try:
+        level = float(place) if equals else 0.0
+    except ValueError:
+        level = math.nan
+    if axis.strip() not in ("x", "y", "z") or not abs(level) <= meshes.LARGEST:
+        raise InputError("is no symmetry plane", 'name planes as in ["x", "y"], or with their place, ["x=0.15"]')
+    return "xyz".index(axis.strip()), level
+
+
+def snap_to_planes(
+    positions: NDArray[np.float64], planes: Sequence[str]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Positions moved exactly onto the planes they are on, and which components those hold."""
+    key, positions, fixed = "parison.planes", positions.copy(), np.zeros(positions.shape, dtype=bool)
+    tolerance = PLANE_TOLERANCE * meshes.size(positions)
+    for plane in planes:
+        try:
+            axis, level = parse_plane(plane)
+        except InputError as error:
+            raise replace(error, key=key, value=list(planes)) from None
+        name, away = f"{'xyz'[axis]} = {level:g}", positions[:, axis] - level
+        on = np.abs(away) <= tolerance
+        if not on.any():
+            raise InputError(f"no node lies on {name}", "cut the mesh there or leave the plane out", key, planes)
+        if away[~on].min(initial=0.0) < 0 < away[~on].max(initial=0.0):
+            problem = f"nodes lie on both sides of {name}"
+            raise InputError(problem, "keep the mesh of one side only or leave the plane out", key, planes)
+        positions[on, axis] = level
+        fixed[:, axis] = on
+    return positions, fixed
+
+
+def snap_corners(corners: NDArray[np.float64], planes: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """A polygon's corners (k, 2) [m] in z = 0 moved exactly onto the planes, and which components (k, 3) those hold."""
+    moved, fixed = snap_to_planes(np.insert(corners, 2, 0.0, axis=1), planes)
+    # Corners beside the one of two planes may be the same now.
+    apart = (moved != np.roll(moved, -1, axis=0)).any(1)
+    return moved[apart, :2], fixed[apart]
+
+
+def clamped_nodes(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Nodes (n_node,) that never move, as `clamp` says."""
+    key, clamped = "parison.clamp", np.zeros(len(mesh.positions), dtype=bool)
+    if clamp == "boundary":
+        clamped[rim] = True
+    elif clamp.startswith("field:"):
+        name = clamp.removeprefix("field:")
+        if name not in mesh.fields:
+            known = ", ".join(sorted(mesh.fields)) or "none"
+            raise InputError("the mesh has no such field", f"its fields: {known}", key, clamp)
+        if not np.isfinite(mesh.fields[name]).all() or not mesh.fields[name].any():
+            raise InputError("the field marks no node", "set it to 1 where nothing may move, 0 elsewhere", key, clamp)
+        clamped = mesh.fields[name] != 0
+    elif clamp != "none":
+        raise InputError("is no way to clamp", "use boundary, none or field:NAME", key, clamp)
+    return clamped
+
 
 Symmetry = Literal["none", "half", "quarter"]
 PARTS: dict[str, int] = {"none": 1, "half": 2, "quarter": 4}
@@ -56,7 +146,7 @@ def disc(
 ) -> Sheet:
     """A round sheet about the origin in z = 0 with normals +z and a clamped rim.
 
-    Ring i of n has radius i R / n and about 6 i segments (see `jaxform.mesh.rings`), 3 i in a half and about 1.5 i in
+    Ring i of n has radius i R / n and about 6 i segments (see `jaxform.mesh.grids`), 3 i in a half and about 1.5 i in
     a quarter. Where the element size is a profile over the radius, rings are that far apart and their segments that
     long, in proportion.
 
@@ -75,7 +165,7 @@ def disc(
     density = 6 / _parts(symmetry)
     radius = as_length("parison.radius", radius)
     if isinstance(element_size, Profile):
-        radii, segments = rings.graded_rings(radius, element_size, density)
+        radii, segments = grids.graded_rings(radius, element_size, density)
     else:
         check_resolution(element_size, elements, largest=radius)
         ring_count = grids.round_count(radius / element_size if element_size else math.sqrt((elements or 0) / density))
@@ -96,11 +186,11 @@ def disc(
 
 def _spokeless_disc(radii: NDArray[np.float64], segments: Sequence[int]) -> Sheet:
     """A whole disc with rings at radii (n + 1,) [m], the first 0, and about so many segments."""
-    staggered = rings.staggered_rings(segments[1:])
+    staggered = grids.staggered_rings(segments[1:])
     nodes = [ring.positions(radius) for radius, ring in zip(radii[1:], staggered, strict=True)]
     positions = np.concatenate([np.zeros((1, 3)), *nodes])
     clamped = np.arange(len(positions)) >= len(positions) - len(nodes[-1])
-    return replace(_sheet(positions, rings.triangles(staggered), clamped, "none"), snap=_snap_to_rim(float(radii[-1])))
+    return replace(_sheet(positions, grids.triangles(staggered), clamped, "none"), snap=_snap_to_rim(float(radii[-1])))
 
 
 def _snap_to_rim(radius: float) -> Snap:
@@ -300,9 +390,9 @@ def outline(
     check_count(4 / math.sqrt(3) * area / size**2, element_size)
     corners, fixed = snap_corners(corners, planes)
     at_cut_ends = (fixed != np.roll(fixed, 1, axis=0)).any(1) | (fixed != np.roll(fixed, -1, axis=0)).any(1)
-    points, triangles = filling.fill_polygon(corners, size, at_cut_ends)
+    points, triangles = planform.fill_polygon(corners, size, at_cut_ends)
     sheet = from_mesh(Mesh(np.insert(points, 2, 0.0, axis=1), triangles), planes=planes)
-    return replace(sheet, snap=filling.snap_to_polygon(corners))
+    return replace(sheet, snap=planform.snap_to_polygon(corners))
 
 
 def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes: Sequence[str] = ()) -> Sheet:

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import warn_of
-from jaxform.core.formatting import format_place
+from jaxform.core.errors import format_place, warn_of
 from jaxform.mesh import topology
 from jaxform.model.scene import Parison
 

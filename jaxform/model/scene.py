@@ -20,7 +20,7 @@ from jaxform.core.pytree import abbreviate, as_index, as_real, pytree, row_count
 from jaxform.core.ranges import MOST_STEPS, as_numbers, check, check_one
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
-from jaxform.mesh import reference
+from jaxform.mesh import volumes
 from jaxform.model.field import Field
 from jaxform.model.part import Part
 from jaxform.model.tables import BisectionHierarchy, Precomputed
@@ -244,7 +244,7 @@ def sample_pressures(pressure: Loading, solver: Solver, parison: Parison) -> np.
     """The pressures [Pa] of `Scene.pushes`, from the parts of a scene."""
     volume = 0.0
     if pressure.follows_volume:
-        volume = reference.enclosed_volume(np.asarray(parison.positions, float), np.asarray(parison.triangles))
+        volume = volumes.enclosed_volume(np.asarray(parison.positions, float), np.asarray(parison.triangles))
     return pressure.pushes(float(solver.end_time), volume)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import as_index, as_real
 from jaxform.core.store import Store
-from jaxform.mesh import bisection, reference, topology
+from jaxform.mesh import bisection, topology, volumes
 from jaxform.model.scene import Parison, Refinement, make_parison
 from jaxform.model.tables import Bend, BisectionHierarchy, ReferenceGeometry
 from jaxform.sheet.discretization import node_room
@@ -71,12 +71,12 @@ def pack_forest(
     fine: np.ndarray | None,
 ) -> BisectionHierarchy:
     """The forest as the program needs it."""
-    inverse, area = reference.reference_metric(forest.positions, forest.triangles)
+    inverse, area = volumes.reference_metric(forest.positions, forest.triangles)
     owner = np.zeros(len(forest.positions), np.int32)
     inner = np.flatnonzero(forest.middle >= 0)[::-1]
     owner[forest.middle[inner]] = inner
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
-    bound = as_real(reference.shape_bound(forest.positions, forest.triangles))
+    bound = as_real(volumes.shape_bound(forest.positions, forest.triangles))
     heavier = jnp.ones_like(bound)
     if refinement.scaled_levels:
         unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels

@@ -16,20 +16,61 @@ from jaxform.core.pytree import as_index, as_real, cast_to_precision
 from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
-from jaxform.mesh import bisection, reference
+from jaxform.mesh import bisection, topology, volumes
 from jaxform.model.field import Field
 from jaxform.model.part import Part, check_part
 from jaxform.model.scene import Parison, Refinement, Scene, Solver, sample_pressures
-from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, SceneBox
+from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW, Assembly, Precomputed, ReferenceGeometry, Rim, SceneBox
 from jaxform.prepare import component_validation, initial_contact
 from jaxform.prepare.refinement_setup import bends, build_hierarchy, check_capacity, pack_forest, reserve_capacity
-from jaxform.prepare.rims import moving_rim
-from jaxform.prepare.stretches import expected_stretch
-from jaxform.prepare.window_budget import longest_window, plan_windows, spare_windows, stiffens_steeply, tool_steps
+from jaxform.prepare.window_budget import (
+    expected_stretch,
+    longest_window,
+    plan_windows,
+    spare_windows,
+    stiffens_steeply,
+    tool_steps,
+)
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.packing import make_assembly, make_paired_assembly
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
+
+# Rims that can move, along which the enclosed volume is not all that the sheet sweeps; on the host.
+
+_ON_PLANE = 1e-9  # of the sheet's extent
+
+
+def moving_rim(
+    positions: np.ndarray,
+    triangles: np.ndarray,
+    held: np.ndarray,
+    origin: np.ndarray,
+    forest: bisection.TriangleForest | None = None,
+) -> Rim | None:
+    """The rim of a sheet whose edges sweep a cone with the origin as they move; None where none do.
+
+    Edges of clamped nodes do not move, and those on a symmetry plane through the origin stay in it.
+
+    Args:
+        positions: Node positions (n_node, 3) [m].
+        triangles: Node numbers (n_element, 3).
+        held: Components that never move (n_node, 3).
+        origin: Point from which the enclosed volume is counted (3,) [m].
+        forest: Forest of a refined mesh; its nodes are those above.
+    """
+    if forest is None:
+        ends, triangle = topology.open_sides(triangles), None
+    else:
+        triangle, side = np.nonzero(bisection.rim_sides(forest))
+        ends = np.stack([forest.triangles[triangle, side], forest.triangles[triangle, (side + 1) % 3]], 1)
+    there = held & (np.abs(positions - origin) <= _ON_PLANE * np.ptp(positions, axis=0).max())
+    on_plane = np.any(there[ends].all(1), axis=1)
+    moves = ~(on_plane | held[ends].all((1, 2)))
+    if not moves.any():
+        return None
+    return Rim(as_index(ends[moves].T), None if triangle is None else as_index(triangle[moves]))
+
 
 _FAR_NODES = 0.125  # of all, that may be listed with all that is within the farthest reach
 _MOST_PAIRS_RUNGS = 3  # by doubling, of the capacity for pairs when a scene is built
@@ -104,7 +145,7 @@ def build_scene(
         positions = np.asarray(parison.positions, float)
         forest = None if forest is None else dataclasses.replace(forest, positions=positions)
     sheet = _reference_sheet(parison, pressure)
-    bound = as_real(reference.shape_bound(positions, triangles))
+    bound = as_real(volumes.shape_bound(positions, triangles))
     held = np.asarray(parison.fixed) | np.asarray(parison.clamped)[:, None]
     mobility, grown = as_real(~held.T), None
     rim = moving_rim(positions, triangles, held, np.asarray(sheet.origin), forest)
@@ -207,7 +248,7 @@ def _place_on_mold(
 
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
     triangles = np.asarray(parison.triangles)
-    inverse, area = reference.reference_metric(np.asarray(parison.positions, float), triangles)
+    inverse, area = volumes.reference_metric(np.asarray(parison.positions, float), triangles)
     # A component that only a symmetry plane fixes defines where that plane is; the volume is counted from there.
     on_plane = np.asarray(parison.fixed) & ~np.asarray(parison.clamped)[:, None]
     places = np.asarray(parison.positions)

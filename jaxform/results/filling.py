@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.formatting import format_place
+from jaxform.core.errors import format_place
 from jaxform.core.pytree import as_real
 from jaxform.model.scene import Scene
 from jaxform.sheet.state import Status
-from jaxform.tools import facing
+from jaxform.tools import gaps
 from jaxform.tools.gaps import NO_GAP, Gap, mold_points, widest_gap
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def measure_filling(result: Result, scene: Scene) -> Filling:
     if gap.element < 0 or not gap.width > _SMALL * float(grid.size):
         return Filling(_offset_gap(gap, offset), 0.0, NO_GAP)
     start = np.asarray(scene.parison.positions, float)
-    ahead = facing.find_facing(start[: scene.first_nodes], np.asarray(scene.parison.triangles), push, mold, grid)
+    ahead = gaps.find_facing(start[: scene.first_nodes], np.asarray(scene.parison.triangles), push, mold, grid)
     depth = 0.0 if ahead is None else ahead.depth(places)
     depth = depth or _first_gap(scene, push, places)
     left = NO_GAP

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.formatting import format_place
+from jaxform.core.errors import format_place
 from jaxform.model.scene import Scene
 from jaxform.results import sections
 from jaxform.results.part import part_elements

@@ -1,4 +1,4 @@
-"""Result of a simulation: the formed part, its wall thickness, energies, and the summary in numbers and words."""
+"""Result of a simulation: the formed part, its wall, its energies, and the sheet of a next stage."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxform.core.pytree import abbreviate, marked_field_names, pytree, row_count
 from jaxform.mechanics import membrane
 from jaxform.mechanics.nodes import FieldRule
-from jaxform.model.scene import Scene
-from jaxform.results.energy import Energy
+from jaxform.model.scene import Parison, Scene, make_parison
 from jaxform.results.filling import Filling
 from jaxform.results.recovery import nodal_ratio
 from jaxform.sheet.discretization import Discretization, RefinedMesh, element_levels, present_discretization
@@ -26,7 +26,98 @@ from jaxform.sheet.energy_balance import (
     strain_energy,
 )
 from jaxform.sheet.heat import ThermalElements, ThermalState, contact_share, temperature_change
-from jaxform.sheet.state import Schedule, State, Taken, is_at_rest
+from jaxform.sheet.state import LOSS, Schedule, State, Taken, is_at_rest
+
+# The energy balance of a run, and its checks.
+
+_DRAG = 0.2  # how much the square of the share of damping changes the wall; measured by `make validate`
+UNBALANCED = 0.01  # largest error of the energy balance, relative to the largest work
+
+
+@pytree
+class Energy:
+    """Energy balance of the modelled part [J]; every term is computed by itself, none by difference.
+
+    Attributes:
+        strain: Strain energy at the end.
+        kinetic: Kinetic energy at the end.
+        external_work: Pressure forces times nodal displacements: the sum of P dV, unless an open rim moves.
+        tool_work: Work of the moving mold.
+        damping_loss: Work done against damping.
+        contact_loss: Kinetic energy of the nodes when they stuck.
+        refinement_loss: Strain and kinetic energy that new nodes took away.
+        viscous_loss: Dissipation of the Maxwell branches.
+        cooling_loss: Strain energy lost as the temperature softened the sheet, minus that gained as it stiffened.
+        kinetic_peak: Largest kinetic energy at the end of a window.
+        peak_work: Largest magnitude of the work, external and of the tool, at the end of a window; carries no
+            derivative.
+        rounding: Error of the balance by rounding alone; carries no derivative.
+    """
+
+    strain: jax.Array
+    kinetic: jax.Array
+    external_work: jax.Array
+    tool_work: jax.Array
+    damping_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    contact_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    refinement_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    viscous_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    cooling_loss: jax.Array = dataclasses.field(metadata=LOSS)
+    kinetic_peak: jax.Array
+    peak_work: jax.Array
+    rounding: jax.Array
+
+    @property
+    @jax.jit
+    def balance_error(self) -> jax.Array:
+        """Error of the energy balance, relative to the largest work; above 1 % the status is `UNBALANCED`.
+
+        For work so small that rounding matters, it is relative to a hundred times the rounding.
+        """
+        kept = self.strain + self.kinetic + sum(getattr(self, name) for name in marked_field_names(self, LOSS))
+        largest = jnp.maximum(jnp.abs(self.work), self.peak_work) + self.rounding / UNBALANCED
+        return jnp.abs(kept - self.work) / largest
+
+    @property
+    def work(self) -> jax.Array:
+        """Work done on the sheet by the pressure and by the moving mold."""
+        return self.external_work + self.tool_work
+
+    @property
+    @jax.jit
+    def measurable(self) -> jax.Array:
+        """True if the work was ever larger than its rounding error."""
+        return jnp.maximum(jnp.abs(self.work), self.peak_work) > self.rounding
+
+    @property
+    @jax.jit
+    def quasi_static_error(self) -> jax.Array:
+        """Estimated relative error of the wall against the same process done slowly (0 where nothing moved).
+
+        The largest kinetic energy over the external work, for inertia, plus a fifth of the square of the share that
+        went into damping, for drag. For deep parts within a factor of about three (docs/accuracy.md), for shallow ones
+        several times too high.
+        """
+        work = jnp.where(self.measurable, jnp.abs(self.work), jnp.inf)
+        return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
+
+    @property
+    def haste(self) -> jax.Array:
+        """An older name of `quasi_static_error`."""
+        return self.quasi_static_error
+
+
+def warnings_of_no_work(energy: Energy) -> list[str]:
+    """A sentence where the pressure did so little work that nothing moved which could be measured."""
+    if bool(energy.measurable):
+        return []
+    work = max(abs(float(energy.work)), float(energy.peak_work))
+    return [
+        f"the sheet hardly moved: the pressure did {work:.2g} J of work, less than the {float(energy.rounding):.2g} J "
+        "that the energy balance can resolve; raise pressure.value or solver.end_time, or check the units of "
+        "material.density"
+    ]
+
 
 NODAL, OF_ELEMENTS = {"of": "nodes"}, {"of": "elements"}
 """Marks for the fields of a result that have a value for each node, or for each element."""
@@ -262,3 +353,58 @@ def drop_unused(scene: Scene, result: Result) -> tuple[Scene, Result]:
     zones: Any = {name: np.asarray(values)[..., active] for name, values in scene.material.zones.items()}
     material = scene.material.with_zones(zones)
     return dataclasses.replace(scene, parison=parison, material=material, refinement=None), made
+
+
+# A formed part as the sheet of the next stage.
+
+Array = NDArray[np.float64]
+
+_THINNEST = 0.5  # of the mean of its elements: below this a corrected nodal thickness is that mean
+
+
+def parison_of(result: Result, scene: Scene) -> Parison:
+    """The formed part as a parison, for `build_scene` of the next stage: its shape without stress, and its mass.
+
+    The mesh is that of the nodes and elements that exist at the end. What was clamped stays clamped, what was on a
+    symmetry plane stays on it. Numbers of the material that vary over the sheet are not part of a parison; a scene
+    that has some needs them at the nodes of this one, `result.active` of the former ones.
+
+    Args:
+        result: The part; not traced.
+        scene: The simulated scene.
+
+    Returns:
+        The parison, with the final positions (n_node, 3) [m], and with a nodal thickness (n_node,) [m] of which the
+        elements' volumes sum up to those of the part to rounding.
+    """
+    kept, part = drop_unused(scene, result)
+    positions, triangles = np.asarray(part.positions, float), np.asarray(part.triangles)
+    temperature = kept.parison.temperature if part.temperature is None else part.temperature
+    return make_parison(
+        positions,
+        triangles,
+        _conserve_volume(
+            np.asarray(part.thickness, float), positions, triangles, np.asarray(part.element_volume, float)
+        ),
+        np.asarray(kept.parison.clamped),
+        np.asarray(kept.parison.fixed),
+        None if temperature is None else np.asarray(temperature),
+    )
+
+
+def _conserve_volume(thickness: Array, positions: Array, triangles: NDArray[np.integer], volume: Array) -> Array:
+    """A nodal thickness (n_node,) [m] near the given one, whose elements have the given volume (n_element,) in all.
+
+    An element's thickness is the mean of its nodes'. What it has too much or too little of its volume is shared out
+    to its nodes, in proportion to their areas, so that the sum of all volumes is right. Where a node would become much
+    thinner than its elements, all nodes have the mean of their elements by area, which conserves the sum as well.
+    """
+    corners = positions[triangles]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
+    def lump(values: Array) -> Array:
+        return np.bincount(triangles.ravel(), np.repeat(values / 3, 3), len(positions))
+
+    mean = lump(volume) / lump(area)
+    corrected = thickness + lump(volume - area * thickness[triangles].mean(1)) / lump(area)
+    return corrected if np.all(corrected > _THINNEST * mean) else mean

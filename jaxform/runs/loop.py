@@ -12,12 +12,11 @@ import numpy as np
 
 from jaxform.adapt.refinement import refine_in_place
 from jaxform.core.store import PendingProgram, Store
-from jaxform.dynamics.initial import initial_state
 from jaxform.dynamics.window import allocate_workspace, window_in_place
+from jaxform.dynamics.window_state import initial_state
 from jaxform.kernels.blocks import lax_cond_once
 from jaxform.model.scene import Scene
-from jaxform.results.energy import UNBALANCED
-from jaxform.results.result import Result, make_result
+from jaxform.results.result import UNBALANCED, Result, make_result
 from jaxform.runs.padding import Padded, pad_to_bucket
 from jaxform.sheet.active_set import ActiveSet, repack, whole_set
 from jaxform.sheet.discretization import Discretization, discretize, present_discretization

@@ -8,6 +8,8 @@ mold, and the pressure stays what it was after such knots. Names and limits that
 from __future__ import annotations
 
 import dataclasses
+import weakref
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import jax
@@ -41,10 +43,32 @@ from jaxform.runs.arrays import (
     pad_with_first,
     scatter_values,
 )
-from jaxform.runs.weak_cache import cache_by_identity
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.state import Schedule
 from jaxform.tools.mold import Mold
+
+# Cache of values computed from parts of a scene, for as long as these exist; scenes share them with their parts.
+
+_made: weakref.WeakKeyDictionary[Any, dict[tuple[Hashable, ...], Any]] = weakref.WeakKeyDictionary()
+
+
+def cache_by_identity[P, R, *Ts](make: Callable[[P, *Ts], R], part: P, *others: *Ts) -> R:
+    """The value of a function of a part of a scene and of other arguments, cached with the part.
+
+    It is computed once while the part exists, unless the arguments have arrays that can be written into.
+
+    Args:
+        make: The function; its value depends on its arguments only.
+        part: A record whose leaves are arrays.
+        others: Hashable; records are compared by identity, not by content.
+    """
+    if any(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves((part, others))):
+        return make(part, *others)
+    made, key = _made.setdefault(part, {}), (make, *others)
+    if key not in made:
+        made[key] = make(part, *others)
+    return made[key]
+
 
 _OF_WINDOWS = ("lengths", "counts", "bounds")
 

@@ -1,4 +1,4 @@
-"""The active set: what can still move, in packed order: from the border where it is packed until it is packed anew.
+"""The active set: what can still move, in packed order, and the stress relaxation of what cannot.
 
 A run's state stays in this order from window to window; what does not move any more is neither looked up nor summed
 over again.
@@ -16,17 +16,80 @@ from jaxform.contact.lists import CandidateLists
 from jaxform.core.pytree import pytree
 from jaxform.kernels.blocks import BLOCK, Halves, lax_cond_once, over_blocks, split_halves, total
 from jaxform.materials import Law, Modes
-from jaxform.mechanics.constitutive import Response, ViscousMemory
-from jaxform.mechanics.elements import Corners
+from jaxform.materials.viscous import StrainState
+from jaxform.mechanics.constitutive import Response, ViscousMemory, split_modes, strain_state
+from jaxform.mechanics.elements import Corners, element_metrics
 from jaxform.mechanics.nodes import FieldRule
 from jaxform.model.scene import Scene
 from jaxform.model.tables import Counts, ReferenceGeometry
 from jaxform.sheet.discretization import Discretization, RefinedMesh, element_law
 from jaxform.sheet.energy_balance import ElementTotals, element_energy, enclosed_volume
 from jaxform.sheet.heat import ThermalState
-from jaxform.sheet.inactive_relaxation import InactiveElements, inactive_elements
 from jaxform.sheet.packing import Packed, pack
 from jaxform.sheet.state import PackedState, State, can_move
+
+# Stress relaxation in inactive elements: viscous modes of elements whose nodes all stick.
+
+
+@pytree
+class InactiveElements:
+    """Elements that do not move from some time on; their strain is what it was.
+
+    Attributes:
+        element: Their numbers (room,), and others that do not count.
+        counted: Whether each counts (room,).
+        stress: Of their modes (4 n_mode, room).
+        strained: How they are strained, (room,) each.
+        volume: (room,) [m^3].
+        since: The time [s].
+        modes: The modes.
+    """
+
+    element: jax.Array
+    counted: jax.Array
+    stress: jax.Array
+    strained: StrainState
+    volume: jax.Array
+    since: jax.Array
+    modes: Modes
+
+    def unpack_stress(self, memory: jax.Array, time: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The stress of all elements (4 n_mode, n_element) at a time [s], and what these lost since [J].
+
+        At constant strain modes lose what they stored.
+        """
+        recursion = self.modes.recursion(time - self.since)
+        measure = self.modes.measure(self.strained)
+        before, after = split_modes(self.stress), []
+        for rows, left, gain, back in zip(before, *recursion, strict=True):
+            after.append([left * x + (gain - back) * row for x, row in zip(rows, measure, strict=True)])
+        lost = self.modes.energy(before, self.strained) - self.modes.energy(after, self.strained)
+        into = jnp.where(self.counted, self.element, memory.shape[1])
+        rows = jnp.stack([row for mode in after for row in mode])
+        return memory.at[:, into].set(rows, mode="drop"), jnp.sum(jnp.where(self.counted, self.volume * lost, 0.0))
+
+
+def inactive_elements(
+    positions: jax.Array,
+    memory: jax.Array,
+    time: jax.Array,
+    modes: Modes,
+    discrete: Discretization,
+    packed: Packed,
+) -> InactiveElements:
+    """The elements that are not packed, of a sheet with nodes at positions (3, n_node) [m]."""
+    whole = discrete.whole
+    elements, element = whole.elements, whole.element
+    own = discrete.of_elements(element)
+    return InactiveElements(
+        element=element,
+        counted=(elements.area > 0.0) & ~packed.kept[element],
+        stress=memory[:, element],
+        strained=strain_state(*element_metrics(positions, elements)),
+        volume=elements.area * own.thickness,
+        since=time,
+        modes=own.modes or modes,
+    )
 
 
 @pytree

@@ -1,4 +1,4 @@
-"""Energies of the sheet, the work done on it, and the volume that it encloses."""
+"""Energies of the sheet, the work done on it, and the volume that it encloses or its rims sweep."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from jaxform.mechanics.constitutive import split_modes, strain_state
 from jaxform.mechanics.elements import Elements, element_metrics
 from jaxform.model.scene import Scene
 from jaxform.model.tables import ReferenceGeometry
-from jaxform.sheet.discretization import Discretization
+from jaxform.sheet.discretization import NEVER, Discretization, RefinedMesh
+from jaxform.sheet.packing import Packed
 from jaxform.sheet.state import EnergyBalance, State
 
 
@@ -153,3 +154,41 @@ def energy_rounding(scene: Scene, volume: jax.Array) -> jax.Array:
     """Rounding error [J] of the energy balance near rest: a volume [m^3] times the rounding of I1 - 3."""
     scale = jax.lax.stop_gradient(jnp.max(scene.law.stiffness_at_once()) * volume)
     return (1e-9 + 64 * jnp.finfo(scale.dtype).eps) * scale
+
+
+# Volume swept by moving rims: the difference between pressure work and change of the enclosed volume.
+#
+# The volume is that of cones between the elements and the origin. As a rim moves, the cones' sides between it and the
+# origin sweep a volume too, which the sheet does not push against: force times displacement is the pressure times what
+# the sheet itself sweeps.
+
+
+def rim_places(scene: Scene, mesh: RefinedMesh | None, packed: Packed) -> jax.Array | None:
+    """Places of the ends of the rim's edges (2, n_edge), of one node where there is no such edge now; None without."""
+    rim = scene.tables.rim
+    if rim is None:
+        return None
+    if mesh is None or rim.triangle is None or scene.adaptivity is None:
+        return packed.place[rim.ends]
+    roots, own = scene.adaptivity.forest.root_count, rim.triangle
+    parent = jnp.maximum(own - roots, 0) // 2
+    there = (mesh.split_at[own] == NEVER) & ((own < roots) | (mesh.split_at[parent] != NEVER))
+    return packed.place[jnp.where(there, mesh.place[rim.ends], 0)]
+
+
+def rim_ends(positions: Any, places: jax.Array) -> jax.Array:
+    """Positions (3, 2, n_edge) [m] of the rim's edges, from (3, place) or its rows, at places (2, n_edge)."""
+    return jnp.stack([membrane.gather(row, places) for row in positions])
+
+
+def rim_swept_volume(before: jax.Array, after: jax.Array, origin: jax.Array) -> jax.Array:
+    """Volume [m^3] that the cones' sides sweep as the rim goes from one place to another (3, 2, n_edge) [m] each.
+
+    What the sheet sweeps is the change of the enclosed volume and this.
+    """
+    way = membrane.unstack_rows(jnp.sum(after - before, axis=1))
+    sides = [
+        membrane.cross(*(membrane.unstack_rows(ends[:, k] - origin[:, None]) for k in range(2)))
+        for ends in (before, after)
+    ]
+    return jnp.sum(membrane.dot(membrane.plus(*sides), way)) / 12.0

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import contours, masks, meshes, topology, volumes
+from jaxform.mesh import masks, meshes, outlines, topology, volumes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.rows import positions_in_rows
 from jaxform.tools import cells, heights
@@ -183,7 +183,7 @@ def _patches(view: Heights, polygon: Array) -> list[Mesh]:
         if not around.any():
             continue
         rim, rise = view.places(around), view.height[around]
-        corners = contours.hull(np.concatenate([rim, view.places(hole)]))
+        corners = outlines.hull(np.concatenate([rim, view.places(hole)]))
         nearest = np.argmin(np.linalg.norm(corners[:, None] - rim, axis=2), axis=1)
         points = np.insert(corners, 2, rise[nearest], axis=1)
         made.append(fan(np.stack([points, np.roll(points, -1, axis=0)], axis=1)))

@@ -1,16 +1,19 @@
-"""The planform of the sheet over a mold's opening: a disc, a rectangle, or the opening's own outline. On the host."""
+"""The planform of the sheet over a mold's opening, and the sheet itself in the plane of the rim. On the host."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import contours, masks, outlines, topology
-from jaxform.mesh.contours import Circle, OrientedRectangle
+from jaxform.mesh import masks, meshes, outlines, shapes, topology
+from jaxform.mesh.meshes import Mesh
+from jaxform.mesh.outlines import Circle, OrientedRectangle
+from jaxform.mesh.shapes import Sheet
+from jaxform.tools import opening
 from jaxform.tools.heights import Heights
 from jaxform.tools.opening import Opening
 
@@ -117,12 +120,12 @@ def _site(found: Opening, vertices: Array) -> _FitRegion:
 
 def _hull_area(points: Array) -> float:
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    return outlines.area(contours.hull(points)) if spread[1] > 1e-9 * spread[0] else 0.0
+    return outlines.area(outlines.hull(points)) if spread[1] > 1e-9 * spread[0] else 0.0
 
 
 def _disc(site: _FitRegion, full: float) -> Circle | None:
-    corners = contours.hull(site.points)
-    around = contours.smallest_circle(corners)
+    corners = outlines.hull(site.points)
+    around = outlines.smallest_circle(corners)
     if not site.flange:
         middles = 0.5 * (corners + np.roll(corners, -1, axis=0))
         inner = float(np.linalg.norm(middles - around.center, axis=1).min())
@@ -137,8 +140,8 @@ def _disc(site: _FitRegion, full: float) -> Circle | None:
 
 
 def _rectangle(site: _FitRegion, full: float) -> OrientedRectangle | None:
-    corners = contours.hull(site.points)
-    around = contours.smallest_rectangle(corners)
+    corners = outlines.hull(site.points)
+    around = outlines.smallest_rectangle(corners)
     area = float(np.prod(around.sides))
     if not site.flange:
         square = outlines.area(corners) >= _SQUARE * area and full >= 0.97 * area
@@ -162,9 +165,9 @@ def _outline(site: _FitRegion, found: Opening, vertices: Array, triangles: Integ
     margin = max(_MARGIN * site.width / view.pixel, 2.0)
     values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~site.covered))
     if not _is_connected(values > 0):
-        hull = view.inside_polygon(contours.hull(view.places(site.covered)))
+        hull = view.inside_polygon(outlines.hull(view.places(site.covered)))
         values = np.minimum(masks.distance(view.inside) - 1.0, margin + 0.5 - masks.distance(~hull))
-    polygon = contours.contour(values, view.low, view.pixel)
+    polygon = outlines.contour(values, view.low, view.pixel)
     return _simplify(polygon, _SIMPLER * view.pixel)
 
 
@@ -210,3 +213,51 @@ def _loops(edges: Integers) -> list[Integers]:
             at = ahead[0] if ahead else start
         loops.append(np.array(way))
     return loops
+
+
+# A sheet over the opening of a mold, in the plane of its rim. On the host.
+
+WELD = 1e-5
+"""Distance, relative to a mold's size, within which corners are one in the search for openings."""
+
+
+def weld_mold(vertices: Array, triangles: NDArray[np.integer]) -> Mesh:
+    """A mold for the search for openings: pieces that meet are joined."""
+    mold = Mesh(vertices, triangles.astype(np.int32))
+    return meshes.drop_degenerate(meshes.weld(mold, WELD * meshes.size(vertices)))[0]
+
+
+def sheet_over_opening(
+    vertices: Array,
+    triangles: NDArray[np.integer],
+    *,
+    element_size: float | None = None,
+    elements: int | None = None,
+) -> Sheet:
+    """A sheet over the opening of a mold, with normals into the mold, clamped along its edge.
+
+    Where the opening has a flange, the sheet reaches over it by a little.
+
+    Args:
+        vertices: The mold's (n, 3) [m].
+        triangles: Vertex numbers (m, 3).
+        element_size: Length of the sheet's edges [m]; or
+        elements: About how many triangles.
+
+    Raises:
+        InputError: The mold has no opening, or a number is out of range.
+    """
+    mold = weld_mold(vertices, triangles)
+    found = opening.find_opening(mold.positions, mold.triangles)
+    if found.male:
+        raise InputError("the mold has no opening: a plug stands out of it", "give polygon", "parison.mold_rim")
+    polygon = outline(found, mold.positions, mold.triangles)
+    sheet = shapes.outline(polygon=polygon, element_size=element_size, elements=elements)
+    turn, shift = found.view.turn, np.array([0.0, 0.0, found.level])
+    flat = sheet.snap
+    assert flat is not None
+
+    def snap(middles: Array, ends: Array, boundary: NDArray[np.bool_]) -> Array:
+        return (flat(middles @ turn.T - shift, ends @ turn.T - shift, boundary) + shift) @ turn
+
+    return replace(sheet, positions=(sheet.positions + shift) @ turn, snap=snap)

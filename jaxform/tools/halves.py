@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import opening, rims
+from jaxform.tools import footprint, opening
 
 _CUT = 0.1  # of the length of open rims, what lies in a plane in which the mold is cut
 
@@ -100,7 +100,7 @@ def find_completion(mold: Mesh) -> MoldCompletion | None:
         for plane in planes:
             images += [plane.image(part) for part in [mold, *images]]
         whole = meshes.merge([mold, *images])
-        whole = rims.weld_mold(whole.positions, whole.triangles)
+        whole = footprint.weld_mold(whole.positions, whole.triangles)
         if opening.is_rimmed(whole.positions, whole.triangles) and _is_closed_by(whole):
             return MoldCompletion(meshes.merge(images), list(planes))
     return None

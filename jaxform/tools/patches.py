@@ -1,15 +1,17 @@
-"""Covers for holes in the side walls of a mold, which no view along the push shows. On the host."""
+"""Covers for holes in side walls and for chambers, which no view along the push shows. On the host."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.mesh import contours
+from jaxform.core.errors import InputError
+from jaxform.mesh import outlines
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.rows import distinct_rows
+from jaxform.tools import cells
 from jaxform.tools.cells import CellGrid, label_cells
 from jaxform.tools.distances import Distances, Triangulation
 
@@ -115,7 +117,7 @@ def _planar_hull(points: Array, width: float) -> Mesh | None:
     axes = np.linalg.svd(points - middle, full_matrices=False)[2]
     if np.abs((points - middle) @ axes[2]).max() > _FLAT * width:
         return None
-    hull = contours.hull((points - middle) @ axes[:2].T)
+    hull = outlines.hull((points - middle) @ axes[:2].T)
     number = np.arange(1, len(hull) - 1)
     return Mesh(middle + hull @ axes[:2], np.stack([0 * number, number, number + 1], axis=1).astype(np.int32))
 
@@ -128,3 +130,146 @@ def _merge_points(points: Array, quads: Integers, size: float) -> Mesh:
     apart = (triangles != np.roll(triangles, 1, axis=1)).all(1)
     kept = distinct_rows(np.sort(triangles[apart], axis=1)).rows
     return Mesh(middle, kept.astype(np.int32))
+
+
+# Holes in the side walls of a mold, behind a sheet that lies before it. On the host.
+
+_ALL_ROUND = 0.5  # of the air beside the sheet's edge, from which an opening there is no notch but a gap all round
+
+
+class SideHole(NamedTuple):
+    """A hole in a side wall.
+
+    Attributes:
+        place: Middle of the hole (3,) [m].
+        size: Length of the longest side of its box [m].
+    """
+
+    place: Array
+    size: float
+
+
+def find_side_holes(found: CellGrid) -> list[SideHole]:
+    """Holes through which the space behind a sheet is open to the outside of the mold, the largest first.
+
+    A sheet at a distance before the mold is open all round: that is no hole.
+    """
+    leaks = found.leaks
+    part, count = label_cells(leaks, corners=True)
+    sides = _open_sides(found, part, count)
+    edge = _edge(found.seen)
+    # The first layer of cells is closed beside the sheet.
+    at_edge = np.bincount(part[:, :, 1][edge], minlength=count + 1) / max(int(edge.sum()), 1)
+    made = []
+    for one in np.flatnonzero((sides >= _LEAST) & (at_edge < _ALL_ROUND)):
+        if one:
+            cell = np.argwhere(part == one)
+            place = found.low + found.width * (cell.mean(0) + 0.5)
+            made.append(SideHole(place, found.width * float(np.ptp(cell, axis=0).max() + 1)))
+    return sorted(made, key=lambda hole: -hole.size)
+
+
+def _open_sides(found: CellGrid, part: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Number of the sides of each part's cells (count + 1,) that are open to the outside."""
+    total = np.zeros(count + 1, np.int64)
+    for axis in range(3):
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        for one, other in ((ahead, behind), (behind, ahead)):
+            total += np.bincount(part[tuple(one)][found.outside[tuple(other)]], minlength=count + 1)
+    total[0] = 0
+    return total
+
+
+def _edge(seen: Mask) -> Mask:
+    """Cells (nx, ny) of the second layer that are seen, and have a neighbour there that is not."""
+    inside = seen[:, :, 1]
+    around = np.pad(inside, 1)
+    return inside & ~(around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2])
+
+
+# Hollows that are wider than the way into them, as bottles and cans have them. On the host.
+
+_COUNT = 100  # cells along the longest side
+_CHAMBERS_AROUND = 4  # cells of air around the mold
+_NARROW = 0.7  # of the width of a hollow, that the way into it is at most, to be a neck
+_SHARE = 0.1  # of the mold's box, that such a hollow is at least
+_CHAMBERS_LEAST, _STEPS = 1.5, 16  # cells: half the narrowest way that is resolved; and how many are checked
+
+
+class Chamber(NamedTuple):
+    """A hollow behind a neck.
+
+    Attributes:
+        width: Width of the hollow [m].
+        neck: Width of the widest way into it [m].
+        cells: In which all other air around the mold is seen, and the hollow is what is outside.
+    """
+
+    width: float
+    neck: float
+    cells: CellGrid
+
+
+def refuse_bottles(mold: Mesh) -> None:
+    """Raises an InputError where a mold [m] is a bottle, which is blown from a parison, not formed from a sheet."""
+    found = widest_chamber(mold)
+    if found is None:
+        return
+    widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
+    problem = f"is a bottle: its hollow is {widths}"
+    remedy = (
+        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest_axis(mold)} for a sheet over "
+        "one side of it, or one half of it, cut along its axis, as a cavity"
+    )
+    raise InputError(problem, remedy)
+
+
+def _flattest_axis(mold: Mesh) -> str:
+    """The axis along which a mold is shortest: standing on its base, a bottle is too tall to be draped."""
+    extent = np.ptp(mold.positions[np.unique(mold.triangles)], axis=0)
+    return "xyz"[int(np.argmin(np.round(extent / extent.max(), 2)))]
+
+
+def close_necks(mold: Mesh) -> list[Mesh]:
+    """Covers on the ways into the hollow of a bottle, for a sheet that is formed over its outside; none of others."""
+    found = widest_chamber(mold)
+    return [] if found is None else close_sides(found.cells, mold)
+
+
+def widest_chamber(mold: Mesh) -> Chamber | None:
+    """The hollow behind a neck of a mold [m], or None where a ball that fits a hollow can be brought into it."""
+    from scipy import ndimage
+
+    corners = mold.positions[mold.triangles]
+    low, extent = corners.min((0, 1)), np.ptp(corners, axis=(0, 1))
+    width = float(extent.max()) / _COUNT
+    low = low - (_CHAMBERS_AROUND + 0.5) * width
+    shape = np.ceil(extent / width).astype(np.int64) + 2 * _CHAMBERS_AROUND + 1
+    wall = cells.surface_cells((corners - low) / width, shape)
+    air = _border_cells(~wall)
+    away: Any = ndimage.distance_transform_edt(~wall)
+    for half in np.geomspace(_CHAMBERS_LEAST, max(float(shape.min()) / 2, 2 * _CHAMBERS_LEAST), _STEPS):
+        wide = air & (away > half)
+        inner = wide & ~_border_cells(wide)
+        deepest = float(away[inner].max(initial=0.0))
+        if half > _NARROW * deepest:
+            continue
+        # What a ball of that size, which rolls outside, does not touch; corners outside are no hollow.
+        rolled: Any = ndimage.distance_transform_edt(~(wide & ~inner))
+        part, _ = cells.label_cells(air & (rolled > half))
+        hollow = np.isin(part, np.unique(part[inner])) & (part > 0)
+        if hollow.sum() >= _SHARE * np.prod(extent) / width**3:
+            parted = CellGrid(low, width, wall, air & ~hollow, hollow)
+            return Chamber(2 * deepest * width, 2 * float(half) * width, parted)
+    return None
+
+
+def _border_cells(air: Mask) -> Mask:
+    """The cells of air from which a path leads to the grid's edge."""
+    part, count = cells.label_cells(air)
+    out = np.zeros(count + 1, bool)
+    for side in (part[0], part[-1], part[:, 0], part[:, -1], part[..., 0], part[..., -1]):
+        out[np.unique(side)] = True
+    out[0] = False
+    return out[part]

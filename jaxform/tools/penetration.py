@@ -15,12 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.tools.crossings import bounding_boxes
+from jaxform.tools.crossings import Ways, bounding_boxes, contact_normals, nodal_normals, penetrating_nodes
 from jaxform.tools.distances import Distances, point_triangle_distance
 from jaxform.tools.mold import Mold
 from jaxform.tools.ribs import NO_RIBS, Ribs, find_ribs
 from jaxform.tools.search import SearchGrid, build_grid
-from jaxform.tools.sides import Ways, contact_normals, nodal_normals, penetrating_nodes
 
 __all__ = ["Penetration", "penetration", "point_triangle_distance"]
 

@@ -12,7 +12,7 @@ import trimesh
 
 import jaxform
 from jaxform.cli import command
-from jaxform.io import files, scene_wizard, units
+from jaxform.io import files, scene_wizard, unit_checks
 from jaxform.io.scene_choices import VACUUM, UserChoices
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
@@ -173,7 +173,7 @@ def test_a_scan_with_holes_and_a_rough_rim_is_closed(tmp_path, capfd):
     ],
 )
 def test_units(box, name, others):
-    found = units.guess_units(np.array(box))
+    found = unit_checks.guess_units(np.array(box))
     assert found.name == name and all(f"--scale {other}" in found.others + " " for other in others)
 
 

@@ -13,8 +13,7 @@ import trimesh
 import jaxform
 from benchmarks.speed import contact as figures
 from jaxform import molds, shapes
-from jaxform.contact import broad_phase, candidates, cells, lists, spheres
-from jaxform.contact.cells import cell_of
+from jaxform.contact import broad_phase, candidates, lists
 from jaxform.core.store import Store
 from jaxform.dynamics import contact_step
 from jaxform.dynamics import window as windows
@@ -24,9 +23,10 @@ from jaxform.prepare import scene_builder
 from jaxform.results.summary import measure_penetration
 from jaxform.runs import loop
 from jaxform.sheet.state import State
+from jaxform.tools import search
 from jaxform.tools.mold import Mold
 from jaxform.tools.penetration import penetration, point_triangle_distance
-from jaxform.tools.search import CLASSES, FarCells, SearchGrid, build_grid
+from jaxform.tools.search import CLASSES, FarCells, SearchGrid, build_grid, cell_of
 from tests import scenes
 
 
@@ -111,7 +111,7 @@ def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> Non
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))
     corners = np.asarray(wall.vertices)[np.asarray(wall.triangles)]
     points = np.random.default_rng(4).uniform(-1.5, 1.6, (400, 3))
-    bound = np.asarray(cells.cell_bounds(jnp.asarray(points.T), grid)[1])
+    bound = np.asarray(search.cell_bounds(jnp.asarray(points.T), grid)[1])
     for point, least in zip(points, bound, strict=True):
         distance = point_triangle_distance(np.broadcast_to(point, (len(corners), 3)), corners)
         assert least <= distance.min() + 1e-12
@@ -287,7 +287,7 @@ def test_what_touches_between_two_looks_unseen_is_retried(monkeypatch: pytest.Mo
     seen = jaxform.run(scene)
     monkeypatch.setattr(broad_phase, "_AHEAD", 0.0)
     monkeypatch.setattr(contact_step, "LOOK_EVERY", 16)
-    monkeypatch.setattr(spheres, "LOOK_EVERY", 0)
+    monkeypatch.setattr(candidates, "LOOK_EVERY", 0)
     jax.clear_caches()
     blind = jaxform.run(scene, store=Store())  # the program that is in memory looks ahead
     jax.clear_caches()

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxform.core import formatting
+from jaxform.core import errors
 
 
 def test_coordinates_do_not_show_what_rounding_makes_of_0() -> None:
-    assert formatting.format_place(np.array([-9.797e-18, -0.0, 0.02])) == "(0, 0, 0.02) m"
+    assert errors.format_place(np.array([-9.797e-18, -0.0, 0.02])) == "(0, 0, 0.02) m"
+    assert errors.format_coordinate(-1e-18, 1e3, 3) == "0" and errors.format_coordinate(0.0123456, 1e3, 3) == "12.3"
     assert (
-        formatting.format_coordinate(-1e-18, 1e3, 3) == "0"
-        and formatting.format_coordinate(0.0123456, 1e3, 3) == "12.3"
-    )
-    assert (
-        formatting.format_extent(np.array([-0.0376, -9.797e-18]), np.array([0.1624, 1e-9]))
+        errors.format_extent(np.array([-0.0376, -9.797e-18]), np.array([0.1624, 1e-9]))
         == "-0.0376 to 0.1624 x 0 to 1e-09 m"
     )

@@ -14,7 +14,7 @@ import pytest
 from jax.experimental import serialize_executable
 
 import jaxform
-from jaxform.core import compilation, executables, store
+from jaxform.core import compilation, store
 from jaxform.core.store import Store
 from jaxform.io import files
 from jaxform.runs.host import run
@@ -148,7 +148,7 @@ def test_what_a_scene_took_is_loaded_before_it_is_asked_for(
     ahead = Store(tmp_path)
     ahead.preload(subject)
     assert ahead._ahead is not None and len(ahead._ahead.result()) == 1
-    monkeypatch.setattr(executables, "deserialize_program", lambda _: pytest.fail("it was loaded already"))
+    monkeypatch.setattr(store, "deserialize_program", lambda _: pytest.fail("it was loaded already"))
     found = ahead.program(many, *arguments)(*arguments)
     assert jax.tree.structure(found) == jax.tree.structure(expected) and _same(found, expected)
     assert ahead.program(many, *arguments) is ahead.program(many, *arguments)
@@ -198,8 +198,8 @@ def test_what_is_foreseen_wrongly_does_no_harm(tmp_path: Path) -> None:
 
 
 def test_what_another_version_wrote_is_not_read() -> None:
-    assert executables.deserialize_program(b"") is None
-    assert executables.deserialize_program(zlib.compress(pickle.dumps("a program of tomorrow"))) is None
+    assert store.deserialize_program(b"") is None
+    assert store.deserialize_program(zlib.compress(pickle.dumps("a program of tomorrow"))) is None
 
 
 def test_programs_go_before_they_are_too_many_for_the_process(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,13 +14,13 @@ import jaxform
 from benchmarks.speed.bench import disable_skips
 from jaxform import shapes
 from jaxform.dynamics import timestep
-from jaxform.dynamics.initial import initial_state
+from jaxform.dynamics.window_state import initial_state
 from jaxform.kernels import blocks
 from jaxform.mechanics import force, membrane
 from jaxform.mechanics.corners import Load
 from jaxform.model.tables import ReferenceGeometry
 from jaxform.prepare import window_budget
-from jaxform.runs import batch, loop
+from jaxform.runs import loop, simulation
 from jaxform.sheet import packing
 from jaxform.sheet.active_set import active_set_of
 from jaxform.sheet.discretization import discretize
@@ -270,7 +270,7 @@ def test_a_batch_gives_the_results_of_single_runs() -> None:
     rows = {"parison.thickness": factors[:, None] * np.asarray(scene.parison.thickness)}
     rows["pressure.value"] = np.stack([np.asarray(scene.pressure.value)] * 3)
     together = jaxform.simulate_batch(scene, rows, workers=2)
-    beside = batch._simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
+    beside = simulation._simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
     for k in range(3):
         alone = jaxform.run(jaxform.replace(scene, {path: values[k] for path, values in rows.items()}))
         scenes.assert_same(together.thickness[k], alone.thickness)

@@ -15,7 +15,7 @@ from benchmarks.speed.bench import disable_skips, with_windows_of
 from jaxform import shapes
 from jaxform.dynamics import timestep
 from jaxform.dynamics import window as windows
-from jaxform.dynamics.initial import initial_state
+from jaxform.dynamics.window_state import initial_state
 from jaxform.model.tables import LONG_WINDOW, SHORT_WINDOW
 from jaxform.prepare import window_budget
 from jaxform.sheet.active_set import ActiveSet, Workspace, active_set_of

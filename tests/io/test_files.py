@@ -12,7 +12,7 @@ import pytest
 import jaxform
 import optimize
 from jaxform import shapes
-from jaxform.io import fields, files, output, scene_rewriting
+from jaxform.io import files, geometry, output, scene_rewriting
 from jaxform.mesh import meshes
 from tests import scenes
 
@@ -51,11 +51,11 @@ def test_a_field_is_exact_at_its_own_nodes_and_linear_between(tmp_path: Path) ->
 
     path = tmp_path / "field.vtu"
     meshes.write_vtu(path, coarse.positions, coarse.triangles, point_data={"wall": field(coarse.positions)})
-    np.testing.assert_array_equal(fields.nodal_field(path, "wall", coarse.positions), field(coarse.positions))
+    np.testing.assert_array_equal(geometry.nodal_field(path, "wall", coarse.positions), field(coarse.positions))
     inside = fine.positions[np.hypot(fine.positions[:, 0], fine.positions[:, 1]) < 0.9]
-    np.testing.assert_allclose(fields.nodal_field(path, "wall", inside), field(inside), rtol=1e-9)
+    np.testing.assert_allclose(geometry.nodal_field(path, "wall", inside), field(inside), rtol=1e-9)
     with pytest.raises(jaxform.InputError, match="wal"):
-        fields.nodal_field(path, "wal", coarse.positions)
+        geometry.nodal_field(path, "wal", coarse.positions)
 
 
 def test_a_field_of_a_formed_part_is_matched_by_initial_position(tmp_path: Path) -> None:
@@ -67,13 +67,13 @@ def test_a_field_of_a_formed_part_is_matched_by_initial_position(tmp_path: Path)
     path = tmp_path / "final.vtu"
     data = {"reference": coarse.positions, "thickness": wall}
     meshes.write_vtu(path, formed, coarse.triangles, point_data=data)
-    np.testing.assert_array_equal(fields.nodal_field(path, "thickness", coarse.positions), wall)
+    np.testing.assert_array_equal(geometry.nodal_field(path, "thickness", coarse.positions), wall)
     inside = fine.positions[np.hypot(fine.positions[:, 0], fine.positions[:, 1]) < 0.9]
-    np.testing.assert_allclose(fields.nodal_field(path, "thickness", inside), 0.01 + 0.003 * inside[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(geometry.nodal_field(path, "thickness", inside), 0.01 + 0.003 * inside[:, 0], rtol=1e-9)
     # A second forming begins where the first one ended.
-    np.testing.assert_array_equal(fields.nodal_field(path, "thickness", formed[::-1]), wall[::-1])
+    np.testing.assert_array_equal(geometry.nodal_field(path, "thickness", formed[::-1]), wall[::-1])
     with pytest.raises(jaxform.InputError, match="has nothing at"):
-        fields.nodal_field(path, "thickness", 1e3 * coarse.positions)
+        geometry.nodal_field(path, "thickness", 1e3 * coarse.positions)
 
 
 def test_the_wall_of_an_own_result_is_a_target(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import jaxform
 from benchmarks.hostile import fuzz
 from jaxform import molds, shapes
 from jaxform.cli import command, session
-from jaxform.core import cachefolder, disk, system_errors
+from jaxform.core import disk, errors
 from jaxform.core.errors import InputError, InputWarning
 from jaxform.core.store import Store
 from jaxform.io import catalog
@@ -102,7 +102,7 @@ def _homeless(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     _homeless(monkeypatch)
-    assert cachefolder.user_cache_folder() is None
+    assert disk.user_cache_folder() is None
     assert "home" in _assert_refused(capfd, "check", "~/scene.toml")
 
 
@@ -155,7 +155,7 @@ def test_what_the_machine_refuses_is_one_line(
 
 def test_a_mistake_of_the_program_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     for error in (RuntimeError("no such thing"), KeyError("x"), ValueError("y")):
-        assert system_errors.describe_system_error(error) is None
+        assert errors.describe_system_error(error) is None
 
         def fail(_: object, error: Exception = error) -> int:
             raise error
@@ -193,7 +193,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path: Path, monkeypatc
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     before = os.umask(0)
     try:
-        folder = cachefolder.user_cache_folder()
+        folder = disk.user_cache_folder()
     finally:
         os.umask(before)
     assert folder is not None and folder == tmp_path / "jaxform"
@@ -202,20 +202,20 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path: Path, monkeypatc
     for place, mode in ((folder, 0o770), (folder / "compiled", 0o707), (folder / "made", 0o720)):
         place.chmod(mode)
         with pytest.warns(InputWarning, match="others own it or can write to it"):
-            assert cachefolder.user_cache_folder() is None
+            assert disk.user_cache_folder() is None
         place.chmod(0o755)
-        assert cachefolder.user_cache_folder() == folder
+        assert disk.user_cache_folder() == folder
     real = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: real + 1)
     with pytest.warns(InputWarning, match="others own it"):
-        assert cachefolder.user_cache_folder() is None
+        assert disk.user_cache_folder() is None
 
 
 def test_a_relative_cache_folder_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", "here")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert cachefolder.user_cache_folder() == tmp_path / "home" / ".cache" / "jaxform"
+    assert disk.user_cache_folder() == tmp_path / "home" / ".cache" / "jaxform"
 
 
 def test_kept_files_that_were_swapped_are_made_anew(tmp_path: Path) -> None:
@@ -234,7 +234,7 @@ def test_kept_files_that_were_swapped_are_made_anew(tmp_path: Path) -> None:
 
 def test_compiled_programs_that_were_swapped_or_changed_are_removed(tmp_path: Path) -> None:
     names = ["a-cache", "b-cache", "c-cache", "d-cache"]
-    with cachefolder.guard_folder(tmp_path):
+    with disk.guard_folder(tmp_path):
         for number, name in enumerate(names):
             (tmp_path / name).write_text("x" * (1 + number))
     (tmp_path / "a-cache").rename(tmp_path / "spare")
@@ -243,19 +243,19 @@ def test_compiled_programs_that_were_swapped_or_changed_are_removed(tmp_path: Pa
     (tmp_path / "c-cache").write_text("cut")
     (tmp_path / "new-cache").write_text("of a run that was killed")
     os.utime(tmp_path / "c-cache", ns=(0, 0))
-    with cachefolder.guard_folder(tmp_path):
+    with disk.guard_folder(tmp_path):
         assert sorted(path.name for path in tmp_path.glob("*-cache")) == ["d-cache", "new-cache"]
 
 
 @pytest.mark.parametrize("damaged", ["[" * 100_000, "{}", "", "changed"])
 def test_where_the_record_of_programs_is_damaged_none_of_them_is_believed(damaged: str, tmp_path: Path) -> None:
     record = tmp_path / "record.json"
-    with cachefolder.guard_folder(tmp_path):
+    with disk.guard_folder(tmp_path):
         (tmp_path / "a-cache").write_text("x")
-    with cachefolder.guard_folder(tmp_path):
+    with disk.guard_folder(tmp_path):
         assert (tmp_path / "a-cache").exists()
     record.write_text(record.read_text().replace("a-cache", "b-cache") if damaged == "changed" else damaged)
-    with cachefolder.guard_folder(tmp_path):
+    with disk.guard_folder(tmp_path):
         assert not (tmp_path / "a-cache").exists()
 
 

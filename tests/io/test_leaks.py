@@ -12,7 +12,7 @@ import jaxform
 from benchmarks.strangers import file_molds
 from jaxform.cli import command
 from jaxform.io import files
-from jaxform.io.leaks import warn_of_side_holes
+from jaxform.io.scene_checks import warn_of_side_holes
 from jaxform.tools.molds import rotation
 from tests import scenes
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from jaxform import molds, shapes
 from jaxform.core.errors import InputError
 from jaxform.io import files, report, scene_rewriting
-from jaxform.io.report import binary_packing, contents, measurement, stored_results
+from jaxform.io.report import charts, contents, stored_results
 from jaxform.mesh import meshes, raster
 from tests import browser, scenes
 
@@ -161,8 +161,8 @@ def test_what_is_packed_comes_back() -> None:
     random = np.random.default_rng(0)
     places, walls = random.normal(size=(400, 3)) * [1.0, 1e-3, 0.0], np.exp(random.uniform(-9, -4, 300))
     places[7, 1] = np.nan
-    parcel, nodes = binary_packing.Parcel(), random.permutation(400)
-    triangles, used = binary_packing.by_first_use(nodes[random.integers(0, 390, (900, 3))])
+    parcel, nodes = contents.Parcel(), random.permutation(400)
+    triangles, used = contents.by_first_use(nodes[random.integers(0, 390, (900, 3))])
     parcel.add("places", places)
     parcel.add("walls", walls, relative=True)
     parcel.add("coarse", walls, relative=True, coarse=True)
@@ -225,14 +225,14 @@ def test_the_page_says_what_the_summary_says_and_asks_nobody(folder: Path) -> No
 def test_places_to_measure(folder: Path) -> None:
     """The wall grows outwards from the middle: thinnest there, thickest at the rim."""
     results = stored_results.read_results(folder)
-    thin, thick, other = measurement.measuring_points(results.part, results.summary)
+    thin, thick, other = charts.measuring_points(results.part, results.summary)
     radius = [float(np.linalg.norm(point.initial[:2])) for point in (thin, thick, other)]
     walls, mean = results.part.cells["thickness"], results.summary["thickness"]["mean"]
     assert thin.thickness == walls.min() and thick.thickness == walls.max()
     assert radius[0] < 0.02 and radius[1] > 0.08 and radius[0] < radius[2] < radius[1]
     away = np.abs(walls / mean - 1)
     assert abs(other.thickness / mean - 1) <= max(0.02, float(away.min())) + 1e-12
-    assert measurement.is_disc(results.part, {"x": 0.0, "y": 0.0})
+    assert charts.is_disc(results.part, {"x": 0.0, "y": 0.0})
 
 
 def test_a_large_part_takes_little_room() -> None:
@@ -251,7 +251,7 @@ def test_a_large_part_takes_little_room() -> None:
             flat + np.outer(height, [0, 0, 1]), flat, triangles.astype(np.int32), nodal, cells
         )
         summary = {"time": 1.0, "symmetry_planes": {}}
-        parcel = binary_packing.Parcel()
+        parcel = contents.Parcel()
         assert len(parcel.text(contents.pack_parts(stored_results.Results(summary, part), parcel))) < most
 
 
@@ -260,7 +260,7 @@ def test_frames_share_a_mesh_or_bring_their_own(folder: Path) -> None:
     part, half = stored_results.read_results(folder).part, stored_results._part(folder / "frames" / "1.vtu")
     order = np.random.default_rng(0).permutation(len(part.triangles))
     finer = part._replace(triangles=part.triangles[order], cells={name: x[order] for name, x in part.cells.items()})
-    parcel = binary_packing.Parcel()
+    parcel = contents.Parcel()
     results = stored_results.Results({"time": 1.0}, part, frames=[(0.1, half), (0.2, finer), (0.3, finer)])
     arrays = _unpack(parcel.text(contents.pack_parts(results, parcel)))[1]
     assert {name for name in arrays if name.startswith("mesh")} == {
@@ -286,7 +286,7 @@ def test_a_mold_that_ends_at_the_symmetry_plane_has_images() -> None:
     half = whole.triangles[(whole.vertices[whole.triangles][..., 0] > -1e-9).all(1)]
     for triangles, mirrored in ((whole.triangles, False), (half, True)):
         mold = meshes.drop_unused_nodes(meshes.Mesh(whole.vertices, triangles))
-        told = contents._pack_mold(mold, {"x": 0.0}, binary_packing.Parcel())
+        told = contents._pack_mold(mold, {"x": 0.0}, contents.Parcel())
         assert told == {"mirrored": mirrored, "rough": False}
 
 
@@ -417,7 +417,7 @@ def test_a_mold_that_moves_is_where_it_was_at_each_frame(folder: Path) -> None:
     # Of a scene that a user has changed since, nothing is told.
     for other in ("[mold", text.replace("1e-3", '"x"'), text.replace("direction", "way"), text.replace("0.05", "nan")):
         assert stored_results._motion(other) is None
-    facts = contents.pack_parts(dataclasses.replace(results, motion=motion), binary_packing.Parcel())
+    facts = contents.pack_parts(dataclasses.replace(results, motion=motion), contents.Parcel())
     for part in facts["parts"]:
         rise = [0.05 * s * s * (3 - 2 * s) for s in (min(time / 1e-3, 1.0) for time in (part["time"], facts["end"]))]
         np.testing.assert_allclose(part["mold"], [0.0, 0.0, rise[0] - rise[1]], atol=1e-12)
@@ -535,7 +535,7 @@ def test_the_keyboard_turns_it_and_reads_the_middle(page: browser.Browser, folde
 def test_places_of_the_table_and_of_the_diagram_are_shown(page: browser.Browser, folder: Path) -> None:
     _visit(page, folder / "report.html")
     results = stored_results.read_results(folder)
-    for number, point in enumerate(measurement.measuring_points(results.part, results.summary)):
+    for number, point in enumerate(charts.measuring_points(results.part, results.summary)):
         page.value(f"document.querySelector('[data-point=\"{number}\"]').click()")
         read = page.value("({...document.getElementById('reading').dataset})")
         assert float(read["thickness"]) == pytest.approx(point.thickness, rel=3e-5)

@@ -10,7 +10,7 @@ import pytest
 
 import jaxform
 from jaxform import InputWarning, molds, shapes
-from jaxform.io import files, preview
+from jaxform.io import files, plots
 from jaxform.io.canvas import new_figure
 from jaxform.io.scene_checks import survey, warn_of_scene
 from jaxform.mesh import meshes
@@ -236,7 +236,7 @@ def test_a_mold_that_moves_off_is_warned_of_and_where_it_ends_is_drawn(
         assert f"{gap:.3g} m from the sheet at first, {gap + far:.3g} m at 0.5 s" in told[0] and str(file) in told[0]
     figure = new_figure(8, 7.5, "")
     axes = figure.add_axes((0.1, 0.1, 0.8, 0.8))
-    preview._draw_cut(axes, scene, survey(scene))
+    plots._draw_cut(axes, scene, survey(scene))
     drawn = {line.get_label(): np.concatenate(line.get_segments()) for line in axes.collections}
     shift = drawn["mold at the end"] - drawn["mold"]
     np.testing.assert_allclose(shift, np.broadcast_to([0.0, 1e3 * far * np.sign(way)], shift.shape), atol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxform import shapes
-from jaxform.kernels import element_pairing
+from jaxform.sheet import packing
 
 STRIP = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6]])
 FAN = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [5, 6, 7]])  # three at one edge, and one apart
@@ -21,9 +21,9 @@ def meshes() -> list[np.ndarray]:
 
 @pytest.mark.parametrize("triangles", meshes())
 def test_every_element_is_in_one_pair_and_pairs_begin_with_their_common_edge(triangles: np.ndarray) -> None:
-    pairs = element_pairing.pair_elements(triangles)
+    pairs = packing.pair_elements(triangles)
     np.testing.assert_array_equal(np.sort(pairs[pairs >= 0]), np.arange(len(triangles)))
-    corners, turn = element_pairing.rotate_to_common_edge(triangles, pairs)
+    corners, turn = packing.rotate_to_common_edge(triangles, pairs)
     np.testing.assert_array_equal(np.sort(corners, axis=1), np.sort(triangles, axis=1))
     one, other = pairs[:, pairs[1] >= 0]
     np.testing.assert_array_equal(corners[one, :2], corners[other, :2])
@@ -36,4 +36,4 @@ def test_every_element_is_in_one_pair_and_pairs_begin_with_their_common_edge(tri
 
 @pytest.mark.parametrize(("triangles", "most"), list(zip(meshes(), [1, 2, 6, 6, 0], strict=True)))
 def test_few_elements_are_left_over(triangles: np.ndarray, most: int) -> None:
-    assert np.count_nonzero(element_pairing.pair_elements(triangles)[1] < 0) <= most
+    assert np.count_nonzero(packing.pair_elements(triangles)[1] < 0) <= most

@@ -15,7 +15,7 @@ from jaxform import shapes
 from jaxform.core.errors import InputError
 from jaxform.dynamics.timestep import choose_step
 from jaxform.mechanics import membrane
-from jaxform.mesh import reference
+from jaxform.mesh import volumes
 from jaxform.model.replacement import number_at
 from jaxform.results.result import Result
 from jaxform.sheet.active_set import active_set_of
@@ -35,7 +35,7 @@ def gas(initial: float, content: float, outside: float = 1.0, inflow_time: float
 def sphere(elements: int, outside: float, stretch: float, end_time: float = 60.0) -> jaxform.Scene:
     """A quarter of a closed sphere of radius 1, filled with the gas that holds it at a stretch; at rest at first."""
     sheet = shapes.sphere(radius=1.0, elements=elements, symmetry="quarter")
-    quarter = reference.enclosed_volume(sheet.positions, sheet.triangles)
+    quarter = volumes.enclosed_volume(sheet.positions, sheet.triangles)
     content = (float(_bears(np.asarray(stretch))) + outside) * (DEAD + quarter * stretch**3)
     return jaxform.build_scene(
         parison=jaxform.make_parison(sheet.positions, sheet.triangles, THICKNESS, sheet.clamped, sheet.fixed),
@@ -146,7 +146,7 @@ def test_a_gas_keeps_account_of_its_temperature_and_has_gradients() -> None:
 
     def lifted(positions: jax.Array) -> float:
         place = np.asarray(positions) + 0.0
-        return reference.enclosed_volume(place, np.asarray(scene.parison.triangles))
+        return volumes.enclosed_volume(place, np.asarray(scene.parison.triangles))
 
     at = {"pressure.inflow_temperature": gas.inflow_temperature, "pressure.capacity": gas.capacity}
     at["material.c"] = number_at(scene, "material.c")

@@ -15,7 +15,7 @@ from scipy import integrate
 
 import jaxform
 from benchmarks.accuracy import cases
-from jaxform.adapt import inheritance, remeshing
+from jaxform.adapt import remeshing
 from jaxform.io import files
 from jaxform.materials import Modes
 from jaxform.mechanics import constitutive, corners, membrane, stiffness
@@ -276,7 +276,7 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
         g = membrane.metric(*membrane.edges(moved, triangles)[1:])
         return jnp.stack(kind.measure(constitutive.strain_state(g, inverse)))
 
-    found = inheritance.inherit_stress(measure(before), inheritance.find_ancestry(before, last, forest))
+    found = remeshing.inherit_stress(measure(before), remeshing.find_ancestry(before, last, forest))
     np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
 
 

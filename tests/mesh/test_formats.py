@@ -17,8 +17,8 @@ import trimesh
 from jaxform import molds
 from jaxform.core import disk
 from jaxform.core.errors import InputError, InputWarning
-from jaxform.io import fields, files, scene_rewriting
-from jaxform.mesh import meshes, polygons
+from jaxform.io import files, geometry, scene_rewriting
+from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh, read_mesh
 from tests import scenes
 
@@ -197,7 +197,7 @@ def test_a_face_that_is_not_convex_is_covered_once(tmp_path: Path, name: str, tu
     for shift in range(len(outline)):
         rolled = np.roll(outline, shift, axis=0)
         points = np.stack([rolled[:, 0], 0.6 * rolled[:, 1], 0.8 * rolled[:, 1]], axis=1)
-        triangles, owner = polygons.split(points, np.arange(len(points)), np.array([len(points)]))
+        triangles, owner = meshes.split(points, np.arange(len(points)), np.array([len(points)]))
         corners = points[triangles]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ [0, -0.8, 0.6] / 2
         assert len(triangles) == len(points) - 2 and not owner.any()
@@ -289,10 +289,10 @@ def test_a_node_that_no_triangle_uses_may_be_anywhere(tmp_path: Path) -> None:
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [np.nan, 0, 0]])
     height = np.array([1.0, 2.0, 3.0, np.nan])
     meshes.write_vtu(tmp_path / "a.vtu", points, [[0, 1, 2]], {"h": height})
-    assert fields.nodal_field(tmp_path / "a.vtu", "h", points[:3]).tolist() == [1, 2, 3]
+    assert geometry.nodal_field(tmp_path / "a.vtu", "h", points[:3]).tolist() == [1, 2, 3]
     meshes.write_vtu(tmp_path / "b.vtu", points, [[0, 1, 2]], {"h": np.array([1.0, np.nan, 3.0, 1.0])})
     with pytest.raises(InputError, match="not finite"):
-        fields.nodal_field(tmp_path / "b.vtu", "h", points[:3])
+        geometry.nodal_field(tmp_path / "b.vtu", "h", points[:3])
 
 
 @pytest.mark.parametrize("welded", [True, False])
@@ -302,7 +302,7 @@ def test_data_of_triangles_go_to_the_nodes_by_area(tmp_path: Path, welded: bool)
     soup = points[triangles].reshape(-1, 3)
     shown = (points, triangles) if welded else (soup, np.arange(6).reshape(2, 3))
     meshes.write_vtu(tmp_path / "a.vtu", *shown, cell_data={"thickness": np.array([1e-3, 2e-3])})
-    wall = fields.nodal_field(tmp_path / "a.vtu", "thickness", points)
+    wall = geometry.nodal_field(tmp_path / "a.vtu", "thickness", points)
     np.testing.assert_allclose(wall, [1.75e-3, 1e-3, 1.75e-3, 2e-3], rtol=1e-12)
 
 

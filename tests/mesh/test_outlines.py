@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxform.core.errors import InputError
-from jaxform.mesh import bisection, contours, outlines, shapes, topology
+from jaxform.mesh import bisection, outlines, shapes, topology
 from jaxform.mesh.shapes import Sheet
 
 L_SHAPE = [[0.0, 0.0], [0.2, 0.0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0.0, 0.2]]
@@ -134,17 +134,17 @@ def test_sizes_that_do_not_fit_are_refused():
 
 
 def test_shapes_round_points():
-    turned = contours.OrientedRectangle(np.array([0.3, -0.2]), np.array([0.2, 0.1]), 0.4)
+    turned = outlines.OrientedRectangle(np.array([0.3, -0.2]), np.array([0.2, 0.1]), 0.4)
     corners = turned.corner + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * turned.sides @ turned.axes
-    found = contours.smallest_rectangle(contours.hull(corners))
+    found = outlines.smallest_rectangle(outlines.hull(corners))
     np.testing.assert_allclose(found.corner, turned.corner, atol=1e-9)
     np.testing.assert_allclose([*found.sides, found.angle], [*turned.sides, turned.angle], atol=1e-9)
-    around = contours.smallest_circle(circle(7) + np.array([2.0, 3.0]))
+    around = outlines.smallest_circle(circle(7) + np.array([2.0, 3.0]))
     np.testing.assert_allclose([*around.center, around.radius], [2.0, 3.0, 0.1], atol=1e-4)
 
 
 def test_a_contour_follows_the_values():
     x, y = np.meshgrid(np.arange(60) + 0.5, np.arange(50) + 0.5)
-    line = contours.contour(15.0**2 - (x - 30) ** 2 - (y - 25) ** 2, np.array([1.0, 2.0]), 0.1)
+    line = outlines.contour(15.0**2 - (x - 30) ** 2 - (y - 25) ** 2, np.array([1.0, 2.0]), 0.1)
     np.testing.assert_allclose(np.linalg.norm(line - [4.0, 4.5], axis=1), 1.5, rtol=2e-3)
     np.testing.assert_allclose(outlines.area(line), np.pi * 1.5**2, rtol=5e-3)

@@ -64,7 +64,7 @@ def test_three_terms_of_ogdens_law_fit_treloars_rubber(treloar: fitting.Fit) -> 
 
 
 def test_the_table_is_one_that_a_scene_takes(treloar: fitting.Fit, tmp_path: Path) -> None:
-    from jaxform.io.fit_output import material_text
+    from jaxform.io.output import material_text
 
     begin, end = FILE.index("[material]"), FILE.index("[pressure]")
     text = material_text(treloar.table(950.0), ["fitted to\nTreloar"])

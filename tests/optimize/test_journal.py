@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.hostile import fuzz_journals
 from jaxform import InputError
-from jaxform.core.atomic_write import PREFIX, atomic_path
+from jaxform.core.disk import PREFIX, atomic_path
 from optimize import Journal, write_history
 from optimize.designs import COLUMNS
 

@@ -10,7 +10,7 @@ import pytest
 
 import jaxform
 from jaxform.core.pytree import marked_field_names
-from jaxform.results.energy import Energy
+from jaxform.results.result import Energy
 from jaxform.sheet.state import LOSS, LOSSES
 from tests import scenes
 

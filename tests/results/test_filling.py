@@ -20,8 +20,7 @@ from jaxform.cli import command, session
 from jaxform.results.result import Result
 from jaxform.results.summary import summarize
 from jaxform.sheet.state import Status
-from jaxform.tools.facing import find_facing
-from jaxform.tools.gaps import mold_points
+from jaxform.tools.gaps import find_facing, mold_points
 from jaxform.tools.mold import make_mold
 from jaxform.tools.search import build_grid
 from tests import scenes

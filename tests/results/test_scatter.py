@@ -13,7 +13,7 @@ import jaxform
 from benchmarks.accuracy import cases
 from jaxform import molds, shapes
 from jaxform.model.scene import Scene
-from jaxform.results.scatter import is_axisymmetric, thinnest_recovered
+from jaxform.results.recovery import is_axisymmetric, thinnest_recovered
 
 CUP = [[0.0, 0.5], [0.5, 0.5], [1.0, 0.0]]
 

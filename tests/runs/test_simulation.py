@@ -16,8 +16,8 @@ import pytest
 import jaxform
 from benchmarks.speed.bench import disable_skips
 from jaxform import molds, shapes
-from jaxform.dynamics import initial
 from jaxform.dynamics import window as windows
+from jaxform.dynamics import window_state
 from jaxform.sheet import discretization, state
 from jaxform.sheet.state import Status
 from tests import scenes
@@ -285,7 +285,7 @@ def _trace(scene: jaxform.Scene) -> set[str]:
                     collect(inner)
 
     def window(scene: jaxform.Scene) -> state.State:
-        return windows.window(initial.initial_state(scene), scene, discretization.discretize(scene))
+        return windows.window(window_state.initial_state(scene), scene, discretization.discretize(scene))
 
     collect(jax.make_jaxpr(window)(scene).jaxpr)
     return found
@@ -308,7 +308,7 @@ def test_what_a_scene_does_not_use_is_not_in_its_program() -> None:
         "model/field.py",
         "adapt/refinement.py",
         "materials/viscous.py",
-        "sheet/inactive_relaxation.py",
+        "inactive_elements",
     }
     assert not absent & (free | cup | loaded)
 

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from jaxform.core.errors import InputError
-from jaxform.io import drape_setup
+from jaxform.io import scene_choices
 from jaxform.mesh import meshes
-from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import buck, kinds, molds, platen, rims, scans, undercut
+from jaxform.mesh.outlines import Circle, OrientedRectangle
+from jaxform.tools import buck, footprint, kinds, molds, scans
 
 
 def unite(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -22,7 +22,7 @@ def unite(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def as_mesh(solid: trimesh.Trimesh) -> Mesh:
-    return rims.weld_mold(np.array(solid.vertices, float), np.array(solid.faces, np.int32))
+    return footprint.weld_mold(np.array(solid.vertices, float), np.array(solid.faces, np.int32))
 
 
 def drafted_block(top: float = 0.7, chamfer: float = 0.0) -> trimesh.Trimesh:
@@ -40,7 +40,7 @@ def dome(segments: int = 24, rough: float = 0.0) -> Mesh:
     at_rim = points[:, 2] < 1e-9
     angle = np.arctan2(points[:, 1], points[:, 0])
     points[:, 2] -= np.where(at_rim, rough * (1.5 + np.sin(3 * angle)), 0.0)
-    return rims.weld_mold(points, outwards(points, shape.triangles))
+    return footprint.weld_mold(points, outwards(points, shape.triangles))
 
 
 def outwards(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -95,7 +95,7 @@ def test_bucks_stand_on_their_base(name):
     low = 0.0 if name == "cone on platen" else mold.positions[:, 2].min()
     np.testing.assert_allclose(found.height, mold.positions[:, 2].max() - low, rtol=1e-6)
     assert found.flat and found.on_platen == (name == "cone on platen")
-    made = drape_setup.drape(mold, None)
+    made = scene_choices.drape(mold, None)
     assert made.undercut is None
     # All that is open is closed down to the platen.
     added = [] if made.added is None else [made.added]
@@ -131,7 +131,7 @@ def _cavities() -> dict[str, Mesh]:
 @pytest.mark.parametrize("name", _cavities())
 def test_cavities_are_no_bucks(name):
     mold = _cavities()[name]
-    assert not kinds.classify(rims.weld_mold(mold.positions, mold.triangles)).drape
+    assert not kinds.classify(footprint.weld_mold(mold.positions, mold.triangles)).drape
 
 
 def test_what_is_doubtful_names_the_other_kind():
@@ -143,15 +143,15 @@ def test_what_is_doubtful_names_the_other_kind():
 
 
 def test_the_sheet_reaches_about_the_height_beyond_the_buck():
-    site = platen.fit_site(buck.find_buck(BUCKS["box"]))
+    site = buck.fit_site(buck.find_buck(BUCKS["box"]))
     assert isinstance(site.planform.shape, OrientedRectangle) and site.platen is not None
     np.testing.assert_allclose(np.sort(site.planform.shape.sides), [0.14, 0.18], atol=1e-3)
     np.testing.assert_allclose(site.platen.positions[:, 2], -0.015, atol=1e-9)
     assert (np.ptp(site.platen.positions, axis=0)[:2] > [0.18, 0.14]).all()
-    site = platen.fit_site(buck.find_buck(BUCKS["cylinder"]))
+    site = buck.fit_site(buck.find_buck(BUCKS["cylinder"]))
     assert isinstance(site.planform.shape, Circle)
     np.testing.assert_allclose(site.planform.shape.radius, 0.1, atol=1e-3)
-    site = platen.fit_site(buck.find_buck(BUCKS["cone on platen"]))
+    site = buck.fit_site(buck.find_buck(BUCKS["cone on platen"]))
     assert isinstance(site.planform.shape, Circle)
     np.testing.assert_allclose(site.planform.shape.radius, 0.1, atol=0.011)
 
@@ -161,12 +161,12 @@ def test_an_undercut_is_measured_sideways():
     stem = trimesh.creation.cylinder(0.03, 0.04, sections=64).apply_translation([0, 0, 0.02])
     hat = trimesh.creation.cylinder(0.05, 0.01, sections=64).apply_translation([0, 0, 0.045])
     mold = as_mesh(unite(stem, hat))
-    found = undercut.deepest_undercut(buck.find_buck(mold, buck.parse_direction("+z")), mold)
+    found = buck.deepest_undercut(buck.find_buck(mold, buck.parse_direction("+z")), mold)
     assert found is not None
     np.testing.assert_allclose(found.depth, 0.02, atol=6e-4)
     assert np.isclose(np.linalg.norm(found.place[:2]), 0.03, atol=1e-3) and 0 < found.place[2] < 0.04
-    assert undercut.deepest_undercut(buck.find_buck(BUCKS["drafted"]), BUCKS["drafted"]) is None
-    down = undercut.deepest_undercut(buck.find_buck(BUCKS["drafted"], buck.parse_direction("-z")), BUCKS["drafted"])
+    assert buck.deepest_undercut(buck.find_buck(BUCKS["drafted"]), BUCKS["drafted"]) is None
+    down = buck.deepest_undercut(buck.find_buck(BUCKS["drafted"], buck.parse_direction("-z")), BUCKS["drafted"])
     assert down is not None
     np.testing.assert_allclose(down.depth, 0.15 * 0.12, rtol=0.1)
 
@@ -175,16 +175,16 @@ def test_a_void_inside_is_no_undercut():
     outer = drafted_block()
     inner = trimesh.creation.box([0.04, 0.03, 0.02]).apply_translation([0, 0, 0.02])
     mold = as_mesh(unite(outer, inner))
-    assert undercut.deepest_undercut(buck.find_buck(mold), mold) is None
+    assert buck.deepest_undercut(buck.find_buck(mold), mold) is None
 
 
 def test_a_scan_is_closed_by_walls_and_its_holes_by_covers():
     mold = dome(rough=0.004)
     high = np.argsort(-mold.positions[mold.triangles][..., 2].mean(1))
-    holed = rims.weld_mold(mold.positions, np.delete(mold.triangles, high[30:34], axis=0))
-    made = drape_setup.drape(holed, None)
+    holed = footprint.weld_mold(mold.positions, np.delete(mold.triangles, high[30:34], axis=0))
+    made = scene_choices.drape(holed, None)
     assert made.holes == 1 and made.site.platen is not None and made.added is not None
-    found = scans.find_rims(rims.weld_mold(mold.positions, mold.triangles))
+    found = scans.find_rims(footprint.weld_mold(mold.positions, mold.triangles))
     assert found is not None and len(found.spanned) == 1
     closing = scans.close_rims(mold, found, made.buck.view.turn, made.buck.base)
     assert len(closing.walls) == 1 and not closing.fans

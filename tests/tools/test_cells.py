@@ -12,7 +12,7 @@ from benchmarks.strangers.file_molds import KINDS
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, volumes
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import cells, chambers, covers, footprint, halves, molds, opening, rims
+from jaxform.tools import cells, covers, footprint, halves, molds, opening, patches
 
 TURNS = [(0.0, 0.0, 0.0), (90.0, 0.0, 30.0), (25.0, -50.0, 110.0)]
 
@@ -20,7 +20,7 @@ TURNS = [(0.0, 0.0, 0.0), (90.0, 0.0, 30.0), (25.0, -50.0, 110.0)]
 def mold(name: str, degrees: tuple[float, ...] = (0.0, 0.0, 0.0), fine: float = 0.5) -> Mesh:
     """One of the strangers' molds [m], turned."""
     made = KINDS[name].made(fine)
-    return rims.weld_mold(
+    return footprint.weld_mold(
         1e-3 * np.asarray(made.vertices) @ molds.rotation(np.array(degrees)).T, np.asarray(made.faces)
     )
 
@@ -102,7 +102,7 @@ def test_handles_lips_and_skirts_are_no_part_of_the_cavity(name, radius, depth, 
 
 def _weld(*parts: Any) -> Mesh:
     whole = meshes.merge([Mesh(1e-3 * np.asarray(part.vertices), np.asarray(part.faces)) for part in parts])
-    return rims.weld_mold(whole.positions, whole.triangles)
+    return footprint.weld_mold(whole.positions, whole.triangles)
 
 
 def pan() -> Mesh:
@@ -140,8 +140,8 @@ def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
     with pytest.raises(
         InputError, match=r"is a bottle: its hollow is about .. mm wide behind a neck of.*--drape --direction=\+[xyz] "
     ):
-        chambers.refuse_bottles(shape)
-    found = chambers.widest_chamber(shape)
+        patches.refuse_bottles(shape)
+    found = patches.widest_chamber(shape)
     assert found is not None
     # Within two cells of what they are.
     assert found.width == pytest.approx(0.061, abs=0.004) and found.neck == pytest.approx(0.021, abs=0.004)
@@ -160,18 +160,18 @@ def test_a_mold_that_is_hollow_on_two_sides_names_the_other():
 
 def test_the_mouth_of_a_bottle_is_closed_for_a_sheet_over_its_outside():
     shape = mold("hollow bottle", fine=1.0)
-    (lid,) = chambers.close_necks(shape)
+    (lid,) = patches.close_necks(shape)
     # Over the mouth, to its edge, and not far into the neck, 0.021 wide and 0.03 long.
     assert lid.positions[:, 2].min() > 0.2 - 0.011 and lid.positions[:, 2].max() < 0.201
     assert 0.009 < np.hypot(*lid.positions[:, :2].T).max() < 0.0125
-    assert chambers.widest_chamber(meshes.merge([shape, lid])) is None
-    assert chambers.close_necks(mold("mug")) == []
+    assert patches.widest_chamber(meshes.merge([shape, lid])) is None
+    assert patches.close_necks(mold("mug")) == []
 
 
 @pytest.mark.parametrize("name", [name for name in KINDS if name != "hollow bottle"])
 def test_nothing_else_is_a_bottle(name):
     shape = mold(name)
-    assert chambers.widest_chamber(shape) is None
+    assert patches.widest_chamber(shape) is None
 
 
 @pytest.mark.parametrize("name", ["hollow bottle", "solid bottle", "jerry can", "tube", "cylinder buck"])

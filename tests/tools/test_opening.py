@@ -7,9 +7,9 @@ import pytest
 
 from jaxform.core.errors import InputError
 from jaxform.mesh import meshes, topology
-from jaxform.mesh.contours import Circle, OrientedRectangle
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import covers, footprint, molds, opening, rims
+from jaxform.mesh.outlines import Circle, OrientedRectangle
+from jaxform.tools import covers, footprint, molds, opening
 
 TURNS = [(0.0, 0.0, 0.0), (180.0, 0.0, 0.0), (0.0, 90.0, 0.0), (30.0, -50.0, 110.0)]
 
@@ -90,7 +90,7 @@ def test_a_tray_has_a_rectangle_and_an_l_its_outline():
 
 def test_a_sheet_over_the_rim_lies_in_its_plane_with_normals_into_the_mold():
     mold = turn(l_shaped(), TURNS[3])
-    sheet = rims.sheet_over_opening(mold.positions, mold.triangles, elements=100)
+    sheet = footprint.sheet_over_opening(mold.positions, mold.triangles, elements=100)
     axes = molds.rotation(np.array(TURNS[3]))
     np.testing.assert_allclose((sheet.positions - [0.3, -0.2, 0.5]) @ axes[:, 2], 0.0, atol=1e-9)
     corner = sheet.positions[sheet.triangles]
@@ -115,7 +115,7 @@ def test_a_plug_is_formed_over_within_walls():
     np.testing.assert_allclose(walls.mesh.positions.min(0), [0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.max(0), [0.2, 0.16, 0.04], atol=1e-6)
     with pytest.raises(InputError, match=r"mold_rim.*a plug stands out"):
-        rims.sheet_over_opening(mold.positions, mold.triangles, elements=100)
+        footprint.sheet_over_opening(mold.positions, mold.triangles, elements=100)
 
 
 def test_holes_are_covered_and_seams_are_none():

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 import jaxform
+from jaxform.tools.crossings import Ways
 from jaxform.tools.penetration import Penetration, penetration
 from jaxform.tools.ribs import Ribs, find_ribs
 from jaxform.tools.search import build_grid
-from jaxform.tools.sides import Ways
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.integer]

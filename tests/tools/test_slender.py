@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxform.tools.slender import SlenderFeature, slender_feature
+from jaxform.tools.ribs import SlenderFeature, slender_feature
 
 PUSH = np.array([0.0, 0.0, -1.0])
 SIDE = 0.008

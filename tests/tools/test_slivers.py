@@ -8,12 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 import jaxform
-from jaxform.contact.cells import cell_of
 from jaxform.mesh import shapes
-from jaxform.tools import distances, folding, molds, reach
+from jaxform.tools import distances, folding, molds, search
 from jaxform.tools.molds import MoldShape
 from jaxform.tools.penetration import penetration
-from jaxform.tools.search import CLASSES, build_grid
+from jaxform.tools.search import CLASSES, build_grid, cell_of
 
 Array = NDArray[np.float64]
 
@@ -42,13 +41,13 @@ def test_cells_of_slivers_list_all_in_reach_and_few_more_are_compared(
 ) -> None:
     cup = _turn(1000)
     vertices, triangles = (cup.vertices, np.asarray(cup.triangles)) if shape == "turned" else _fan(20_000)
-    compared, measured = [], reach._distances
+    compared, measured = [], search._distances
 
-    def count(local: reach._Local, triangle: NDArray[np.int64], *middle: NDArray[np.int64]) -> Array:
+    def count(local: search._Local, triangle: NDArray[np.int64], *middle: NDArray[np.int64]) -> Array:
         compared.append(len(triangle))
         return measured(local, triangle, *middle)
 
-    monkeypatch.setattr(reach, "_distances", count)
+    monkeypatch.setattr(search, "_distances", count)
     grid = build_grid(vertices, triangles)
     listed = len(np.asarray(grid.listed))
     assert listed <= 8_000_000 and sum(compared) <= 2.5 * listed

@@ -10,11 +10,11 @@ import trimesh
 
 from jaxform import InputError
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools import rims, tubes
+from jaxform.tools import footprint, kinds
 
 
 def _mold(body: Any) -> Mesh:
-    return rims.weld_mold(np.asarray(body.vertices, float), np.asarray(body.faces))
+    return footprint.weld_mold(np.asarray(body.vertices, float), np.asarray(body.faces))
 
 
 def _pipe(length: float) -> trimesh.Trimesh:
@@ -46,13 +46,13 @@ def _duct() -> trimesh.Trimesh:
 def test_a_tube_is_found_along_its_axis(
     body: trimesh.Trimesh, axis: tuple[float, ...] | None, width: float, other: str
 ) -> None:
-    found = tubes.widest_tube(_mold(body))
+    found = kinds.widest_tube(_mold(body))
     assert found is not None
     if axis is not None:
         np.testing.assert_allclose(np.abs(found.direction), axis, atol=1e-9)
     assert found.width == pytest.approx(width, rel=0.05)
     with pytest.raises(InputError, match=rf"open from end to end.*--drape --direction=\+{other} "):
-        tubes.refuse_tubes(_mold(body))
+        kinds.refuse_tubes(_mold(body))
 
 
 def test_frames_cups_and_walls_with_holes_are_no_tubes() -> None:
@@ -61,5 +61,5 @@ def test_frames_cups_and_walls_with_holes_are_no_tubes() -> None:
     bottom.apply_translation((0, 0, -0.058))
     small = trimesh.creation.annulus(r_min=0.01, r_max=0.030, height=0.12)
     for body in (_pipe(0.04), trimesh.util.concatenate([cup, bottom]), small, trimesh.creation.box()):
-        assert tubes.widest_tube(_mold(body)) is None
-        tubes.refuse_tubes(_mold(body))
+        assert kinds.widest_tube(_mold(body)) is None
+        kinds.refuse_tubes(_mold(body))

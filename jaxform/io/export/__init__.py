@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxform.core.atomic_write import atomic_path
+from jaxform.core.disk import atomic_path
 from jaxform.io.export import abaqus, calculix, radioss, table, vtu
 from jaxform.io.export.wall import WallSurface, mirror, read_wall
 

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxform.core.errors import InputError, warn_of
-from jaxform.core.formatting import format_extent
+from jaxform.core.errors import InputError, format_extent, warn_of
 from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh

@@ -13,12 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxform.core.atomic_write import atomic_path
+from jaxform.core.disk import atomic_path
 from jaxform.io.report import page
-from jaxform.io.report.binary_packing import Parcel
-from jaxform.io.report.charts import pack_charts
-from jaxform.io.report.contents import pack_parts
-from jaxform.io.report.measurement import measuring_points
+from jaxform.io.report.charts import measuring_points, pack_charts
+from jaxform.io.report.contents import Parcel, pack_parts
 from jaxform.io.report.stored_results import Results, read_results
 
 NAME = "report.html"

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from jaxform.core.formatting import format_coordinate
+from jaxform.core.errors import format_coordinate
+from jaxform.io.report.charts import MeasuringPoint
 from jaxform.io.report.contents import symmetry_of
-from jaxform.io.report.measurement import MeasuringPoint
 from jaxform.io.report.stored_results import Results
 
 _ENERGY = {

@@ -15,20 +15,8 @@ from jaxform.io.schema.material import (
     Viscous,
     YeohTable,
 )
-from jaxform.io.schema.methods import Adam, FixedPoint, Lbfgs, LeastSquares, Method
 from jaxform.io.schema.mold import BottleHalfMold, BoxInsertMold, FileMold, Mold, RevolvedMold
-from jaxform.io.schema.objectives import (
-    FormingTimeTable,
-    KineticEnergyTable,
-    LeastMassTable,
-    Objective,
-    Objectives,
-    ObjectiveTable,
-    TargetTable,
-    UniformTable,
-)
 from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Outline, Parison, RectangleTable, Sphere
-from jaxform.io.schema.part import PartTable, TrimTable
 from jaxform.io.schema.quantities import (
     ElementSize,
     FieldReference,
@@ -39,14 +27,27 @@ from jaxform.io.schema.quantities import (
     TargetThickness,
     Thickness,
 )
-from jaxform.io.schema.scene import Output, PressureTable, RefinementTable, SceneFile, SolverTable
-from jaxform.io.schema.study import StudyFile
-from jaxform.io.schema.variables import (
+from jaxform.io.schema.scene import Output, PartTable, PressureTable, RefinementTable, SceneFile, SolverTable, TrimTable
+from jaxform.io.schema.study import (
+    Adam,
+    FixedPoint,
+    FormingTimeTable,
     HeaterZonesTable,
+    KineticEnergyTable,
+    Lbfgs,
+    LeastMassTable,
+    LeastSquares,
+    Method,
+    Objective,
+    Objectives,
+    ObjectiveTable,
     PressureKnotsTable,
     ScaleTable,
+    StudyFile,
+    TargetTable,
     ThicknessFieldTable,
     ThicknessProfileTable,
+    UniformTable,
     Variable,
 )
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, Tag, field_validator, model_validato
 from jaxform.core.errors import InputError
 from jaxform.io.schema.quantities import Count, ElementSize, Point, ProfileTable, Temperature, Thickness
 from jaxform.io.validation import Length, Positive, Table, choice, validation_error
-from jaxform.mesh.surfaces import parse_plane
+from jaxform.mesh.shapes import parse_plane
 
 
 def _given_elsewhere(given: Any) -> Any:

@@ -1,15 +1,307 @@
-"""The study file."""
+"""The study file: objectives, variables, search methods."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, Tag, field_validator, model_validator
 
-from jaxform.io.schema.methods import Method
-from jaxform.io.schema.objectives import Objectives
-from jaxform.io.schema.variables import Variable
-from jaxform.io.validation import Table, validation_error
+from jaxform.io.schema.quantities import Count, Limits, Pair, Place, TargetThickness, check_bounds
+from jaxform.io.validation import (
+    Coordinate,
+    NotNegative,
+    Positive,
+    Table,
+    check_increasing,
+    choice,
+    form,
+    validation_error,
+)
+
+# Tables of the design variables of a study.
+
+
+class ThicknessProfileTable(Table):
+    """Design the initial thickness [m] along a place in the initial sheet; `slope` limits its change [m/m].
+
+    Attributes:
+        kind: The kind of variable.
+        along: Place in the initial sheet.
+        knots: Number of knots, evenly placed; this or `at`.
+        at: Places of the knots [m].
+        bounds: Least and largest thickness [m].
+        interpolation: Linear between knots, a cubic spline, or constant zones.
+        slope: Largest change along the place [m/m].
+    """
+
+    kind: Literal["thickness-profile"]
+    along: Place
+    knots: Annotated[int, Field(ge=2, le=10_000)] | None = None
+    at: Annotated[list[Coordinate], Field(min_length=2)] | None = None
+    bounds: Limits
+    interpolation: Literal["linear", "cubic", "zones"] = "linear"
+    slope: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> ThicknessProfileTable:
+        if (self.knots is None) == (self.at is None):
+            problem = "is missing" if self.at is None else "is given together with at"
+            raise validation_error(
+                problem, "give the number of knots or their places (at), one of them", "knots", self.knots
+            )
+        check_increasing(self.at or [])
+        if self.interpolation == "cubic" and (self.knots or 0) < 4:
+            raise validation_error("needs 4 evenly placed knots or more", "give knots, not at", "knots", self.knots)
+        if self.interpolation == "zones" and self.slope is not None:
+            raise validation_error("does not go with zones, which jump", "leave it out", "slope", self.slope)
+        return self
+
+
+class ThicknessFieldTable(Table):
+    """Design the initial thickness [m] at the nodes of the mesh, no finer than a length `smoothness` [m].
+
+    Attributes:
+        kind: The kind of variable.
+        bounds: Least and largest thickness [m].
+        smoothness: Length below which the field does not vary [m].
+    """
+
+    kind: Literal["thickness-field"]
+    bounds: Limits
+    smoothness: NotNegative = 0.0
+
+
+class PressureKnotsTable(Table):
+    """Design the values [Pa] at the knots of the scene's pressure; `rate` [Pa/s], the last knot's time [s].
+
+    `held` keeps the first knot's value; else the history may begin with a jump.
+
+    Attributes:
+        kind: The kind of variable.
+        bounds: Least and largest pressure [Pa].
+        increasing: Whether the pressure may not fall.
+        rate: Largest change over time [Pa/s].
+        held: Whether the first knot keeps its value.
+        end_time: Least and largest time of the last knot [s]; all are stretched with it.
+    """
+
+    kind: Literal["pressure"]
+    bounds: Annotated[Pair, AfterValidator(check_bounds)]
+    increasing: bool = False
+    rate: Positive | None = None
+    held: bool = False
+    end_time: Limits | None = None
+
+
+class ScaleTable(Table):
+    """Design a factor on a number of the scene, such as material.c.
+
+    Attributes:
+        kind: The kind of variable.
+        of: Key of the number: material.c, material.density, parison.thickness, pressure.value, solver.damping, ...
+        bounds: Least and largest factor.
+    """
+
+    kind: Literal["scale"]
+    of: str
+    bounds: Limits
+
+
+class HeaterZonesTable(Table):
+    """Design the settings of a grid of heaters over the sheet; each place has their mean, by view factors.
+
+    Attributes:
+        kind: The kind of variable.
+        grid: Number of heaters along x and along y, over the sheet's extent.
+        distance: Distance from the heaters to the sheet [m]: the farther, the more they blur; 0 for sharp zones.
+        bounds: Least and largest setting, in the unit of `of`.
+        of: The designed field: parison.temperature [degC], or a parameter of the material.
+    """
+
+    kind: Literal["heater-zones"]
+    grid: Annotated[list[Annotated[int, Field(ge=1, le=400)]], Field(min_length=2, max_length=2)]
+    distance: NotNegative
+    bounds: Annotated[Pair, AfterValidator(check_bounds)]
+    of: str = "parison.temperature"
+
+
+_VARIABLES = ["thickness-profile", "thickness-field", "pressure", "scale", "heater-zones"]
+Variable = Annotated[
+    Annotated[ThicknessProfileTable, Tag("<thickness-profile>")]
+    | Annotated[ThicknessFieldTable, Tag("<thickness-field>")]
+    | Annotated[PressureKnotsTable, Tag("<pressure>")]
+    | Annotated[ScaleTable, Tag("<scale>")]
+    | Annotated[HeaterZonesTable, Tag("<heater-zones>")],
+    *choice("kind", _VARIABLES),
+]
+
+
+# Tables of the objectives of a study.
+
+
+class ObjectiveTable(Table):
+    """Keys that all objectives share.
+
+    Attributes:
+        weight: Weight of the objective in a sum of several.
+    """
+
+    weight: Positive = 1.0
+
+
+class TargetTable(ObjectiveTable):
+    """Come close to a final thickness [m]; with `limit`, keep a deviation (relative, rms) instead.
+
+    Attributes:
+        kind: The kind of objective.
+        thickness: The wanted wall [m].
+        limit: Relative deviation (rms) to be kept, instead of the least one.
+    """
+
+    kind: Literal["target"]
+    thickness: TargetThickness
+    limit: Positive | None = None
+
+
+class UniformTable(ObjectiveTable):
+    """Make the wall even.
+
+    Attributes:
+        kind: The kind of objective.
+    """
+
+    kind: Literal["uniform"]
+
+
+class LeastMassTable(ObjectiveTable):
+    """Use as little material as a minimum of the wall [m] allows.
+
+    Attributes:
+        kind: The kind of objective.
+        minimum: Minimum of the wall [m].
+    """
+
+    kind: Literal["least-mass"]
+    minimum: Positive
+
+
+class FormingTimeTable(ObjectiveTable):
+    """Form quickly; the higher the power of the mean, the more the last contact counts.
+
+    Attributes:
+        kind: The kind of objective.
+        power: Power of the mean of contact times: the higher, the more the last contact counts.
+    """
+
+    kind: Literal["forming-time"]
+    power: Annotated[float, Field(ge=1, le=100)] = 8.0
+
+
+class KineticEnergyTable(ObjectiveTable):
+    """Form gently.
+
+    Attributes:
+        kind: The kind of objective.
+    """
+
+    kind: Literal["kinetic-energy"]
+
+
+_OBJECTIVES = ["target", "uniform", "least-mass", "forming-time", "kinetic-energy"]
+Objective = Annotated[
+    Annotated[TargetTable, Tag("<target>")]
+    | Annotated[UniformTable, Tag("<uniform>")]
+    | Annotated[LeastMassTable, Tag("<least-mass>")]
+    | Annotated[FormingTimeTable, Tag("<forming-time>")]
+    | Annotated[KineticEnergyTable, Tag("<kinetic-energy>")],
+    *choice("kind", _OBJECTIVES),
+]
+Objectives = Annotated[
+    Annotated[Objective, Tag("<one>")] | Annotated[Annotated[list[Objective], Field(min_length=1)], Tag("<several>")],
+    form(lambda value: "several" if isinstance(value, list) else "one"),
+]
+
+
+# Tables of the search methods of a study.
+
+
+class _SearchTable(Table):
+    """Keys that all methods share; see `optimize.Study`.
+
+    Attributes:
+        iterations: Largest number in all, those of the warm start and of every round included.
+        max_simulations: Stops before the search costs the time of this many simulations.
+        minutes: Stops after this time [min].
+        tolerance: Stops when five iterations together, or two rounds, gain less than this share, or the deviation from
+            a target is less than it; 0.001 by default.
+        gradient_tolerance: Stops when the gradient has become this share of the first one.
+        goal: Stops when the objective is at most this.
+        warm_start: Updates of the fixed point before the first iteration; by default as many as halve the objective,
+            for a target or an even wall of which the sheet is a variable.
+        starts: Number of designs, scattered about the first one; the search begins at the best.
+        rounds: Largest number of multiplier rounds for limits.
+    """
+
+    iterations: Count = 30
+    max_simulations: Positive | None = None
+    minutes: Positive | None = None
+    tolerance: NotNegative | None = None
+    gradient_tolerance: NotNegative | None = None
+    goal: Positive | None = None
+    warm_start: Annotated[int, Field(ge=0, le=1_000_000)] | None = None
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 1
+    rounds: Count | None = None
+
+
+class Lbfgs(_SearchTable):
+    """Limited-memory quasi-Newton method with line search.
+
+    Attributes:
+        method: Name of the method.
+    """
+
+    method: Literal["lbfgs"] = "lbfgs"
+
+
+class Adam(_SearchTable):
+    """First-order method with momentum.
+
+    Attributes:
+        method: Name of the method.
+        learning_rate: Size of the first steps; the bounds are 4 apart.
+    """
+
+    method: Literal["adam"]
+    learning_rate: Positive | None = None
+
+
+class LeastSquares(_SearchTable):
+    """Levenberg-Marquardt, for few variables and a sum of squares.
+
+    Attributes:
+        method: Name of the method.
+    """
+
+    method: Literal["least-squares"]
+
+
+class FixedPoint(_SearchTable):
+    """Thicken the sheet where the wall is thin.
+
+    Attributes:
+        method: Name of the method.
+    """
+
+    method: Literal["fixed-point"]
+
+
+Method = Annotated[
+    Annotated[Lbfgs, Tag("<lbfgs>")]
+    | Annotated[Adam, Tag("<adam>")]
+    | Annotated[LeastSquares, Tag("<least-squares>")]
+    | Annotated[FixedPoint, Tag("<fixed-point>")],
+    *choice("method", ["lbfgs", "adam", "least-squares", "fixed-point"], usual="lbfgs"),
+]
 
 
 class StudyFile(Table):
