@@ -7,7 +7,7 @@ triangles each, however many there are.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -65,22 +65,22 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
     cells = _cells(grid)
     mold_low, mold_high = bounding_boxes(mold_corners)
     box = mold_low.min(0) - margin, mold_high.max(0) + margin
-    pieces, owner = short_pieces(corners, cells.reach, *box)
+
+    def may_be_near(pieces: Array) -> NDArray[np.bool_]:
+        middle, radius = _spheres(pieces, margin)
+        return cells.bound[_cell_index(middle, cells)] * (1 - _SLACK) <= radius
+
+    pieces, owner = short_pieces(corners, cells.reach, *box, may_be_near)
     low, high = bounding_boxes(pieces)
     low, high = low - margin, high + margin
-    middle = pieces.mean(1)
-    radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1) * (1 + _SLACK) + 2 * margin
+    middle, radius = _spheres(pieces, margin)
     normal, level = _planes(mold_corners)
     touch = _TOUCH * float(np.max(box[1] - box[0], initial=0.0))
-    # The mold is inside the grid: what is in reach from a place outside is also in reach from the nearest cell.
-    index = np.clip(np.floor((middle - cells.corner) / cells.width), 0, cells.shape - 1).astype(np.int64)
-    cell = np.asarray(np.ravel_multi_index(tuple(index.T), tuple(cells.shape)))
-    near = np.flatnonzero(cells.bound[cell] * (1 - _SLACK) <= radius)
-    cell = cell[near]
-    kind = np.ceil(CLASSES * radius[near] * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
+    cell = _cell_index(middle, cells)
+    kind = np.ceil(CLASSES * radius * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
     for row, place in expand_ranges(begin, end):
-        piece, triangle = near[row], cells.number[cells.listed[place]]
+        piece, triangle = row, cells.number[cells.listed[place]]
         for axis in range(3):
             over = low[piece, axis] <= mold_high[triangle, axis]
             over &= high[piece, axis] >= mold_low[triangle, axis]
@@ -89,6 +89,23 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         height = np.einsum("ij,ij->i", normal[triangle], middle[piece]) - level[triangle]
         cut = np.abs(height) <= radius[piece] + touch
         yield PiecePairs(owner[piece[cut]], triangle[cut])
+
+
+def _spheres(pieces: Array, margin: float) -> tuple[Array, Array]:
+    """Middles (n, 3) and radii (n,) [m] of spheres round pieces (n, k, 3) [m] and the margin [m] about them."""
+    middle = pieces.mean(1)
+    away = np.moveaxis(pieces, 1, 0) - middle
+    square = functools.reduce(np.maximum, np.einsum("kij,kij->ki", away, away))
+    return middle, np.sqrt(square) * (1 + _SLACK) + 2 * margin
+
+
+def _cell_index(places: Array, cells: _GridArrays) -> NDArray[np.int64]:
+    """The cells (n,) of places (n, 3) [m], or the nearest cells, where they are outside of the grid.
+
+    The mold is inside it: no triangle is farther from the nearest place of the grid than from the place itself.
+    """
+    index = np.clip(np.floor((places - cells.corner) / cells.width), 0, cells.shape - 1).astype(np.int64)
+    return np.asarray(np.ravel_multi_index(tuple(index.T), tuple(cells.shape)))
 
 
 def _planes(corners: Array) -> tuple[Array, Array]:
@@ -122,18 +139,26 @@ def expand_ranges(begin: Integers, end: Integers) -> Iterator[tuple[NDArray[np.i
         yield row, begin[row] + positions_in_rows(count[part])
 
 
-def short_pieces(corners: Array, longest: float, low: Array, high: Array) -> tuple[Array, NDArray[np.int64]]:
+def short_pieces(
+    corners: Array,
+    longest: float,
+    low: Array,
+    high: Array,
+    may_be_near: Callable[[Array], NDArray[np.bool_]] | None = None,
+) -> tuple[Array, NDArray[np.int64]]:
     """Pieces of segments or triangles that may be in a box, none longer than `longest`, and the owner of each.
 
     They are halved repeatedly, and pieces outside are dropped each time: of one that is far larger than the box little
-    is cut small.
+    is cut small. So are those of which `may_be_near` says that they are not near what is looked for.
     """
     owner = np.arange(len(corners))
     while True:
         lowest, highest = bounding_boxes(corners)
-        inside = all_columns((lowest <= high) & (highest >= low))
-        if not inside.all():
-            corners, owner = corners[inside], owner[inside]
+        wanted = all_columns((lowest <= high) & (highest >= low))
+        if may_be_near is not None:
+            wanted &= may_be_near(corners)
+        if not wanted.all():
+            corners, owner = corners[wanted], owner[wanted]
         side = max(_longest(corners[:, k] - corners[:, k - 1]) for k in range(corners.shape[1]))
         if side <= longest:
             return corners, owner

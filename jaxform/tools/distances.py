@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -17,8 +18,8 @@ _TIE = 1e-9  # of the mold's size: triangles as near as that are equally near
 _AT_FIRST = 8  # pieces of triangles that are searched for near a point
 _FINEST = 200  # pieces of triangles along the mold's longest side
 _MOST_PIECES = 100_000, 2  # in all or for each triangle, whichever are more
-_ASKED, _MORE = 256, 4  # points, the farthest by a quick bound, that are measured first, and times as many then
-_POINTS = 4096  # that are looked up together
+_ASKED, _MORE = 32, 2  # points, the farthest by their bounds, that are measured first, and times as many each round
+_POINTS = 4096  # that are looked up together; more are spread over the cores
 _CHUNK = 50_000  # pairs of point and triangle processed together
 
 
@@ -58,27 +59,35 @@ class NearestPlaces(NamedTuple):
 
 
 class _TriangleGroup(NamedTuple):
-    """Pieces of triangles that are about as large: their middles, the largest radius [m], the triangles of all."""
+    """Pieces of triangles that are about as large: their middles, radii (n,) [m], and the triangles of all."""
 
     tree: Any
-    radius: float
+    radius: Array
     owner: NDArray[np.int64]
 
     def candidate_pairs(self, points: Array, limit: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs of a point (n, 3) and a piece that may be no farther from it than its limit (n,) [m]."""
-        reach = (limit + self.radius) * (1 + _TIE)
-        asked, wanted, pairs = np.arange(len(points)), min(_AT_FIRST, len(self.owner)), []
-        while len(asked):
-            # So many of the nearest at once; the few points with more of them in reach are queried again.
-            away, piece = self.tree.query(points[asked], k=wanted, workers=-1)
-            away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
-            within = away <= reach[asked, None]
-            more = within[:, -1] & (wanted < len(self.owner))
-            row, column = np.nonzero(within & ~more[:, None])
-            pairs.append((asked[row], piece[row, column]))
-            asked, wanted = asked[more], min(4 * wanted, len(self.owner))
-        point, piece = zip(*pairs, strict=True) if pairs else ([asked], [asked])
-        return np.concatenate(point), np.concatenate(piece)
+        reach, wanted = (limit + self.radius.max()) * (1 + _TIE), min(_AT_FIRST, len(self.owner))
+        away, piece = self.tree.query(points, k=wanted, workers=_workers(points))
+        away, piece = away.reshape(-1, wanted), piece.reshape(-1, wanted)
+        more = (away[:, -1] <= reach) & (wanted < len(self.owner))
+        row, column = np.nonzero((away <= reach[:, None]) & ~more[:, None])
+        row, piece = [row], [piece[row, column]]
+        # Most points have few pieces in reach; around the others all of them are listed.
+        many = np.flatnonzero(more)
+        if len(many):
+            listed = self.tree.query_ball_point(points[many], reach[many], return_sorted=False, workers=_workers(many))
+            row.append(np.repeat(many, [len(one) for one in listed]))
+            piece.append(np.concatenate([np.asarray(one, np.int64) for one in listed]))
+        point, piece = np.concatenate(row), np.concatenate(piece)
+        away = np.linalg.norm(points[point] - self.tree.data[piece], axis=1)
+        near = away <= (limit[point] + self.radius[piece]) * (1 + _TIE)
+        return point[near], piece[near]
+
+
+def _workers(points: NDArray[Any]) -> int:
+    """The number of threads for a query of points (n, ...); -1 for all cores."""
+    return -1 if len(points) >= _POINTS else 1
 
 
 def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
@@ -89,7 +98,7 @@ def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
     radius = np.linalg.norm(pieces - middle[:, None], axis=2).max(1)
     kind = np.floor(np.log2(radius.max() / np.maximum(radius, 1e-3 * radius.max())) / 2).astype(int)
     rows = [np.flatnonzero(kind == k) for k in np.unique(kind)]
-    return [_TriangleGroup(KDTree(middle[row]), float(radius[row].max()), owner[row]) for row in rows]
+    return [_TriangleGroup(KDTree(middle[row]), radius[row], owner[row]) for row in rows]
 
 
 class Distances:
@@ -103,6 +112,7 @@ class Distances:
         self.open_side, self.open_corner = _rims(triangles, len(mold.vertices))
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
         shortest = max(min(longest, 0.5 * farthest), self.size / _FINEST)
+        self._known: list[tuple[Array, NDArray[np.int64]]] = []
         self.groups = _groups(*split_long_triangles(self.corners, _length(self.corners, shortest)))
 
     def upper_bounds(self, points: Array) -> Array:
@@ -113,13 +123,16 @@ class Distances:
         """Upper bounds (n,) [m] of distances, and the triangles (n,) that are so far away."""
         least, triangle = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
         for group in self.groups:
-            candidate = group.owner[np.asarray(group.tree.query(points, workers=-1)[1])]
-            parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
-            away = [point_triangle_distance(points[part], self.corners[candidate[part]]) for part in parts]
-            distance = np.concatenate(away)
+            candidate = group.owner[np.asarray(group.tree.query(points, workers=_workers(points))[1])]
+            distance = self._distances(points, candidate)
             triangle = np.where(distance < least, candidate, triangle)
             least = np.minimum(least, distance)
         return least, triangle
+
+    def _distances(self, points: Array, triangle: NDArray[np.int64]) -> Array:
+        """Distances (n,) [m] of points (n, 3) from triangles (n,), pair by pair."""
+        parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
+        return np.concatenate([point_triangle_distance(points[part], self.corners[triangle[part]]) for part in parts])
 
     def exact(self, points: Array) -> Array:
         """Distances (n,) [m] of points (n, 3).
@@ -129,7 +142,8 @@ class Distances:
         """
         if not len(points):
             return np.zeros(0)
-        point, triangle = self._pairs(points, self.upper_bounds(points))
+        bound, about = self._upper_bounds(points)
+        point, triangle = self._pairs(points, bound)
         parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
         found = [self._examine(points[point[part]], triangle[part]) for part in parts]
         distance, at_rim = (np.concatenate(values) for values in zip(*found, strict=True))
@@ -137,32 +151,73 @@ class Distances:
         np.minimum.at(nearest, point, distance)
         rim = np.zeros(len(points), bool)
         rim[point[at_rim & (distance <= nearest[point] + _TIE * self.size)]] = True
+        one = distance == nearest[point]
+        about[point[one]] = triangle[one]
+        self._known.append((points, about))
         return np.where(rim | (nearest > self.farthest), 0.0, nearest)
 
-    def largest(self, points: Array) -> tuple[float, int]:
-        """The largest distance [m] of points (n, 3) [m] by `exact`, and the index of its point; 0 and -1 of none.
+    def largest(self, points: Array, above: float = 0.0) -> tuple[float, int]:
+        """The largest distance [m] of points (n, 3) [m] by `exact`, and its index; `above` and -1 of none above it."""
+        best, found = above, -1
 
-        Only those are measured that a quick bound does not rule out.
-        """
-        bound, best, found = self.upper_bounds(points), 0.0, -1
-        order, first, count = np.argsort(-bound, kind="stable"), 0, _ASKED
-        while first < len(order) and bound[order[first]] > best:
-            asked = order[first : first + count]
+        def measure(asked: NDArray[np.int64]) -> float:
+            nonlocal best, found
             distance = self.exact(points[asked])
             if distance.max() > best:
                 best, found = float(distance.max()), int(asked[np.argmax(distance)])
-            first, count = first + count, _MORE * count
+            return best
+
+        self.search_largest(points, measure, above)
         return best, found
+
+    def search_largest(
+        self,
+        points: Array,
+        measure: Callable[[NDArray[np.int64]], float],
+        above: float = 0.0,
+        beyond: Array | float = 0.0,
+    ) -> None:
+        """Has those of points (n, 3) [m] measured whose values may be the largest, by bounds of their distances.
+
+        Each round measures a few. What is nearest to a measured point bounds the distances of the others around it,
+        which then mostly need not be measured.
+
+        Args:
+            points: The points.
+            measure: Measures some of them (k,), by `exact` or `nearest`; returns the largest value [m] so far.
+            above: The value [m] that must be exceeded.
+            beyond: How far (n,) [m] the value of each may exceed its distance.
+        """
+        best, count, left = above, _ASKED, np.arange(len(points))
+        beyond, bound = np.broadcast_to(beyond, len(points)), self.upper_bounds(points)
+        bound = np.minimum(bound, self._bounds_by_known(points))
+        while len(left := left[bound[left] + beyond[left] > best]):
+            order = left[np.argsort(-(bound + beyond)[left], kind="stable")]
+            # The first ones, and some from all over the others.
+            asked = np.concatenate([order[:count], order[count :: max(1, len(order) // count)]])
+            best = max(best, measure(asked))
+            left = np.setdiff1d(left, asked, assume_unique=True)
+            bound[left] = np.minimum(bound[left], self._bounds_by_known(points[left]))
+            count *= _MORE
+
+    def _bounds_by_known(self, points: Array) -> Array:
+        """Upper bounds (n,) [m] of the distances of points (n, 3): from what is nearest to the nearest known point."""
+        from scipy.spatial import KDTree
+
+        if not self._known or not len(points):
+            return np.full(len(points), np.inf)
+        known, triangle = (np.concatenate(values) for values in zip(*self._known, strict=True))
+        return self._distances(points, triangle[np.asarray(KDTree(known).query(points)[1])])
 
     def nearest(self, points: Array) -> NearestPlaces:
         """The nearest places to points (n, 3) [m]; in a triangle with a near middle, where it is too far."""
         bound, triangle = self._upper_bounds(points)
         point, candidate = self._pairs(points, bound)
-        parts = np.array_split(np.arange(len(point)), 1 + len(point) // _CHUNK)
-        found = [point_triangle_distance(points[point[part]], self.corners[candidate[part]]) for part in parts]
-        order = np.lexsort((np.concatenate(found), point))
+        distance = self._distances(points[point], candidate)
+        order = np.lexsort((distance, point))
         first = order[np.unique(point[order], return_index=True)[1]]
         triangle[point[first]] = candidate[first]
+        self._known.append((points, triangle))
         parts = np.array_split(np.arange(len(points)), 1 + len(points) // _CHUNK)
         seen = [self._examine(points[part], triangle[part]) for part in parts]
         distance, at_rim = (np.concatenate(values) for values in zip(*seen, strict=True))

@@ -85,12 +85,14 @@ def widest_gap(
     distances = Distances(Triangulation(positions, triangles), _REACH * usual)
     back = _back_directions(positions, triangles, wall, push, corners[walls])
     sight = _ViewedSheet(sheet, back[triangles], held, distances, mold, grid, counts)
-    bound = distances.upper_bounds(places)
-    order, best = np.argsort(-bound, kind="stable"), NO_GAP
-    first, count = 0, _ASKED
-    while first < len(order) and bound[order[first]] > best.width:
-        best = max(best, sight.widest(places[order[first : first + count]]), key=lambda gap: gap.width)
-        first, count = first + count, _MORE * count
+    best = NO_GAP
+
+    def measure(asked: NDArray[np.int64]) -> float:
+        nonlocal best
+        best = max(best, sight.widest(places[asked]), key=lambda gap: gap.width)
+        return best.width
+
+    distances.search_largest(places, measure)
     return best
 
 

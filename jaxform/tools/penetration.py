@@ -33,7 +33,6 @@ _FACING = 0.5  # length of the mean normal of a sheet, from which it is pulled o
 _RESTING = 1e-4  # of the sheet's size: what moved by less is where it began
 _DIVISIONS = 6  # of an element's sides
 _MOST_PIECES, _PIECES_EACH = 4_000_000, 20  # as long as the grid's reach, that elements are compared in
-_DIVIDED = 256  # elements, the deepest by a quick bound, that are measured first
 _MOST_DIVIDED = 8192  # elements, the deepest by their middles, that are measured all over
 
 
@@ -171,23 +170,25 @@ def _deepest(corners: Array, ways: Ways, side: Array, distances: Distances) -> t
 
     The side of the nodes (n_node,) is negative beyond the mold; its magnitude is its certainty.
     """
-    row, about = np.arange(len(corners)), distances.upper_bounds(corners.mean(1))
+    middle = corners.mean(1)
+    row = np.arange(len(corners))
     if len(row) > _MOST_DIVIDED:
-        row = np.argsort(-about, kind="stable")[:_MOST_DIVIDED]
-    shares = _lattice(_DIVISIONS)
-    # No place of an element is deeper than its middle by more than it is away from that.
-    bound = about[row] + np.linalg.norm(corners[row] - corners[row].mean(1, keepdims=True), axis=2).max(1)
-    row = row[np.argsort(-bound, kind="stable")]
-    bound, best, where = np.sort(bound)[::-1], 0.0, np.zeros(3)
-    first, count = 0, _DIVIDED
-    while first < len(row) and bound[first] > best:
-        part = row[first : first + count]
+        row = np.sort(np.argsort(-distances.upper_bounds(middle), kind="stable")[:_MOST_DIVIDED])
+    shares, best, where = _lattice(_DIVISIONS), 0.0, np.zeros(3)
+
+    def measure(asked: NDArray[np.int64]) -> float:
+        nonlocal best, where
+        part = row[asked]
         element, point = np.nonzero(_points_beyond_mold(ways, part, shares, side))
         points = np.einsum("pc,pck->pk", shares[point], corners[part[element]])
-        depth, deepest = distances.largest(points)
-        if depth > best:
-            best, where = depth, points[deepest]
-        first, count = first + count, 2 * count
+        best, deepest = distances.largest(points, best)
+        if deepest >= 0:
+            where = points[deepest]
+        return best
+
+    # No place of an element is deeper than its middle by more than it is away from that.
+    radius = np.linalg.norm(corners[row] - middle[row, None], axis=2).max(1)
+    distances.search_largest(middle[row], measure, beyond=radius)
     return best, where
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from jaxform.mesh import shapes
@@ -54,3 +55,52 @@ def test_far_away_it_is_near_the_nearest_all_the_same() -> None:
     corners = surface.vertices[surface.triangles]
     every = np.stack([point_triangle_distance(points, np.broadcast_to(one, (3, 3, 3))) for one in corners], axis=1)
     assert (found.distance >= every.min(1) - 1e-12).all() and (found.distance <= every.min(1) + 0.4).all()
+
+
+def _fan_and_bowl() -> _Surface:
+    """The bowl over a fan of 400 slivers from one vertex, as long as it is wide; both are open."""
+    bowl, angle = _bowl(), np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
+    hub, rim = len(bowl.vertices), len(bowl.vertices) + 1 + np.arange(400)
+    fan = np.stack([np.full(400, hub), rim, np.roll(rim, -1)], axis=1)
+    around = np.stack([2.0 * np.cos(angle), 2.0 * np.sin(angle), np.full(400, -0.5)], axis=1)
+    vertices = np.concatenate([bowl.vertices, [[0.0, 0.0, -0.5]], around])
+    return _Surface(vertices, np.concatenate([bowl.triangles, fan]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("farthest", [0.2, 5.0])
+def test_the_largest_distance_is_that_of_all_points(seed: int, farthest: float) -> None:
+    """Points about slivers and beyond rims, at which a distance is none; too far ones as well."""
+    surface, random = _fan_and_bowl(), np.random.default_rng(seed)
+    points = random.uniform([-2.5, -2.5, -1.0], [3.0, 2.5, 1.5], (600, 3))
+    every = Distances(surface, farthest).exact(points)
+    corners = surface.vertices[surface.triangles]
+    least = np.min([point_triangle_distance(points, np.broadcast_to(one, (600, 3, 3))) for one in corners], axis=0)
+    within = every > 0
+    assert within.any() and not within.all()
+    np.testing.assert_allclose(every[within], least[within], rtol=1e-12)
+    value, found = Distances(surface, farthest).largest(points)
+    assert value == every.max() and every[found] == value
+    assert Distances(surface, farthest).largest(points, value) == (value, -1)
+
+
+def test_few_points_are_measured_for_the_largest_distance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over long slivers the nearest piece's middle says little: 20 000 points, of which some hundred are measured."""
+    asked: list[int] = []
+    exact = Distances.exact
+
+    def count(self: Distances, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        asked.append(len(points))
+        return exact(self, points)
+
+    monkeypatch.setattr(Distances, "exact", count)
+    angle = np.linspace(0.0, 2 * np.pi, 1500, endpoint=False)
+    around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    rim = 1 + np.arange(len(angle))
+    fan = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
+    surface = _Surface(np.concatenate([np.zeros((1, 3)), around]), fan)
+    where = np.random.default_rng(0).uniform(-0.6, 0.6, (20_000, 2))
+    height = 0.02 + 0.01 * np.cos(4 * where[:, 0]) * np.cos(4 * where[:, 1])
+    value, found = Distances(surface, 0.5).largest(np.column_stack([where, height]))
+    assert value == pytest.approx(height.max(), rel=1e-12) and found == np.argmax(height)
+    assert sum(asked) < 1000
