@@ -19,7 +19,8 @@ _AT_FIRST = 8  # pieces of triangles that are searched for near a point
 _FINEST = 200  # pieces of triangles along the mold's longest side
 _MOST_PIECES = 100_000, 2  # in all or for each triangle, whichever are more
 _ASKED, _MORE = 32, 2  # points, the farthest by their bounds, that are measured first, and times as many each round
-_POINTS = 4096  # that are looked up together; more are spread over the cores
+_POINTS = 4096  # that are looked up together
+_THREADED = 1024  # points whose query is spread over the cores
 _CHUNK = 50_000  # pairs of point and triangle processed together
 
 
@@ -87,7 +88,7 @@ class _TriangleGroup(NamedTuple):
 
 def _workers(points: NDArray[Any]) -> int:
     """The number of threads for a query of points (n, ...); -1 for all cores."""
-    return -1 if len(points) >= _POINTS else 1
+    return -1 if len(points) >= _THREADED else 1
 
 
 def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
