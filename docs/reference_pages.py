@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 import types
 import typing
@@ -46,7 +47,7 @@ def tables(model: type[Table]) -> list[tuple[str, type[Table]]]:
     while waiting:
         one = waiting.pop(0)
         for name, field in one.model_fields.items():
-            for inner in _tables_in(field.annotation):
+            for inner in _tables_in(field):
                 if inner not in found:
                     prefix = found[one]
                     found[inner] = f"{prefix}.{name}" if prefix else name
@@ -54,17 +55,24 @@ def tables(model: type[Table]) -> list[tuple[str, type[Table]]]:
     return [(key, one) for one, key in found.items()]
 
 
-def _tables_in(annotation: Any) -> list[type[Table]]:
+def _tables_in(field: FieldInfo) -> list[type[Table]]:
+    """The tables that a key may have as its value."""
+    found = _tables_in_annotation(field.annotation)
+    return [*schema.material_tables()] if schema.MaterialTable in found else found
+
+
+def _tables_in_annotation(annotation: Any) -> list[type[Table]]:
     if isinstance(annotation, type) and issubclass(annotation, Table):
         return [annotation]
-    return [inner for part in get_args(annotation) for inner in _tables_in(part)]
+    return [inner for part in get_args(annotation) for inner in _tables_in_annotation(part)]
 
 
 def describe(model: type[Table]) -> dict[str, str]:
     """What each key of a table means, from the docstrings of its class and of those that it derives from."""
     found: dict[str, str] = {}
     for one in reversed(model.__mro__[: model.__mro__.index(Table)]):
-        text = re.sub(r"\n {8,}(?=\S)", " ", re.sub(r"\n {8}(?=\w+: )", "\n@", one.__doc__ or ""))
+        text = inspect.cleandoc(one.__doc__ or "")
+        text = re.sub(r"\n {4,}(?=\S)", " ", re.sub(r"\n {4}(?=\w+: )", "\n@", text))
         found |= re.findall(r"^@(\w+): (.*?)\s*$", text, re.MULTILINE)
     return found
 
@@ -102,7 +110,7 @@ def _form(model: type[Table]) -> str:
 
 
 def _first(model: type[Table]) -> str:
-    return (model.__doc__ or "").split("\n\n")[0].replace("\n    ", " ")
+    return inspect.cleandoc(model.__doc__ or "").split("\n\n")[0].replace("\n", " ")
 
 
 def _value(field: FieldInfo) -> str:

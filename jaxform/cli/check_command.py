@@ -90,7 +90,7 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
         "memory (no viscous modes)": scene.material.viscous is None,
-        "the second invariant (the material model has none)": document.model.material.model == "neo-hookean",
+        "the second invariant (the material model has none)": not scene.material.depends_on_second_invariant,
         "refinement (none given)": scene.refinement is None,
         "cooling (none given)": scene.cooling is None,
         "frames (none wanted)": document.model.output.frames == 0,

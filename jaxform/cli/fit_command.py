@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxform.cli import session
+from jaxform.core import disk
 from jaxform.core.errors import InputError
 
 _NAMES = ("file", "kind", "column", "stretch", "time", "height", "measured", "fitted")
@@ -18,6 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     words = "tables of tests, each as PATH or KIND=PATH; kinds: uniaxial, equibiaxial, pure-shear, relaxation, bubble"
     parser.add_argument("sources", metavar="DATA.csv", nargs="+", help=words)
     parser.add_argument("--model", metavar="NAME", required=True, help="the law, as in a scene file")
+    words = "Python file that declares the model, if it is not built in"
+    parser.add_argument("--model-file", metavar="FILE.py", type=Path, help=words)
     parser.add_argument("--out", metavar="DIR", type=Path, help="where material.toml, summary.json and fit.png go")
     words = "how many terms a law of lists has (ogden); by default as many as the tests need, 3 at most"
     parser.add_argument("--terms", metavar="N", type=int, help=words)
@@ -44,7 +47,10 @@ def fit(arguments: argparse.Namespace) -> int:
     import optimize
     from jaxform.core.ranges import RANGES, check_one
     from jaxform.io import output
+    from jaxform.io.model_files import import_models
 
+    if arguments.model_file is not None:
+        import_models(disk.expand_path(arguments.model_file))
     check_one("--density", arguments.density, RANGES["material.density"])
     tables = [optimize.fitting.read_table(source) for source in arguments.sources]
     names = [table.name for table in tables]
@@ -61,6 +67,8 @@ def fit(arguments: argparse.Namespace) -> int:
     for line in (*_number_lines(facts), *words):
         say(line)
     table = found.table(arguments.density)
+    if arguments.model_file is not None:
+        table |= {"model_file": str(disk.expand_path(arguments.model_file).resolve())}
     if folder is None:
         say("")
         print(output.material_text(table, words), end="")

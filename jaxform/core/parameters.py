@@ -25,6 +25,7 @@ def parameter(
     most: float | None = None,
     nodal: bool = False,
     listed: bool = False,
+    file_default: float | None = None,
 ) -> Any:
     """A number of a law, a loading or a field, with its range; by default any finite one.
 
@@ -35,15 +36,23 @@ def parameter(
         most: It is not greater than this.
         nodal: Whether it has a value at each node of the parison, (n_node,).
         listed: Whether it is a list of numbers (n,), such as one for each term of a law.
+        file_default: Value where a scene file does not give the number; without one the file must give it.
     """
-    return ranged_parameter(Range(unit, above=above, least=least, most=most), nodal=nodal, listed=listed)
+    allowed = Range(unit, above=above, least=least, most=most)
+    return ranged_parameter(allowed, nodal=nodal, listed=listed, file_default=file_default)
 
 
 def ranged_parameter(
-    allowed: Range, *, nodal: bool = False, listed: bool = False, default: Any = dataclasses.MISSING
+    allowed: Range,
+    *,
+    nodal: bool = False,
+    listed: bool = False,
+    default: Any = dataclasses.MISSING,
+    file_default: float | None = None,
 ) -> Any:
-    """A number with a range that is declared elsewhere."""
-    return field(default=default, metadata={"range": allowed, "nodal": nodal, "listed": listed})
+    """A number with a range that is declared elsewhere; see `parameter`."""
+    metadata = {"range": allowed, "nodal": nodal, "listed": listed, "file_default": file_default}
+    return field(default=default, metadata=metadata)
 
 
 def register_part[T](
@@ -88,6 +97,12 @@ def parameter_ranges(part: Any) -> dict[str, Range]:
 def list_parameter_names(part: Any) -> list[str]:
     """The names of its numbers that are lists."""
     return [each.name for each in _parameter_fields(part) if each.metadata["listed"]]
+
+
+def file_defaults(part: Any) -> dict[str, float]:
+    """Values of the numbers that a scene file may leave out, by name."""
+    defaults = {each.name: each.metadata["file_default"] for each in _parameter_fields(part)}
+    return {name: value for name, value in defaults.items() if value is not None}
 
 
 def varying_parameter_names(part: Any) -> list[str]:

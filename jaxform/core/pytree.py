@@ -87,10 +87,11 @@ def is_internal(tree: Any) -> bool:
     Only this package's source is part of the name of such a file.
     """
     node = tree.node_data()
-    return node is None or (_is_internal_class(node[0]) and all(map(is_internal, tree.children())))
+    return node is None or (is_internal_class(node[0]) and all(map(is_internal, tree.children())))
 
 
-def _is_internal_class(cls: type) -> bool:
+def is_internal_class(cls: type) -> bool:
+    """True for a class of this package or of Python."""
     return cls.__module__.partition(".")[0] in ("jaxform", "builtins")
 
 

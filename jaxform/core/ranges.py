@@ -1,4 +1,7 @@
-"""The range of every number of a scene: declared once, for files, constructors, `replace` and traced values."""
+"""Ranges of the numbers of a scene: declared once, for files, constructors, `replace` and traced values.
+
+A material model declares the ranges of its parameters in its class.
+"""
 
 from __future__ import annotations
 
@@ -74,10 +77,6 @@ RANGES: dict[str, Range] = {
     "pressure.value": Range("Pa"),
     "mold.motion.time": Range("s", increasing=True),
     "mold.motion.displacement": Range("m"),
-    "material.c": Range("Pa", above=0.0),
-    "material.alpha": Range(least=0.0),
-    "material.a01": Range("Pa", above=0.0),
-    "material.a02": Range("Pa", least=0.0),
     "material.density": Range("kg/m^3", above=0.0),
     "parison.temperature": Range("degC", above=-273.15, most=3000.0),
     "material.shift.reference": Range("degC", above=-273.15, most=3000.0),
@@ -106,13 +105,6 @@ RANGES: dict[str, Range] = {
     "refinement.jump": Range(above=0.0),
     "refinement.elements": Range(least=1, count=True),
 }
-
-OF_LAWS: dict[str, dict[str, Range]] = {
-    "yeoh": {"c1": Range("Pa", above=0.0), "c2": Range("Pa"), "c3": Range("Pa", least=0.0)},
-    "gent": {"mu": Range("Pa", above=0.0), "j_max": Range(above=0.0)},
-    "ogden": {"mu": Range("Pa"), "alpha": Range(least=-20.0, most=20.0)},
-}
-"""Of the numbers of laws whose names mean other things in other laws."""
 
 DESIGNABLE = [
     "parison.thickness",

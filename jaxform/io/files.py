@@ -22,6 +22,7 @@ from jaxform.core.ranges import check
 from jaxform.core.store import Store
 from jaxform.io import catalog, geometry, schema
 from jaxform.io.geometry import build_mold, build_part, build_profile, build_sheet, error_context
+from jaxform.io.model_files import import_models_of
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
@@ -97,8 +98,23 @@ def read_scene(name_or_path: str | Path, folder: Path | None = None) -> SceneDoc
         InputError: There is no such scene, or a key or value in it is wrong.
     """
     source = catalog.read(name_or_path, "scene", folder)
-    model = validate(schema.SceneFile, source.data, source.file)
-    return SceneDocument(source.file, source.path.resolve().parent, source.data, model, source.path)
+    return validate_scene(source.data, source.file, source.path.resolve().parent, source.path)
+
+
+def validate_scene(tables: dict[str, Any], file: str, folder: Path, path: Path | None = None) -> SceneDocument:
+    """The validated tables of a scene.
+
+    Args:
+        tables: The tables.
+        file: Name in messages.
+        folder: Base of relative paths.
+        path: Path of the file; None for a scene made of tables.
+
+    Raises:
+        InputError: A key or value is wrong.
+    """
+    import_models_of(tables, folder, file)
+    return SceneDocument(file, folder, tables, validate(schema.SceneFile, tables, file), path)
 
 
 def read_study(name_or_path: str | Path) -> StudyDocument:
@@ -260,7 +276,7 @@ def _quantity(document: SceneDocument, table: Any, key: str, sheet: shapes.Sheet
 
 def _material(document: SceneDocument, sheet: shapes.Sheet) -> materials.Law:
     table = document.model.material
-    law = materials.LAWS[table.model]
+    law = table.law
 
     def number(name: str) -> Any:
         value, key = getattr(table, name), f"material.{name}"

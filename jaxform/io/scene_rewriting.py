@@ -20,7 +20,7 @@ from jaxform.mesh import meshes
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
 
-_PATHS = ("parison.path", "mold.path", "part.molds", "output.reference")
+_PATHS = ("parison.path", "material.model_file", "mold.path", "part.molds", "output.reference")
 
 
 def write_scene(

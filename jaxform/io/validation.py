@@ -116,23 +116,26 @@ def choice(
         later: Values that a later version will know.
         usual: Value where the key is missing; None where the key is required.
     """
+    return form(lambda table: table[key]), BeforeValidator(lambda table: check_choice(table, key, known, later, usual))
+
+
+def check_choice(
+    table: Any, key: str, known: Sequence[str], later: Sequence[str] = (), usual: str | None = None
+) -> dict[str, Any]:
+    """A table whose key has one of the known values; raises otherwise. Arguments as for `choice`."""
     options = f"use {', '.join(known)}"
-
-    def check(table: Any) -> Any:
-        if not isinstance(table, dict):
-            raise validation_error("is not a table", f"begin a section for it, with {key} = ...", value=table)
-        if key not in table:
-            if usual is None:
-                raise validation_error("is missing", options, key)
-            return {**table, key: usual}
-        if table[key] in later:
-            raise validation_error("is not there yet", options, key, table[key])
-        if table[key] not in known:
-            close = difflib.get_close_matches(str(table[key]), known, n=1)
-            raise validation_error("is unknown", f"did you mean {close[0]}?" if close else options, key, table[key])
-        return table
-
-    return form(lambda table: table[key]), BeforeValidator(check)
+    if not isinstance(table, dict):
+        raise validation_error("is not a table", f"begin a section for it, with {key} = ...", value=table)
+    if key not in table:
+        if usual is None:
+            raise validation_error("is missing", options, key)
+        return {**table, key: usual}
+    if table[key] in later:
+        raise validation_error("is not there yet", options, key, table[key])
+    if table[key] not in known:
+        close = difflib.get_close_matches(str(table[key]), known, n=1)
+        raise validation_error("is unknown", f"did you mean {close[0]}?" if close else options, key, table[key])
+    return table
 
 
 def form(name: Callable[[Any], str]) -> Discriminator:
@@ -157,6 +160,15 @@ def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
     raise _input_error(first).with_context(file=file)
+
+
+def validate_part[M: Table](model: type[M], data: Any) -> M:
+    """A table of a file as a model that is known only then; for validators: raises what these do."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = _input_error(error.errors(include_url=False)[0])
+    raise validation_error(first.problem, first.remedy, first.key, first.value)
 
 
 def _input_error(error: ErrorDetails) -> InputError:

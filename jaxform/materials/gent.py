@@ -5,21 +5,20 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import ranged_parameter
-from jaxform.core.ranges import OF_LAWS, RANGES
+from jaxform.core.parameters import parameter, ranged_parameter
+from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 
 _NEAREST = 0.01  # of the way to the limit is left, where the energy goes on with the curvature that it has there
 
-_RANGES = OF_LAWS["gent"]
 
-
-@law
+@law(model="gent")
 class Gent(Law):
     """W = -mu j_max / 2 ln(1 - (I1 - 3) / j_max) (A. N. Gent, Rubber Chem. Technol. 69, 1996).
 
-    From 99 % of the limit on, where it is a hundred times as stiff as at first, the energy goes on as a parabola: an
-    explicit step may pass the limit, and the sheet must then be pulled back by a finite force.
+    The sheet does not stretch beyond a limit. From 99 % of it on, where the sheet is a hundred times as stiff as at
+    first, the energy continues as a parabola: an explicit step may pass the limit, and the sheet must then be pulled
+    back by a finite force.
 
     Attributes:
         mu: Shear modulus in small strain [Pa].
@@ -27,8 +26,8 @@ class Gent(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    mu: jax.Array = ranged_parameter(_RANGES["mu"])
-    j_max: jax.Array = ranged_parameter(_RANGES["j_max"])
+    mu: jax.Array = parameter("Pa", above=0.0)
+    j_max: jax.Array = parameter(above=0.0)
     density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:

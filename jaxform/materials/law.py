@@ -1,14 +1,16 @@
-"""Material models of the sheet; a new one is a class decorated with `law`."""
+"""Material models of the sheet; a new one is a class decorated with `law`, in one file."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
-from typing import Self, dataclass_transform
+from typing import Any, Self, dataclass_transform, overload
 
 import jax
 import jax.numpy as jnp
 
+from jaxform.core.errors import InputError
 from jaxform.core.parameters import (
     parameter,
     parameter_ranges,
@@ -16,13 +18,16 @@ from jaxform.core.parameters import (
     register_part,
     varying_parameter_names,
 )
-from jaxform.core.pytree import static
+from jaxform.core.pytree import is_internal_class, static
 from jaxform.materials.shift import Shift
 from jaxform.materials.viscous import Modes
 
 Slope = jax.Array | None
 """A derivative of the energy; None where the law never has it, so that the step does not compute it."""
 
+LAWS: dict[str, type[Law]] = {}
+"""Material models of scene files by name."""
+_RESERVED = {"model", "model_file", "viscous", "shift", "tension_field"}  # keys of [material] beside the parameters
 _UNSTRAINED = 3.0  # both invariants of a sheet that is not strained
 
 
@@ -41,7 +46,7 @@ class Law(_Dense):
     and leaves out what it never has (decided by its class, never by a parameter's value: the gradient of that would
     silently be zero)::
 
-        @jaxform.law
+        @jaxform.law(model="yeoh")
         class Yeoh(jaxform.Law):
             c1: jax.Array = jaxform.parameter("Pa", above=0.0)
             c2: jax.Array = jaxform.parameter("Pa")
@@ -95,6 +100,11 @@ class Law(_Dense):
     def stiffest(self) -> Self:
         """The law that bounds the stable step: a slack sheet may be taut before the window's end."""
         return dataclasses.replace(self, tension_field=False, held_taut=True) if self.tension_field else self
+
+    @property
+    def depends_on_second_invariant(self) -> bool:
+        """False if the energy never depends on I2, so that the step does not compute it."""
+        return self.slopes(*2 * [jnp.asarray(_UNSTRAINED, self.density.dtype)])[1] is not None
 
     @property
     def zones(self) -> dict[str, jax.Array]:
@@ -166,12 +176,45 @@ def _derivative_along(function: Callable[[jax.Array], Slope], at: jax.Array) -> 
     return jax.jvp(broadcast, (at,), (jnp.ones_like(at),))[1]
 
 
+@overload
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
-def law[T: Law](cls: type[T]) -> type[T]:
-    """Makes a class a law: a frozen dataclass and a pytree, its parameters known to `replace` and to designs.
+def law[T: Law](cls: type[T], /) -> type[T]: ...
+@overload
+@dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
+def law[T: Law](*, model: str) -> Callable[[type[T]], type[T]]: ...
+def law(cls: Any = None, /, *, model: str = "") -> Any:
+    """Declares a class as a material model: a frozen dataclass and a pytree, its parameters known to `replace`.
+
+    With a name, as in `@jaxform.law(model="power")`, scene files and `jaxform fit` know it, too. A name that a model of
+    a user already has is given to the new one, so that a file or a cell can be run again.
+
+    Args:
+        cls: The class.
+        model: Name of the model in scene files; without one, only Python knows it.
 
     Raises:
-        InputError: It does not derive from `Law`, has no energy or density, or an undeclared parameter.
+        InputError: It does not derive from `Law`, has no energy or density, or an undeclared parameter; or the name
+            is that of a built-in model, or cannot stand in a scene file.
     """
-    remedy = "derive it from jaxform.Law and give it an energy"
-    return register_part(cls, Law, "energy", remedy, "material", needed=("density",))
+
+    def declare(cls: Any) -> Any:
+        remedy = "derive it from jaxform.Law and give it an energy"
+        made = register_part(cls, Law, "energy", remedy, "material", needed=("density",))
+        if model:
+            _register_model(model, made)
+        return made
+
+    return declare if cls is None else declare(cls)
+
+
+def _register_model(name: str, made: type[Law]) -> None:
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
+        remedy = "use lower-case letters and digits, words joined by hyphens"
+        raise InputError("is not a name of a material model", remedy, "model", name)
+    if name in LAWS and is_internal_class(LAWS[name]):
+        raise InputError("is the name of a built-in material model", "choose another name", "model", name)
+    reserved = sorted(_RESERVED & set(parameter_ranges(made)))
+    if reserved:
+        remedy = "name the parameter differently, so that scene files can give it"
+        raise InputError(f"has a parameter {reserved[0]}, which is a key of [material]", remedy, "model", name)
+    LAWS[name] = made

@@ -5,12 +5,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from jaxform.core.parameters import ranged_parameter
+from jaxform.core.parameters import parameter, ranged_parameter
 from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 
 
-@law
+@law(model="mooney-rivlin")
 class MooneyRivlin(Law):
     """W = c [(I1 - 3) + alpha (I2 - 3)], the paper's Eq. 2.
 
@@ -20,8 +20,8 @@ class MooneyRivlin(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    c: jax.Array = ranged_parameter(RANGES["material.c"])
-    alpha: jax.Array = ranged_parameter(RANGES["material.alpha"])
+    c: jax.Array = parameter("Pa", above=0.0)
+    alpha: jax.Array = parameter(least=0.0)
     density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:
@@ -41,7 +41,7 @@ class MooneyRivlin(Law):
         return self.c * (1.0 + self.alpha)
 
 
-@law
+@law(model="modified-mooney-rivlin")
 class ModifiedMooneyRivlin(Law):
     """W = A01 (I1 - 3) + A02 (I2 - 3)^2, the paper's Eq. 13.
 
@@ -51,8 +51,8 @@ class ModifiedMooneyRivlin(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    a01: jax.Array = ranged_parameter(RANGES["material.a01"])
-    a02: jax.Array = ranged_parameter(RANGES["material.a02"])
+    a01: jax.Array = parameter("Pa", above=0.0)
+    a02: jax.Array = parameter("Pa", least=0.0)
     density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:

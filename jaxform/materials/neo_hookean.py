@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import jax
 
-from jaxform.core.parameters import ranged_parameter
+from jaxform.core.parameters import parameter, ranged_parameter
 from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 
 
-@law
+@law(model="neo-hookean")
 class NeoHookean(Law):
     """W = c (I1 - 3).
 
@@ -18,7 +18,7 @@ class NeoHookean(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    c: jax.Array = ranged_parameter(RANGES["material.c"])
+    c: jax.Array = parameter("Pa", above=0.0)
     density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:

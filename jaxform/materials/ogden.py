@@ -12,8 +12,8 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from jaxform.core.errors import InputError
-from jaxform.core.parameters import ranged_parameter
-from jaxform.core.ranges import OF_LAWS, RANGES
+from jaxform.core.parameters import parameter, ranged_parameter
+from jaxform.core.ranges import RANGES
 from jaxform.kernels.blocks import materialize
 from jaxform.kernels.elementary import exp2, exp2m1, log2, log2p1
 from jaxform.materials.law import PlaneLaw, law
@@ -26,10 +26,8 @@ _LN_2 = 0.6931471805599453
 _TOGETHER = 3  # how many terms share a division
 _MOST = 900.0  # of log2 of so many powers' product: stretches beyond are cut
 
-_RANGES = OF_LAWS["ogden"]
 
-
-@law
+@law(model="ogden")
 class Ogden(PlaneLaw):
     """W = sum of mu_p / alpha_p (l1^alpha_p + l2^alpha_p + l3^alpha_p - 3) (R. W. Ogden, Proc. R. Soc. A 326, 1972).
 
@@ -47,8 +45,8 @@ class Ogden(PlaneLaw):
         density: Mass per volume [kg/m^3].
     """
 
-    mu: jax.Array = ranged_parameter(_RANGES["mu"], listed=True)
-    alpha: jax.Array = ranged_parameter(_RANGES["alpha"], listed=True)
+    mu: jax.Array = parameter("Pa", listed=True)
+    alpha: jax.Array = parameter(least=-20.0, most=20.0, listed=True)
     density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, trace: jax.Array, determinant: jax.Array) -> jax.Array:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import jax
 
-from jaxform.core.parameters import ranged_parameter
-from jaxform.core.ranges import OF_LAWS, RANGES
+from jaxform.core.parameters import parameter, ranged_parameter
+from jaxform.core.ranges import RANGES
 from jaxform.materials.law import Law, Slope, law
 
-_RANGES = OF_LAWS["yeoh"]
 
-
-@law
+@law(model="yeoh")
 class Yeoh(Law):
     """W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3 (O. H. Yeoh, Rubber Chem. Technol. 63, 1990).
 
@@ -22,9 +20,9 @@ class Yeoh(Law):
         density: Mass per volume [kg/m^3].
     """
 
-    c1: jax.Array = ranged_parameter(_RANGES["c1"])
-    c2: jax.Array = ranged_parameter(_RANGES["c2"])
-    c3: jax.Array = ranged_parameter(_RANGES["c3"])
+    c1: jax.Array = parameter("Pa", above=0.0)
+    c2: jax.Array = parameter("Pa", file_default=0.0)
+    c3: jax.Array = parameter("Pa", least=0.0, file_default=0.0)
     density: jax.Array = ranged_parameter(RANGES["material.density"])
 
     def energy(self, i1: jax.Array, i2: jax.Array) -> jax.Array:

@@ -22,8 +22,7 @@ from jax.core import Tracer
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
-from jaxform.io import files, schema
-from jaxform.io.validation import validate
+from jaxform.io import files
 from jaxform.mesh.shapes import Symmetry
 from jaxform.model.scene import Scene
 
@@ -308,4 +307,4 @@ def _check_range(key: str, value: Any, otherwise: float, least: float, most: flo
 
 def _build(name: str, document: files.SceneDocument, data: dict[str, Any]) -> Scene:
     file = f"jaxform.scenes.{name}"
-    return files.build(files.SceneDocument(file, document.folder, data, validate(schema.SceneFile, data, file)))
+    return files.build(files.validate_scene(data, file, document.folder))

@@ -22,8 +22,10 @@ from packaging.requirements import Requirement
 from pydantic import TypeAdapter, ValidationError
 
 import jaxform
+from jaxform.core.parameters import parameter_ranges
 from jaxform.core.ranges import RANGES
 from jaxform.io import output, schema
+from jaxform.materials import LAWS
 from jaxform.model.replacement import DESIGNABLE, check_numbers, number_at
 from jaxform.results import result as result_module
 from jaxform.results import summary
@@ -59,26 +61,28 @@ def test_replace_refuses_what_no_file_may_hold(path: str, value: Any) -> None:
     assert caught.value.remedy
 
 
-_FILES = {
-    "material.c": (schema.NeoHookeanTable, "c"),
-    "material.alpha": (schema.MooneyRivlinTable, "alpha"),
-    "material.a01": (schema.ModifiedMooneyRivlinTable, "a01"),
-    "material.a02": (schema.ModifiedMooneyRivlinTable, "a02"),
-    "material.density": (schema.NeoHookeanTable, "density"),
-    "parison.thickness": (schema.Disc, "thickness"),
-} | {
-    path: (getattr(schema, path.split(".")[0].capitalize() + "Table"), path.split(".")[1])
-    for path in RANGES
-    if path.startswith(("solver", "refinement"))
-}
+_FILES = (
+    {"parison.thickness": (schema.Disc, RANGES["parison.thickness"])}
+    | {
+        path: (getattr(schema, path.split(".")[0].capitalize() + "Table"), allowed)
+        for path, allowed in RANGES.items()
+        if path.startswith(("solver", "refinement"))
+    }
+    | {
+        f"{model}.{name}": (schema.material_table(model, law), allowed)
+        for model, law in LAWS.items()
+        for name, allowed in parameter_ranges(law).items()
+    }
+)
 
 
 @pytest.mark.parametrize("path", sorted(_FILES))
 def test_files_take_their_ranges_from_the_same_declaration(path: str) -> None:
-    table, name = _FILES[path]
-    allowed = RANGES[path]
+    (table, allowed), name = _FILES[path], path.partition(".")[2]
     field, made = table.model_fields[name], typing.cast(Any, typing.Annotated)
     kind: Any = schema.Thickness if name == "thickness" else made[field.annotation, field]
+    if path.startswith("ogden") and name != "density":
+        kind = typing.get_args(field.annotation)[0]  # of one entry of the list
     taken = TypeAdapter(kind)
     step = 1 if allowed.count else 1e-9
     edges = [(allowed.above, False), (allowed.least, True), (allowed.most, True)]
@@ -178,7 +182,7 @@ def test_traced_numbers_out_of_range_are_a_status_of_their_own() -> None:
         sentence = jaxform.explain(bad)
         for word in words:
             assert word in sentence
-        assert sum(path in sentence for path in DESIGNABLE) == len(words)
+        assert sum(f"{path} " in sentence for path in DESIGNABLE) == len(words)
     both = jax.tree.map(lambda *leaves: np.stack(leaves), good, bad)
     assert jaxform.explain(both) == ["ok", jaxform.explain(bad)]
 

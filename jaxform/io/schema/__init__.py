@@ -5,16 +5,7 @@ the mesh or several numbers at once is checked where the scene is built. The doc
 keys means: the pages of the reference are made of it.
 """
 
-from jaxform.io.schema.material import (
-    GentTable,
-    Material,
-    ModifiedMooneyRivlinTable,
-    MooneyRivlinTable,
-    NeoHookeanTable,
-    OgdenTable,
-    Viscous,
-    YeohTable,
-)
+from jaxform.io.schema.material import Material, MaterialTable, Viscous, material_table, material_tables
 from jaxform.io.schema.mold import BottleHalfMold, BoxInsertMold, FileMold, Mold, RevolvedMold
 from jaxform.io.schema.parison import BottleHalfParison, Disc, FileParison, Outline, Parison, RectangleTable, Sphere
 from jaxform.io.schema.quantities import (
@@ -63,23 +54,19 @@ __all__ = [
     "FileParison",
     "FixedPoint",
     "FormingTimeTable",
-    "GentTable",
     "HeaterZonesTable",
     "KineticEnergyTable",
     "Lbfgs",
     "LeastMassTable",
     "LeastSquares",
     "Material",
+    "MaterialTable",
     "Method",
-    "ModifiedMooneyRivlinTable",
     "Mold",
-    "MooneyRivlinTable",
-    "NeoHookeanTable",
     "NumberProfile",
     "Objective",
     "ObjectiveTable",
     "Objectives",
-    "OgdenTable",
     "Outline",
     "Output",
     "Parison",
@@ -106,5 +93,6 @@ __all__ = [
     "UniformTable",
     "Variable",
     "Viscous",
-    "YeohTable",
+    "material_table",
+    "material_tables",
 ]

@@ -1,20 +1,24 @@
-"""Tables of the material models; each parameter may vary over the sheet."""
+"""Tables of the material models, made from the classes that declare them; each parameter may vary over the sheet."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+import functools
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, PlainValidator, SerializeAsAny, Tag, create_model, model_validator
 
-from jaxform.core.ranges import OF_LAWS
+from jaxform.core.parameters import file_defaults, list_parameter_names, parameter_ranges
 from jaxform.io.schema.quantities import Zoned
-from jaxform.io.validation import Table, allow_range, choice, declared_range, validation_error
-
-
-def _in(law: str, key: str) -> Any:
-    """The range of a material model's parameter, for `Annotated`."""
-    return allow_range(OF_LAWS[law][key])
-
+from jaxform.io.validation import (
+    Table,
+    allow_range,
+    check_choice,
+    choice,
+    declared_range,
+    validate_part,
+    validation_error,
+)
+from jaxform.materials import LAWS, Law
 
 _MOST_TERMS = 6
 _MOST_MODES = 12
@@ -86,112 +90,59 @@ Shift = Annotated[
 ]
 
 
-class _LawTable(Table):
+class MaterialTable(Table):
     """Keys that all material models share.
 
     Attributes:
+        model: Name of the material model.
+        model_file: A Python file that declares the model, relative to the scene file; for models that are not built in.
         density: Mass per volume [kg/m^3].
         viscous: Maxwell branches; without them the sheet has no memory.
         shift: Time-temperature shift; without it the sheet's temperature has no effect on its stress.
         tension_field: Whether the sheet goes slack and wrinkles where it would otherwise be compressed.
     """
 
+    law: ClassVar[type[Law]] = Law
+    """The class of the material model."""
+
+    model: str
+    model_file: str | None = None
     density: Density
     viscous: Viscous | None = None
     shift: Shift | None = None
     tension_field: bool = False
 
 
-class NeoHookeanTable(_LawTable):
-    """W = c (I1 - 3).
+@functools.cache
+def material_table(name: str, law: type[Law]) -> type[MaterialTable]:
+    """The table of a material model, with a key for each parameter that its class declares.
 
-    Attributes:
-        model: Name of the material model.
-        c: Half the shear modulus [Pa].
+    Args:
+        name: Name of the model.
+        law: Its class.
     """
-
-    model: Literal["neo-hookean"]
-    c: Zoned[Annotated[float, declared_range("material.c")]]
-
-
-class MooneyRivlinTable(_LawTable):
-    """W = c [(I1 - 3) + alpha (I2 - 3)].
-
-    Attributes:
-        model: Name of the material model.
-        c: First coefficient [Pa].
-        alpha: Ratio of the second coefficient to the first.
-    """
-
-    model: Literal["mooney-rivlin"]
-    c: Zoned[Annotated[float, declared_range("material.c")]]
-    alpha: Zoned[Annotated[float, declared_range("material.alpha")]]
+    listed, defaults = list_parameter_names(law), file_defaults(law)
+    keys: dict[str, Any] = {"model": (Literal[name], ...)}
+    for key, allowed in parameter_ranges(law).items():
+        if key != "density":
+            kind: Any = Zoned[Annotated[float, allow_range(allowed)]]
+            if key in listed:
+                kind = Annotated[list[kind], Field(min_length=1, max_length=_MOST_TERMS)]
+            keys[key] = (kind, defaults.get(key, ...))
+    made = create_model(f"{law.__name__}Table", __base__=MaterialTable, __doc__=law.__doc__, **keys)
+    made.law = law
+    return made
 
 
-class ModifiedMooneyRivlinTable(_LawTable):
-    """W = a01 (I1 - 3) + a02 (I2 - 3)^2.
-
-    Attributes:
-        model: Name of the material model.
-        a01: Coefficient of I1 - 3 [Pa].
-        a02: Coefficient of (I2 - 3)^2 [Pa].
-    """
-
-    model: Literal["modified-mooney-rivlin"]
-    a01: Zoned[Annotated[float, declared_range("material.a01")]]
-    a02: Zoned[Annotated[float, declared_range("material.a02")]]
+def material_tables() -> list[type[MaterialTable]]:
+    """The tables of all registered material models."""
+    return [material_table(name, law) for name, law in LAWS.items()]
 
 
-class YeohTable(_LawTable):
-    """W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3.
-
-    Attributes:
-        model: Name of the material model.
-        c1: Half the shear modulus in small strain [Pa].
-        c2: Coefficient of the square [Pa].
-        c3: Coefficient of the cube [Pa].
-    """
-
-    model: Literal["yeoh"]
-    c1: Zoned[Annotated[float, _in("yeoh", "c1")]]
-    c2: Zoned[Annotated[float, _in("yeoh", "c2")]] = 0.0
-    c3: Zoned[Annotated[float, _in("yeoh", "c3")]] = 0.0
+def _validate_material(given: Any) -> MaterialTable:
+    """The table of the material model that the key `model` names."""
+    name = check_choice(given, "model", list(LAWS))["model"]
+    return validate_part(material_table(name, LAWS[name]), given)
 
 
-class GentTable(_LawTable):
-    """W = -mu j_max / 2 ln(1 - (I1 - 3) / j_max), which does not stretch beyond a limit.
-
-    Attributes:
-        model: Name of the material model.
-        mu: Shear modulus in small strain [Pa].
-        j_max: Limit of I1 - 3; from 99 % of it on the energy goes on as a parabola.
-    """
-
-    model: Literal["gent"]
-    mu: Zoned[Annotated[float, _in("gent", "mu")]]
-    j_max: Zoned[Annotated[float, _in("gent", "j_max")]]
-
-
-class OgdenTable(_LawTable):
-    """W = sum of mu / alpha (l1^alpha + l2^alpha + l3^alpha - 3), l1 to l3 the principal stretches.
-
-    Attributes:
-        model: Name of the material model.
-        mu: Modulus of each term [Pa]; the sum of mu alpha is twice the shear modulus in small strain.
-        alpha: The powers, of which none is 0.
-    """
-
-    model: Literal["ogden"]
-    mu: Annotated[list[Zoned[Annotated[float, _in("ogden", "mu")]]], Field(min_length=1, max_length=_MOST_TERMS)]
-    alpha: Annotated[list[Zoned[Annotated[float, _in("ogden", "alpha")]]], Field(min_length=1, max_length=_MOST_TERMS)]
-
-
-Material = Annotated[
-    Annotated[NeoHookeanTable, Tag("<neo-hookean>")]
-    | Annotated[MooneyRivlinTable, Tag("<mooney-rivlin>")]
-    | Annotated[ModifiedMooneyRivlinTable, Tag("<modified-mooney-rivlin>")]
-    | Annotated[YeohTable, Tag("<yeoh>")]
-    | Annotated[GentTable, Tag("<gent>")]
-    | Annotated[OgdenTable, Tag("<ogden>")],
-    *choice("model", ["neo-hookean", "mooney-rivlin", "modified-mooney-rivlin", "yeoh", "gent", "ogden"]),
-]
+Material = Annotated[SerializeAsAny[MaterialTable], PlainValidator(_validate_material)]
