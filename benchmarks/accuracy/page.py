@@ -125,12 +125,16 @@ def _precision(name: str, words: str) -> Any:
             f"## What an error costs: {name}\n",
             f"{words} The default is in bold; the others change one thing of it.\n",
             f"![Error over time, {name}]({picture})\n",
-            "| | | elements | steps | error | time | haste | mass added |",
+            "| | | elements | steps | error | time | quasi-static error | mass added |",
             "|---|---|---|---|---|---|---|---|",
         ]
         for row in rows:
             cells = [row["group"], row["label"], row["elements"], row["steps"], f"{row['error']:.2f} %"]
-            cells += [f"{row['seconds']:.3f} s", f"{100 * row['haste']:.2g} %", f"{100 * row['added_mass']:.0f} %"]
+            cells += [
+                f"{row['seconds']:.3f} s",
+                f"{100 * row['quasi_static_error']:.2g} %",
+                f"{100 * row['added_mass']:.0f} %",
+            ]
             if row["status"] != "ok":
                 cells[4] = "stopped"
             lines.append("| " + " | ".join(f"**{c}**" if row["default"] else str(c) for c in cells) + " |")
@@ -219,11 +223,11 @@ def _plain_ticks(axis: Any, values: list[float]) -> None:
 
 
 def _slow(found: Found, folder: Path) -> str:
-    _draw_haste(found, folder / "haste.png")
+    _draw_quasi_static_error(found, folder / "quasi-static-error.png")
     _draw_ramps(found, folder / "ramps.png")
     rows = [row for part in found.values() for row in part["rows"] if row["status"] == 0 and row["error"] > 0]
     seen = [row for row in rows if 5e-4 < row["error"] < 0.3]
-    ratio = np.array([row["haste"] / row["error"] for row in seen])
+    ratio = np.array([row["quasi_static_error"] / row["error"] for row in seen])
     seen_by = {name: [row for row in part["rows"] if row in seen] for name, part in found.items()}
     low, middle, high = np.percentile(ratio, [5, 50, 95])
     off = [row for row in rows if row["error"] > 2 * SLOW_ENOUGH]
@@ -239,8 +243,8 @@ def _slow(found: Found, folder: Path) -> str:
         "the work done, plus a fifth of the square of the share of the work that damping took. "
         f"Over {len(seen)} runs that are off by 0.05 to 30 %, the prediction is {middle:.1f} times the "
         f"deviation in the middle, and {low:.2f} to {high:.1f} times in nine out of ten.\n",
-        "![Predicted and true deviation](haste.png)\n",
-        f"By scene, in the middle: {_middles(seen_by)}. A shallow part feels haste less than the prediction says.\n"
+        "![Predicted and true deviation](quasi-static-error.png)\n",
+        f"By scene, in the middle: {_middles(seen_by)}. For a shallow part the prediction is too high.\n"
         if len(seen_by) > 2
         else "",
         f"With `quasi_static = true` in [solver] a run that predicts more than {100 * SLOW_ENOUGH:.2g} % says so, "
@@ -249,7 +253,7 @@ def _slow(found: Found, folder: Path) -> str:
         f"{50 * SLOW_ENOUGH:.2g} %. The kinetic energy that "
         "is left at the end, or with which the sheet hits the mold, predicts worse: "
         f"the latter is off by a factor of {_spread(seen, 'hit'):.0f} either way in nine out of ten, the peak alone by "
-        f"{_spread(seen, 'kinetic'):.1f}, the sum above by {_spread(seen, 'haste'):.1f}.\n",
+        f"{_spread(seen, 'kinetic'):.1f}, the sum above by {_spread(seen, 'quasi_static_error'):.1f}.\n",
         "At the damping that the scenes are built in with:\n",
         "| | ramp [s] | damping [1/s] | deviation | predicted | kinetic peak | damped | hit |",
         "|---|---|---|---|---|---|---|---|",
@@ -258,7 +262,7 @@ def _slow(found: Found, folder: Path) -> str:
         for row in part["rows"]:
             if row["damping"] == 1.0:
                 cells = [f"{name}, {row['kind']}", f"{row['ramp']:g}", f"{row['damping'] * part['damping']:g}"]
-                cells += [_percent(row[key]) for key in ("error", "haste", "kinetic", "damped", "hit")]
+                cells += [_percent(row[key]) for key in ("error", "quasi_static_error", "kinetic", "damped", "hit")]
                 lines.append("| " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
 
@@ -266,12 +270,13 @@ def _slow(found: Found, folder: Path) -> str:
 def _middles(rows: dict[str, list[Found]]) -> str:
     """The median of predicted over true deviation, by scene."""
     return ", ".join(
-        f"{name} {np.median([row['haste'] / row['error'] for row in own]):.2g}" for name, own in rows.items()
+        f"{name} {np.median([row['quasi_static_error'] / row['error'] for row in own]):.2g}"
+        for name, own in rows.items()
     )
 
 
 def _warning_count(rows: list[Found]) -> int:
-    return sum(row["haste"] > SLOW_ENOUGH for row in rows)
+    return sum(row["quasi_static_error"] > SLOW_ENOUGH for row in rows)
 
 
 def _spread(rows: list[Found], key: str) -> float:
@@ -281,12 +286,12 @@ def _spread(rows: list[Found], key: str) -> float:
     return float(np.exp(0.5 * (high - low)))
 
 
-def _draw_haste(found: Found, path: Path) -> None:
+def _draw_quasi_static_error(found: Found, path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6.4, 4.8), layout="constrained")
     for mark, (name, part) in zip("os^", found.items(), strict=False):
         for kind, color in (("cubic-ramp", "C0"), ("linear", "C1")):
             rows = [row for row in part["rows"] if row["kind"] == kind and row["error"] > 0 and row["status"] == 0]
-            points = [(100 * row["haste"], 100 * row["error"]) for row in rows]
+            points = [(100 * row["quasi_static_error"], 100 * row["error"]) for row in rows]
             axes.plot(*zip(*points, strict=True), mark, color=color, alpha=0.7, label=f"{name}, {kind}", markersize=6)
     line = np.array([0.01, 100.0])
     axes.plot(line, line, "k-", linewidth=1)

@@ -170,7 +170,7 @@ def show_dish() -> list[Row]:
 def show_box() -> list[Row]:
     """The box with insert against 64 000 uniform elements: uniform, and refined from 126."""
     refined = [
-        {"elements": 128, "angle": angle, "max_level": level, "base_level": level, "scaled_levels": scaled}
+        {"elements": 128, "angle": angle, "max_level": level, "base_level": level, "mass_scaling_levels": scaled}
         for angle, level, scaled in (
             (12.0, 4, 0),
             (8.0, 6, 0),
@@ -187,7 +187,7 @@ def show_box() -> list[Row]:
 def show_tray() -> list[Row]:
     """A large tray with a small block against 64 000 uniform elements: uniform, and refined from 126."""
     refined = [
-        {"elements": 128, "angle": angle, "max_level": level, "base_level": level, "scaled_levels": scaled}
+        {"elements": 128, "angle": angle, "max_level": level, "base_level": level, "mass_scaling_levels": scaled}
         for angle, level, scaled in ((12.0, 4, 0), (12.0, 6, 0), (20.0, 6, 0), (12.0, 6, 2))
     ]
     return curve(tray, against(tray, 64000), uniform(128, 500, 2000, 6000) + refined)
@@ -196,8 +196,8 @@ def show_tray() -> list[Row]:
 def show_panel() -> list[Row]:
     """A large sheet over a small block against 128 000 uniform elements, where the block is: uniform, and refined."""
     refined = [
-        {"elements": 1000, "angle": 20.0, "max_level": 4, "base_level": base, "base_reach": reach}
-        | {"scaled_levels": scaled}
+        {"elements": 1000, "angle": 20.0, "max_level": 4, "base_level": base, "proximity_factor": reach}
+        | {"mass_scaling_levels": scaled}
         for base, reach, scaled in ((4, 2.0, 0), (6, 1.0, 2), (6, 2.0, 0), (6, 2.0, 2), (6, 3.0, 2))
     ]
     counts = uniform(500, 1000, 2000, 4000, 8000, 16000, 32000)
@@ -208,7 +208,7 @@ def show_overhead() -> list[Row]:
     """What looking at the mesh and making more of it takes of a run."""
     rows = []
     for name, scene in (
-        ("box-insert", box(128, angle=12.0, max_level=6, base_level=6, scaled_levels=2)),
+        ("box-insert", box(128, angle=12.0, max_level=6, base_level=6, mass_scaling_levels=2)),
         ("dish", dish(27, angle=4.0, max_level=6, base_level=6)),
     ):
         scene, part, seconds = run_timed(scene)

@@ -62,7 +62,7 @@ def measure_gradient(
         "steps": int(part.steps),
         "error": error(scene, parts[-1]),
         "seconds": min(cases.seconds(each) for each in parts),
-        "haste": float(part.energy.quasi_static_error),
+        "quasi_static_error": float(part.energy.quasi_static_error),
         "added_mass": float(part.added_mass),
         "status": jaxform.explain(part),
     }
@@ -129,14 +129,16 @@ def show_dish(sizes: tuple[int, ...] = (150, 350, 600, 1350, 2400)) -> list[Foun
     rows += [
         measure_gradient(refinement.dish(**default | change), error, "refined", words, False)
         for change, words in (
-            ({"max_level": 4, "base_level": 4, "scaled_levels": 0}, "to level 4"),
-            ({"base_level": 6, "scaled_levels": 0}, "to level 6"),
-            ({"base_level": 8, "scaled_levels": 2}, "at the corner to level 8"),
-            ({"angle": 4.0, "base_level": 6, "scaled_levels": 0}, "to level 6, 4 degrees"),
+            ({"max_level": 4, "base_level": 4, "mass_scaling_levels": 0}, "to level 4"),
+            ({"base_level": 6, "mass_scaling_levels": 0}, "to level 6"),
+            ({"base_level": 8, "mass_scaling_levels": 2}, "at the corner to level 8"),
+            ({"angle": 4.0, "base_level": 6, "mass_scaling_levels": 0}, "to level 6, 4 degrees"),
         )
     ]
     rows += [
-        measure_gradient(refinement.dish(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
+        measure_gradient(
+            refinement.dish(**default | {"mass_scaling_levels": k}), error, "mass scaling", f"{k} levels", False
+        )
         for k in (0, 2, 6)
     ]
     rows.append(
@@ -160,7 +162,9 @@ def show_box(sizes: tuple[int, ...] = (128, 500, 2000, 6000)) -> list[Found]:
         )
     ]
     rows += [
-        measure_gradient(refinement.box(**default | {"scaled_levels": k}), error, "mass scaling", f"{k} levels", False)
+        measure_gradient(
+            refinement.box(**default | {"mass_scaling_levels": k}), error, "mass scaling", f"{k} levels", False
+        )
         for k in (0, 1, 4)
     ]
     rows.append(in_float32(lambda: measure_gradient(refinement.box(**default), error, "float32", "as built in", False)))
@@ -216,7 +220,7 @@ def measure_inertia(scene: Scene, slow: Result) -> Found:
     energy, off = result.energy, np.asarray(result.element_thickness) / np.asarray(slow.element_thickness) - 1
     return {
         "error": cases.rms(off, np.asarray(result.element_volume)),
-        "haste": float(energy.quasi_static_error),
+        "quasi_static_error": float(energy.quasi_static_error),
         "kinetic": float(energy.kinetic_peak / energy.external_work),
         "damped": float(energy.damping_loss / energy.external_work),
         "hit": float(energy.contact_loss / energy.external_work),

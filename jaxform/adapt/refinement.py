@@ -250,7 +250,7 @@ def _shapes(positions: Any, discrete: Discretization, adaptivity: Adaptivity, gr
         x, y, z = (component / size for component in normal)
         near = jnp.zeros_like(size)
         if bend is not None and grid is not None:
-            near = _within_reach(first, edge1, edge2, bend, grid, adaptivity.limits.base_reach)
+            near = _within_reach(first, edge1, edge2, bend, grid, adaptivity.limits.proximity_factor)
         return [[x, y, z, 2.0 * area * thickness / size, near]], []
 
     inputs = elements.triangles, elements.area, thickness

@@ -8,9 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from jaxform.core.errors import InputError
+from jaxform.core.errors import InputError, warn_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import ArrayLike
 
 DEEPEST = 14  # level of refinement
@@ -100,8 +102,8 @@ RANGES: dict[str, Range] = {
     "refinement.interval": Range("steps", least=1, most=MOST_STEPS, count=True),
     "refinement.max_level": Range(least=0, most=DEEPEST, count=True),
     "refinement.base_level": Range(least=0, most=DEEPEST, count=True),
-    "refinement.base_reach": Range(above=0.0),
-    "refinement.scaled_levels": Range(least=0, most=DEEPEST, count=True),
+    "refinement.proximity_factor": Range(above=0.0),
+    "refinement.mass_scaling_levels": Range(least=0, most=DEEPEST, count=True),
     "refinement.jump": Range(above=0.0),
     "refinement.elements": Range(least=1, count=True),
 }
@@ -130,6 +132,40 @@ DESIGNABLE = [
 """What `replace` may put in; the place of each is its bit in `Result.out_of_range`. A law may add to it."""
 WORDS, BITS = 4, 31  # whole numbers in which it is told which are out of range, and how many in each
 _declared: dict[str, list[Range]] = {}
+
+
+RENAMED = {
+    "refinement.base_reach": "refinement.proximity_factor",
+    "refinement.scaled_levels": "refinement.mass_scaling_levels",
+}
+"""Older names of keys, accepted in version 0.1 with a warning."""
+
+
+def current_keys(section: str, given: Mapping[str, Any], file: str = "") -> dict[str, Any]:
+    """Keys of a section and their values, older names replaced by the current ones.
+
+    Args:
+        section: The section, such as "refinement".
+        given: Its keys and values.
+        file: Name of the scene file in messages.
+
+    Raises:
+        InputError: A key is given under both names.
+
+    Warns:
+        InputWarning: A key has its older name.
+    """
+    named = {}
+    for key, value in given.items():
+        old = f"{section}.{key}"
+        new = RENAMED.get(old, old)
+        name = new.rpartition(".")[2]
+        if new != old and name in given:
+            raise InputError(f"is the older name of {new}, which is given, too", "leave it out", old, value, file)
+        if new != old:
+            warn_of(f"is the older name of {new}", "use the new name", key=old, value=value, file=file)
+        named[name] = value
+    return named
 
 
 def declare(key: str, allowed: Range) -> None:

@@ -18,7 +18,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.parameters import parameter_ranges
 from jaxform.core.promotion import with_standard_promotion
 from jaxform.core.pytree import as_real
-from jaxform.core.ranges import check
+from jaxform.core.ranges import check, current_keys
 from jaxform.core.store import Store
 from jaxform.io import catalog, geometry, schema
 from jaxform.io.geometry import build_mold, build_part, build_profile, build_sheet, error_context
@@ -114,6 +114,8 @@ def validate_scene(tables: dict[str, Any], file: str, folder: Path, path: Path |
         InputError: A key or value is wrong.
     """
     import_models_of(tables, folder, file)
+    if isinstance(tables.get("refinement"), dict):
+        tables = tables | {"refinement": current_keys("refinement", tables["refinement"], file)}
     return SceneDocument(file, folder, tables, validate(schema.SceneFile, tables, file), path)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from jaxform.core.errors import InputError
 from jaxform.core.pytree import abbreviate, as_index, as_real, pytree, row_count, static
-from jaxform.core.ranges import MOST_STEPS, as_numbers, check, check_one
+from jaxform.core.ranges import MOST_STEPS, RENAMED, as_numbers, check, check_one, current_keys
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
 from jaxform.mesh import volumes
@@ -87,9 +87,9 @@ class Refinement:
         interval: Steps between two checks of the mesh, rounded up to whole windows.
         max_level: Elements at this level are not bisected for their own shape, only to fit their neighbours.
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
-        base_reach: Distance that counts as near, as a multiple of the element's longest side.
+        proximity_factor: Distance that counts as near, as a multiple of the element's longest side.
         jump: Largest ratio, less 1, of neighbours' thicknesses; None leaves it out.
-        scaled_levels: Number of the finest levels whose mass is scaled, so that they do not shorten the step.
+        mass_scaling_levels: Number of the finest levels whose mass is scaled, so that they do not shorten the step.
         at_rest: Whether new nodes begin at rest that are nearer to the mold than half their edge, or its search grid's
             reach; from a whole one on they move as their edge did, in between somewhat slower. Else all move as their
             edges did, which keeps the momentum, but makes a replay jump where a node comes into contact just before or
@@ -100,11 +100,11 @@ class Refinement:
     angle: jax.Array
     min_area: jax.Array
     jump: jax.Array | None
-    base_reach: jax.Array
+    proximity_factor: jax.Array
     interval: np.int32 | jax.Array
     max_level: np.int32 | jax.Array
     base_level: np.int32 | jax.Array
-    scaled_levels: np.int32 | jax.Array
+    mass_scaling_levels: np.int32 | jax.Array
     at_rest: bool = static()
     elements: int = static()
 
@@ -319,35 +319,49 @@ def make_refinement(
     elements: int,
     min_area: float = 0.0,
     base_level: int = 0,
-    base_reach: float = 1.0,
-    scaled_levels: int = 0,
+    proximity_factor: float = 1.0,
+    mass_scaling_levels: int = 0,
     at_rest: bool = True,
     jump: float | None = None,
+    **renamed: Any,
 ) -> Refinement:
     """Limits of adaptive refinement; see `Refinement`.
+
+    Older names of two keywords, `base_reach` and `scaled_levels`, are still accepted, with a warning.
 
     Raises:
         InputError: If a number is out of its range.
     """
+    for name in renamed:
+        if f"refinement.{name}" not in RENAMED:
+            raise TypeError(f"make_refinement() got an unexpected keyword argument {name!r}")
+    current = current_keys("refinement", renamed)
+    proximity_factor = current.get("proximity_factor", proximity_factor)
+    mass_scaling_levels = current.get("mass_scaling_levels", mass_scaling_levels)
     given = {"angle": angle, "min_area": min_area, "interval": interval, "max_level": max_level}
-    given |= {"base_level": base_level, "base_reach": base_reach, "scaled_levels": scaled_levels, "elements": elements}
+    given |= {
+        "base_level": base_level,
+        "proximity_factor": proximity_factor,
+        "mass_scaling_levels": mass_scaling_levels,
+        "elements": elements,
+    }
     for name, value in (given if jump is None else given | {"jump": jump}).items():
         check_one(f"refinement.{name}", value)
     deepest = max(max_level, base_level)
     require(deepest > 0, "must not both be 0", "refinement.max_level", max_level)
-    if scaled_levels > deepest:
+    if mass_scaling_levels > deepest:
         problem = f"is more than the {deepest} levels that there are"
-        raise InputError(problem, f"give at most {deepest}", "refinement.scaled_levels", scaled_levels)
+        raise InputError(problem, f"give at most {deepest}", "refinement.mass_scaling_levels", mass_scaling_levels)
     uneven = None if jump is None else as_real(jump)
     return Refinement(
         angle=as_real(angle),
         min_area=as_real(min_area),
         jump=uneven,
-        base_reach=as_real(base_reach),
+        proximity_factor=as_real(proximity_factor),
         interval=np.int32(interval),
         max_level=np.int32(max_level),
         base_level=np.int32(base_level),
-        scaled_levels=np.int32(scaled_levels),
+        mass_scaling_levels=np.int32(mass_scaling_levels),
         at_rest=at_rest,
         elements=elements,
     )

@@ -187,7 +187,7 @@ def find_initial_bisections(
     if lying is not None:
         wanted = _partly_in_contact(forest, np.asarray(lying)) & (level < refinement.deepest)
     if bend is not None:
-        wanted |= (_bend_distance(corners.mean(1), bend, grid) < float(refinement.base_reach) * side) & (
+        wanted |= (_bend_distance(corners.mean(1), bend, grid) < float(refinement.proximity_factor) * side) & (
             level < refinement.base_level
         )
     wanted &= 0.5 * area >= float(refinement.min_area)

@@ -78,8 +78,8 @@ def pack_forest(
     first_nodes = int(np.sum(forest.ends[:, 0] == forest.ends[:, 1]))
     bound = as_real(volumes.shape_bound(forest.positions, forest.triangles))
     heavier = jnp.ones_like(bound)
-    if refinement.scaled_levels:
-        unscaled = forest.level() <= refinement.deepest - refinement.scaled_levels
+    if refinement.mass_scaling_levels:
+        unscaled = forest.level() <= refinement.deepest - refinement.mass_scaling_levels
         heavier = jnp.maximum(bound / jnp.max(jnp.where(unscaled, bound, 0.0)), 1.0)
     return BisectionHierarchy(
         sheet=ReferenceGeometry(as_index(forest.triangles.T), as_real(inverse), as_real(area), sheet.origin),

@@ -101,11 +101,6 @@ class Energy:
         work = jnp.where(self.measurable, jnp.abs(self.work), jnp.inf)
         return self.kinetic_peak / work + _DRAG * jnp.square(self.damping_loss / work)
 
-    @property
-    def haste(self) -> jax.Array:
-        """An older name of `quasi_static_error`."""
-        return self.quasi_static_error
-
 
 def warnings_of_no_work(energy: Energy) -> list[str]:
     """A sentence where the pressure did so little work that nothing moved which could be measured."""

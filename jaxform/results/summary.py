@@ -212,9 +212,7 @@ def _facts(result: Result, scene: Scene) -> dict[str, Any]:
         **({} if scene.part is None else {"sheet_mass": float(result.mass)}),
         "added_mass": float(result.added_mass),
         **dict.fromkeys(PENDING),
-        # Under its older name as well.
-        "energy": energy
-        | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow, "haste": slow},
+        "energy": energy | {"balance_error": float(result.energy.balance_error), "quasi_static_error": slow},
         "warnings": [*doubts, *warnings_of(result, scene)],
     }
 

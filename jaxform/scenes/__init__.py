@@ -22,6 +22,7 @@ from jax.core import Tracer
 from numpy.typing import NDArray
 
 from jaxform.core.errors import InputError
+from jaxform.core.ranges import current_keys
 from jaxform.io import files
 from jaxform.mesh.shapes import Symmetry
 from jaxform.model.scene import Scene
@@ -244,7 +245,7 @@ def _merge(key: str, table: dict[str, Any], keys: Any) -> dict[str, Any]:
         return table
     if not isinstance(keys, Mapping):
         raise InputError("is not a table", f"give keys of [{key}] and their values", key, keys)
-    return table | {name: _plain(f"{key}.{name}", value) for name, value in keys.items()}
+    return table | {name: _plain(f"{key}.{name}", value) for name, value in current_keys(key, keys).items()}
 
 
 def _pressure(table: dict[str, Any], pressure: Any) -> dict[str, Any]:

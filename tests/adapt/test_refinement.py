@@ -143,7 +143,7 @@ def over_a_block(reach: float, gap: float = 0.0005, **options: Any) -> Scene:
         solver=jaxform.make_solver(end_time=0.1),
         mold=jaxform.make_mold(box.vertices - [0.15, 0.15, top - gap], box.triangles),
         fill=False,
-        refinement=jaxform.make_refinement(base_level=6, base_reach=reach, **limits | options),
+        refinement=jaxform.make_refinement(base_level=6, proximity_factor=reach, **limits | options),
     )
 
 
@@ -368,7 +368,7 @@ def test_files_and_pictures_have_the_nodes_that_exist(scene: Scene, live: Result
         ({"interval": 0}, "interval"),
         ({"jump": 0.0}, "jump"),
         ({"min_area": -1.0}, "min_area"),
-        ({"base_reach": 0.0}, "base_reach"),
+        ({"proximity_factor": 0.0}, "proximity_factor"),
     ],
 )
 def test_limits_out_of_range_are_told(options: dict[str, float], key: str) -> None:

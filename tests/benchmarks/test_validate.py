@@ -1,4 +1,4 @@
-"""What `make validate` stands on: the solutions it compares with, haste and its warning, and the page."""
+"""The basis of `make validate`: its reference solutions, the quasi-static error and its warning, and the page."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _hurry(ramp: float) -> jaxform.Scene:
     return jaxform.replace(dataclasses.replace(scene, solver=solver), times)
 
 
-def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
+def test_a_fast_process_is_warned_of_and_a_slow_one_is_not() -> None:
     with pytest.warns(UserWarning, match=r"no slow process .* raise the pressure more slowly"):
         fast = jaxform.run(_hurry(4.0))
     with warnings.catch_warnings():
@@ -58,12 +58,12 @@ def test_haste_is_warned_of_and_a_slow_process_is_not() -> None:
     assert float(slow.energy.quasi_static_error) < SLOW_ENOUGH < float(fast.energy.quasi_static_error)
     off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
     moved = cases.rms(off, np.asarray(fast.element_volume))
-    # A shallow cup: its wall feels haste less than that of the deep ones from which the prediction comes.
+    # A shallow cup, whose wall deviates less than that of the deep ones from which the prediction comes.
     assert moved < float(fast.energy.quasi_static_error) < 20 * moved
     assert warnings_of(fast, scenes.cup(end_time=50.0)) == []
 
 
-def test_haste_is_the_same_in_both_loops() -> None:
+def test_the_quasi_static_error_is_the_same_in_both_loops() -> None:
     scene = scenes.cup()
     pure, run = jaxform.simulate(scene), jaxform.run(scene)
     assert float(run.energy.kinetic_peak) > float(run.energy.kinetic) >= 0
@@ -76,5 +76,11 @@ def test_the_page_is_drawn_from_its_figures(tmp_path: Path) -> None:
     page.write(found, tmp_path)
     assert (tmp_path / "accuracy.md").read_text() == (validate.DOCS / "accuracy.md").read_text()
     pictures = {path.name for path in tmp_path.glob("*.png")}
-    assert {"convergence.png", "precision-dish.png", "precision-box.png", "haste.png", "ramps.png"} <= pictures
+    assert {
+        "convergence.png",
+        "precision-dish.png",
+        "precision-box.png",
+        "quasi-static-error.png",
+        "ramps.png",
+    } <= pictures
     assert all((tmp_path / name).stat().st_size > 10_000 and (validate.DOCS / name).exists() for name in pictures)

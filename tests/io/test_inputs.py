@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 import jaxform
 from jaxform.core.parameters import parameter_ranges
 from jaxform.core.ranges import RANGES
-from jaxform.io import output, schema
+from jaxform.io import files, output, schema
 from jaxform.materials import LAWS
 from jaxform.model.replacement import DESIGNABLE, check_numbers, number_at
 from jaxform.results import result as result_module
@@ -106,10 +106,38 @@ def test_constructors_refuse_what_is_out_of_range() -> None:
             jaxform.make_solver(**{"end_time": 1.0, name: value})  # pyright: ignore
     with pytest.raises(jaxform.InputError, match=r"refinement.interval = 2.5: is not a whole number"):
         jaxform.make_refinement(angle=5.0, interval=2.5, max_level=2, elements=9)  # pyright: ignore
-    with pytest.raises(jaxform.InputError, match=r"refinement.scaled_levels = 3: is more than the 2 levels"):
-        jaxform.make_refinement(angle=5.0, interval=32, max_level=1, base_level=2, elements=9, scaled_levels=3)
+    with pytest.raises(jaxform.InputError, match=r"refinement.mass_scaling_levels = 3: is more than the 2 levels"):
+        jaxform.make_refinement(angle=5.0, interval=32, max_level=1, base_level=2, elements=9, mass_scaling_levels=3)
     with pytest.raises(jaxform.InputError, match=r"pressure.value.*complex"):
         jaxform.make_pressure([0.0, 1.0], [0.0, 1j])  # pyright: ignore
+
+
+def test_older_names_of_keys_are_accepted_with_a_warning() -> None:
+    limits: dict[str, typing.Any] = {"angle": 5.0, "interval": 32, "max_level": 2, "elements": 9}
+    with pytest.warns(jaxform.InputWarning, match=r"refinement.base_reach = 2.0: is the older name of refinement.prox"):
+        old = jaxform.make_refinement(**limits, base_reach=2.0)
+    with pytest.warns(
+        jaxform.InputWarning, match=r"refinement.scaled_levels = 1: is the older name of refinement.mass"
+    ):
+        assert jaxform.make_refinement(**limits, scaled_levels=1).mass_scaling_levels == 1
+    assert float(old.proximity_factor) == 2.0
+    with pytest.raises(TypeError, match="base_reech"):
+        jaxform.make_refinement(**limits, base_reech=2.0)
+
+
+def test_older_names_of_keys_in_files(tmp_path: Path) -> None:
+    path, refined = tmp_path / "scene.toml", "[refinement]\nmax_level = 2\nscaled_levels = 1\n"
+    path.write_text(scenes.FILE + refined)
+    with pytest.warns(jaxform.InputWarning, match=r"scene.toml: refinement.scaled_levels = 1: is the older name"):
+        document = files.read_scene(path)
+    assert document.model.refinement is not None and document.model.refinement.mass_scaling_levels == 1
+    assert document.data["refinement"] == {"max_level": 2, "mass_scaling_levels": 1}
+    path.write_text(scenes.FILE + refined + "mass_scaling_levels = 1\n")
+    with pytest.raises(jaxform.InputError, match=r"scene.toml: refinement.scaled_levels = 1: .*, which is given, too"):
+        files.read_scene(path)
+    with pytest.warns(jaxform.InputWarning, match=r"refinement.base_reach"):
+        made = jaxform.scenes.dish(elements=60, refinement={"base_reach": 0.5, "max_level": 2, "base_level": 2})
+    assert made.refinement is not None and float(made.refinement.proximity_factor) == 0.5
 
 
 _KINDS = [

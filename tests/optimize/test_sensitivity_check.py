@@ -44,14 +44,14 @@ def _search(strength: float, centre: float, edge: float = 0.0) -> tuple[Search, 
     return search, point
 
 
-def _result(haste: float) -> Any:
-    return types.SimpleNamespace(energy=types.SimpleNamespace(quasi_static_error=haste))
+def _result(error: float) -> Any:
+    return types.SimpleNamespace(energy=types.SimpleNamespace(quasi_static_error=error))
 
 
-@pytest.mark.parametrize(("haste", "words"), [(1e-4, "process is slow.*0.01 %.*thickness-profile"), (0.2, "widen")])
-def test_a_variable_that_does_nothing_is_named_with_the_reason(haste: float, words: str) -> None:
+@pytest.mark.parametrize(("error", "words"), [(1e-4, "process is slow.*0.01 %.*thickness-profile"), (0.2, "widen")])
+def test_a_variable_that_does_nothing_is_named_with_the_reason(error: float, words: str) -> None:
     found: list[str] = []
-    sensitivity_check.warn_of_insensitive_variables(*_search(1e-3, 0.5), _result(haste), found.append)
+    sensitivity_check.warn_of_insensitive_variables(*_search(1e-3, 0.5), _result(error), found.append)
     assert len(found) == 1 and found[0].startswith("variable[1] (pressure) has almost no effect")
     assert re.search(words, found[0]) and "hardly gain anything" not in found[0]
 

@@ -78,8 +78,8 @@ class RefinementTable(Table):
         max_level: Elements at this level are bisected only for conformity with their neighbours.
         min_area: Smallest initial area of a bisected element's halves [m^2].
         base_level: Elements near a bent part of the mold are bisected to this level before they touch it.
-        base_reach: Distance that counts as near, in units of the element's longest side.
-        scaled_levels: Number of the finest levels with mass scaling, so that they do not shorten the step.
+        proximity_factor: Distance that counts as near, in units of the element's longest side.
+        mass_scaling_levels: Number of the finest levels with mass scaling, so that they do not shorten the step.
         at_rest: Whether new nodes close to the mold begin at rest.
         jump: Largest ratio, less 1, of neighbours' thicknesses; unlimited without it.
         elements: Initial capacity for elements; the run increases it as needed.
@@ -90,8 +90,8 @@ class RefinementTable(Table):
     max_level: Annotated[int, declared_range("refinement.max_level")] = 6
     min_area: Annotated[float, declared_range("refinement.min_area")] = 0.0
     base_level: Annotated[int, declared_range("refinement.base_level")] = 0
-    base_reach: Annotated[float, declared_range("refinement.base_reach")] = 1.0
-    scaled_levels: Annotated[int, declared_range("refinement.scaled_levels")] = 0
+    proximity_factor: Annotated[float, declared_range("refinement.proximity_factor")] = 1.0
+    mass_scaling_levels: Annotated[int, declared_range("refinement.mass_scaling_levels")] = 0
     at_rest: bool = True
     jump: Annotated[float, declared_range("refinement.jump")] | None = None
     elements: Annotated[int, declared_range("refinement.elements")] | None = None
