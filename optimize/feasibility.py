@@ -42,7 +42,7 @@ def doubts(study: Study) -> list[str]:
     """A sentence for each variable that begins elsewhere than the scene, and each target that none comes near."""
     thickest = _thickest(study)
     return _moved_numbers(study) + [
-        f"{key}.thickness is out of reach: it is {float(np.min(part.nodal)):.3g} m everywhere or more, and a sheet "
+        f"{key}.thickness cannot be reached: it is {float(np.min(part.nodal)):.3g} m or more everywhere, and a sheet "
         f"within the bounds makes a wall of {thickest:.3g} m on average at most, {_deviation(part, thickest):.0%} off; "
         f"check its unit (m), or {_thicker(study)}"
         for key, part in _parts(study.objective)
@@ -58,7 +58,7 @@ def _moved_numbers(study: Study) -> list[str]:
             old, new = (np.asarray(own, float) for own in (number_at(study.scene, path), values))
             if np.abs(new - old).max() > _MOVED * np.abs(old).max():
                 found.append(
-                    f"{path} is {_range(old)} in the scene, but the search begins with {_range(new)}, the nearest that "
+                    f"{path} is {_range(old)} in the scene, but the search starts with {_range(new)}, the nearest that "
                     "the variable's bounds and rate allow; check their units, or widen them"
                 )
     return found
@@ -85,7 +85,7 @@ def broken_limits(study: Study, scene: Scene, result: Result, best: Point, endin
         elif isinstance(part, Target) and part.limit is not None:
             error = float(part.error(scene, result))
             short = error / part.limit - 1.0
-            words = f"the wall deviates by {100 * error:.3g} %, not by {key}.limit = {100 * part.limit:.3g} % at most"
+            words = f"the wall deviates by {100 * error:.3g} %, more than {key}.limit = {100 * part.limit:.3g} %"
             name = f"{key}.limit"
         else:
             continue
@@ -95,26 +95,26 @@ def broken_limits(study: Study, scene: Scene, result: Result, best: Point, endin
     if not what:
         return ""
     return "; ".join(
-        [f"a limit is not kept: {', and '.join(what)}", ", or ".join([*_remedies(study, scene, ending), *lower])]
+        [f"a limit is violated: {', and '.join(what)}", ", or ".join([*_remedies(study, scene, ending), *lower])]
     )
 
 
 def _remedies(study: Study, scene: Scene, ending: Ending) -> list[str]:
     remedies = []
     if ending.by in _COSTS:
-        remedies.append(f"raise solver.{ending.by}, at which the search stopped, and go on with --resume")
+        remedies.append(f"raise solver.{ending.by}, at which the search stopped, and resume with --resume")
     sheet = np.asarray(scene.parison.thickness, float)
     at_bound = float(np.mean(sheet >= _AT_BOUND * _most(study)))
     if at_bound > 0.0:
         remedies.append(
-            f"{_thicker(study)} (the sheet is at its largest thickness at {100 * at_bound:.2g} % of its nodes)"
+            f"{_thicker(study)} (the sheet has its largest thickness at {100 * at_bound:.2g} % of its nodes)"
         )
     return remedies
 
 
 def _refuse(study: Study, key: str, value: float, then: str) -> None:
     problem = (
-        f"cannot be kept: the thickest sheet within the bounds has {_most(study):.4g} m and becomes no thicker on "
+        f"cannot be satisfied: the thickest sheet within the bounds has {_most(study):.4g} m and becomes no thicker on "
         f"average when it is formed, so {then}"
     )
     change = "lower it" if key.endswith("minimum") else "raise it"

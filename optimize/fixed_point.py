@@ -41,10 +41,10 @@ def updates(search: Search, study: Study, free: np.ndarray, count: int, worth: f
             return last, Ending("failure", "an update fails")
         new, ratio = search.evaluate_forward(_update(search, last.free, ratio))
         if new.value > last.value and search.limits is None:
-            return last, Ending("no-step", "an update makes it worse")
+            return last, Ending("no-step", "an update makes the deviation larger")
         gained, last = new.value <= worth * last.value, new
         if not gained and search.limits is None:
-            return last, Ending("tolerance", "an update brings little")
+            return last, Ending("tolerance", "an update has little effect")
     return last, Ending("iterations", f"{count} updates done")
 
 

@@ -65,7 +65,7 @@ class HeaterZones:
         own = np.asarray(present, float)
         listed = name not in scene.material.zones and own.ndim > 0
         if of != "parison.temperature" and (not hasattr(scene.material, name) or listed or own.ndim > 1):
-            remedy = "design parison.temperature, or a number of the law that is no list"
+            remedy = "design parison.temperature, or a parameter of the material that is not a list"
             raise InputError("does not vary over the sheet", remedy, "variable.of", of)
         self.of, self.bounds, self.grid = of, bounds, (int(grid[0]), int(grid[1]))
         self._first_nodes = scene.first_nodes

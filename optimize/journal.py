@@ -25,8 +25,8 @@ Answer = dict[str, Any]
 
 MOST_LINE = 1 << 27
 """Bytes of a line at most: an answer about a mesh of a million elements has a third of that."""
-_GO_ON = "make room, then go on with --resume"
-_ANEW = "search anew with --force"
+_GO_ON = "free disk space, then resume with --resume"
+_ANEW = "start a new search with --force"
 _KEYS = {"number", "kind", "at", "answer"}
 _BEGIN = b'{"'  # of every line
 
@@ -151,7 +151,7 @@ def _read(path: Path, study: str) -> list[_Span]:
     """Positions of a journal's entries; cuts off a last line that was not written to its end."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
-            raise InputError("is no regular file", _ANEW, "--resume", str(path))
+            raise InputError("is not a regular file", _ANEW, "--resume", str(path))
         with path.open("rb") as file:
             spans = _spans(path, file, study)
             size = file.seek(0, os.SEEK_END)
@@ -174,8 +174,8 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
                 return spans
             raise _damage_error(path, len(spans) + 1)
         if not spans and entry.get("study") != study:
-            remedy = "name its own folder, or search anew with --force"
-            raise InputError("is of another study, or of another version of it", remedy, "--resume", str(path))
+            remedy = "name its own folder, or start a new search with --force"
+            raise InputError("belongs to another study, or to another version of it", remedy, "--resume", str(path))
         if spans and entry.get("number") != len(spans):
             raise _damage_error(path, len(spans) + 1)
         spans.append(_Span(begin, len(line)))
@@ -197,9 +197,11 @@ def _is_truncated(line: bytes) -> bool:
 
 
 def _damage_error(path: Path, number: int) -> InputError:
-    problem = f"is damaged in line {number}, which is not what a search wrote"
+    problem = f"is damaged: line {number} was not written by a search"
     remedy = (
-        "delete that line and all after it to go on from there, or search anew with --force" if number > 1 else _ANEW
+        "delete that line and all following ones to resume from there, or start a new search with --force"
+        if number > 1
+        else _ANEW
     )
     return InputError(problem, remedy, "--resume", str(path))
 

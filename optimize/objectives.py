@@ -61,9 +61,9 @@ class Objective:
         """Numbers (n,) whose squares add up to the value; no unit.
 
         Raises:
-            InputError: If the value is no sum of squares.
+            InputError: If the value is not a sum of squares.
         """
-        raise InputError("is no sum of squares", "use the method lbfgs or adam", "solver.method", "least-squares")
+        raise InputError("is not a sum of squares", "use the method lbfgs or adam", "solver.method", "least-squares")
 
     def constraints(self, scene: Scene, result: Result) -> Constraints:
         """Constraints of the objective; none by default."""

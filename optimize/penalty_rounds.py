@@ -40,10 +40,12 @@ def rounds(search: Search, study: Study, point: Point, method: Round) -> Ending:
         _thicken(search, point)
         idle = 0 if _gain(least, _least_feasible(search)) > study.tolerance else idle + 1
         if number > 1 and (settled or (idle >= _IDLE_ROUNDS and np.isfinite(_least_feasible(search)))):
-            return Ending("tolerance", f"limits are kept and nothing more is gained, after {number} rounds")
+            return Ending(
+                "tolerance", f"limits are satisfied and the objective no longer improves, after {number} rounds"
+            )
         hopeless = hopeless + 1 if point.violation > max(_NO_PROGRESS * before, KEPT) else 0
         if hopeless >= _IDLE_ROUNDS and not np.isfinite(_least_feasible(search)):
-            return Ending("no-progress", f"the last {hopeless} of {number} rounds came no nearer to the limits")
+            return Ending("no-progress", f"the last {hopeless} of {number} rounds reduced the violation no further")
         _update_multipliers(search, point, before)
         before = point.violation
         point = search(point.free)

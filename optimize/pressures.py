@@ -71,14 +71,14 @@ class PressureKnots:
         if self._first is not None and knots < 2:
             raise InputError("leaves no knot to design", "give a history of two knots or more", "variable.held", True)
         if self._first is not None and not self.bounds[0] <= self._first <= self.bounds[1]:
-            problem = f"do not hold the history's first value, {self._first:g} Pa, which stays"
+            problem = f"do not contain the history's first value, {self._first:g} Pa, which stays"
             raise InputError(problem, "widen them", "variable.bounds", self.bounds)
 
     def _start_of_time(self, end_time: Bounds, simulated: float) -> np.ndarray:
         last = float(self._time[-1])
         if not 0.0 < end_time[0] < end_time[1] or self._time[0] != 0.0:
             remedy = "give 0 < lower < upper, and a history from time 0"
-            raise InputError("leaves no room", remedy, "variable.end_time", end_time)
+            raise InputError("leaves no range to search", remedy, "variable.end_time", end_time)
         if end_time[1] > simulated * (1 + 1e-12):
             problem = f"is longer than the simulation, {simulated:g} s"
             raise InputError(problem, "raise solver.end_time in the scene", "variable.end_time", end_time)

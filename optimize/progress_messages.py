@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jaxform import Scene
 
-_PROGRAMS = {"gradient": "value and gradient", "columns": "all slopes of the deviations"}  # that take long
+_PROGRAMS = {"gradient": "value and gradient", "columns": "the Jacobian of the deviations"}  # that take long
 _SECONDS = (20, 40)  # for one, uniform and refined, on two cores
 
 

@@ -69,17 +69,19 @@ def _has_no_effect(search: Search, point: Point, own: slice, size: float) -> boo
 def _sentence(index: int, variable: Variable, change: float, first: Result, everything: bool) -> str:
     what = f"variable[{index}] ({_kind(variable)}) has almost no effect"
     if everything:
-        what = f"this search can hardly gain anything: {what}"
+        what = f"this search can hardly improve the design: {what}"
     error = float(first.energy.quasi_static_error)
-    remedy = "widen its bounds, or design something else"
+    remedy = "widen its bounds, or choose another variable"
     if not isinstance(variable, SheetVariable) and error <= SLOW_ENOUGH:
         remedy = (
             f"the process is slow (energy.quasi_static_error is {100 * error:.2g} %), and the wall of a slow process "
-            "depends on neither pressure nor stiffness nor density: design the sheet's thickness "
-            "(thickness-profile), or make the "
-            "process faster (a steeper pressure, a shorter solver.end_time)"
+            "depends on neither pressure nor stiffness nor density: design the sheet's thickness (thickness-profile), "
+            "or make the process faster (a steeper pressure, a shorter solver.end_time)"
         )
-    return f"{what}: by the first gradient a search over it changes the objective by {100 * change:.2g} %; {remedy}"
+    return (
+        f"{what}: according to the first gradient, a search over it changes the objective by {100 * change:.2g} %; "
+        f"{remedy}"
+    )
 
 
 def _kind(variable: Variable) -> str:

@@ -127,7 +127,12 @@ class ThicknessProfile(_SheetMap):
         if (knots is None) == (at is None):
             raise InputError("needs knots or at", "give one of the two", "variable.knots", knots)
         if slope is not None and interpolation == "zones":
-            raise InputError("does not go with zones, which jump", "leave one of them out", "variable.slope", slope)
+            raise InputError(
+                "cannot be combined with zones, which are discontinuous",
+                "leave one of them out",
+                "variable.slope",
+                slope,
+            )
         self.along, self.interpolation = along, interpolation
         first = first_positions(scene)
         place = Profile(along, (0.0, 1.0), (0.0, 1.0)).coordinate(first)
@@ -164,7 +169,7 @@ def _spline(place: Array, knots: int | None, at: Sequence[float] | None) -> tupl
     """Cubic B-splines: not negative and 1 together, so the spline keeps bounds and slopes of the numbers."""
     if knots is None or knots < 4:
         remedy = "give the number of knots, at least 4"
-        raise InputError("does not go with these knots", remedy, "variable.interpolation", "cubic")
+        raise InputError("is not possible with these knots", remedy, "variable.interpolation", "cubic")
     low, high = place.min(), place.max()
     inner = np.linspace(low, high, knots - 2)
     edges = np.concatenate([[low] * 3, inner, [high] * 3])
@@ -197,8 +202,8 @@ class ThicknessField(_SheetMap):
         self.smoothness = smoothness
         self.controls = np.arange(len(positions)) if smoothness == 0.0 else _spaced_nodes(positions, smoothness)
         if len(self.controls) > _MOST_CONTROLS:
-            problem = f"leaves {len(self.controls)} numbers to design"
-            raise InputError(problem, "give a longer one", "variable.smoothness", smoothness)
+            problem = f"leaves {len(self.controls)} values to design"
+            raise InputError(problem, "give a larger length", "variable.smoothness", smoothness)
         weights = np.eye(len(positions)) if smoothness == 0.0 else self._kernel(scene, positions)
         super().__init__(scene, spread_to_forest(scene, weights), bounds)
 

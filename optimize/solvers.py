@@ -144,10 +144,10 @@ def solve(
     """
     check(study)
     if on_wait is not None:
-        on_wait("simulating the scene to begin with")
+        on_wait("simulating the initial scene")
     first = formed_part(study.scene)
     if int(first.status):
-        raise InputError(f"the scene to begin with fails: {jaxform.explain(first)}", "remedy the scene first", "scene")
+        raise InputError(f"the initial scene fails: {jaxform.explain(first)}", "correct the scene first", "scene")
     if not np.asarray(part_elements(first, study.scene)).any():
         raise InputError("has no element of the formed sheet", "give places in the formed part, in m", "part")
     forward_seconds = _cost(study.scene)
@@ -181,7 +181,7 @@ def solve(
         ending = Ending("interrupted", "interrupted")  # what was found is worth keeping
     best = search.best
     if best is None:
-        raise InputError("the first design, moved into the bounds, fails", "widen the bounds", "variable.bounds")
+        raise InputError("the initial design, moved into the bounds, fails", "widen the bounds", "variable.bounds")
     scene = search.scene(best.free)
     result = jaxform.run(scene)
     return Design(
@@ -225,20 +225,22 @@ def _check_method(study: Study) -> None:
     paths = [path for part in study.variables for path in part.changes(jax.numpy.asarray(part.start))]
     for path in paths:
         if paths.count(path) > 1:
-            raise InputError("is designed by two variables", "keep one of them", "variable", path)
+            raise InputError("is changed by two variables", "keep one of them", "variable", path)
     objective = study.objective
     if study.method == "least-squares" and (not objective.squares or objective.constrained):
         remedy = "use the method lbfgs, or the objective target or uniform"
-        raise InputError("needs a sum of squares without limits", remedy, "solver.method", study.method)
+        raise InputError(
+            "needs an objective that is a sum of squares, without limits", remedy, "solver.method", study.method
+        )
     rule = {"fixed-point": "solver.method"}.get(study.method) or (study.warm_start and "solver.warm_start")
     if not rule:
         return
     if not objective.aims:
         remedy = "use target, uniform or least-mass, or leave it out"
-        raise InputError("needs an objective that says how thick the wall shall be", remedy, rule)
+        raise InputError("needs an objective with a target thickness", remedy, rule)
     if not any(isinstance(variable, SheetVariable) for variable in study.variables):
         remedy = "add a thickness-profile or thickness-field, or leave it out"
-        raise InputError("changes the sheet, which is no variable here", remedy, rule)
+        raise InputError("changes the sheet, which is not a variable of this study", remedy, rule)
 
 
 def _run_search(

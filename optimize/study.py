@@ -126,7 +126,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
         raise error.with_context(key=key) from None
     result = formed_part(other)
     if int(result.status):
-        raise InputError(f"fails: {jaxform.explain(result)}", "remedy that scene first", key, name)
+        raise InputError(f"fails: {jaxform.explain(result)}", "correct that scene first", key, name)
     other, result = drop_unused(other, result)
     places, triangles = np.asarray(other.parison.positions, float), np.asarray(result.triangles)
     try:
@@ -146,7 +146,7 @@ def write_history(path: str | Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """
     rows = list(rows)
     limits = LIMIT_COLUMNS if rows and LIMIT_COLUMNS[0] in rows[0] else ()
-    with atomic_path(path, "make room, then go on with --resume") as fresh, fresh.open("w", newline="") as file:
+    with atomic_path(path, "free disk space, then resume with --resume") as fresh, fresh.open("w", newline="") as file:
         writer = csv.DictWriter(file, [*COLUMNS, *limits], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)

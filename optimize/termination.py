@@ -28,7 +28,7 @@ class Ending(NamedTuple):
     words: str
 
 
-NO_STEP = Ending("no-step", "no step along the search direction makes it better")
+NO_STEP = Ending("no-step", "no step along the search direction improves the objective")
 STOPPED = Ending("caller", "stopped by the caller")
 GOAL = Ending("goal", "the goal is reached")
 
@@ -52,7 +52,7 @@ def check_convergence(
     if reached := check_goal(study, point):
         return reached
     if float(np.linalg.norm(point.slope)) <= study.gradient_tolerance * float(np.linalg.norm(first.slope)):
-        return Ending("gradient_tolerance", "the gradient is small enough")
+        return Ending("gradient_tolerance", "the gradient is below its tolerance")
     if len(values) > steps and is_negligible(study, values[-1 - steps], values[-1]):
         return stagnation_ending(point, first)
     return None
@@ -64,7 +64,7 @@ def check_goal(study: Study, point: Point) -> Ending | None:
         return GOAL if point.rank <= (0.0, study.goal) else None
     objective = study.objective
     if objective.squares and not objective.constrained and point.objective <= study.tolerance**2:
-        return Ending("target", f"the deviation is {study.tolerance:.2g} or less, finer than a mesh can tell")
+        return Ending("target", f"the deviation is {study.tolerance:.2g} or less, below the resolution of a mesh")
     return None
 
 
@@ -87,7 +87,7 @@ def stagnation_ending(point: Point, first: Point) -> Ending:
     if left <= _LEFT or predicted_gain(point) <= _STEEP:
         return Ending("tolerance", "the last steps gained almost nothing")
     words = (
-        f"the last steps gained almost nothing, though the gradient is still {100 * left:.0f} % of the first one: "
+        f"the last steps gained almost nothing, although the gradient is still {100 * left:.0f} % of the first one: "
         "the objective is rough here, and this need not be the best design; try other starts (solver.starts)"
     )
     return Ending("no-progress", words)

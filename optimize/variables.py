@@ -171,7 +171,10 @@ class Scale:
         check_bounds(bounds)
         if of in _TIMES:
             raise InputError(
-                "is a time", "scale another number; a FormingTime objective shortens it", "variable.of", of
+                "is a time",
+                "scale another parameter; use a FormingTime objective to shorten the process",
+                "variable.of",
+                of,
             )
         part, _, name = of.rpartition(".")
         present = number_at(scene, of)

@@ -39,7 +39,7 @@ _FILLED = 0.97  # of the surface that could be touched, that must lie within an 
 _SAMPLES, _CELLS = 20_000, 150  # of the mold; and along the sheet, of the buffer of heights
 _FLAGS = re.compile(r"--(?:drape|cavity)(?: --direction=[+-][xyz])?|--direction=[+-][xyz]")
 _REFUSED = 2  # exit status
-_OF_FILLING = ("not filled", "m before it")  # what says in words that a part is not filled
+_OF_FILLING = ("not filled", "closed off by contact")  # what says in words that a part is not filled
 
 
 @dataclass

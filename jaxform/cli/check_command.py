@@ -89,11 +89,11 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
     skipped = {
         "contact (no mold)": scene.mold is None,
         "damping (none given)": scene.solver.damping is None,
-        "memory (no viscous modes)": scene.material.viscous is None,
-        "the second invariant (the material model has none)": not scene.material.depends_on_second_invariant,
+        "viscous stress (no Prony terms)": scene.material.viscous is None,
+        "the second invariant (not in this material model)": not scene.material.depends_on_second_invariant,
         "refinement (none given)": scene.refinement is None,
         "cooling (none given)": scene.cooling is None,
-        "frames (none wanted)": document.model.output.frames == 0,
+        "frames (none requested)": document.model.output.frames == 0,
     }
     yield "skipped: " + (", ".join(what for what, skip in skipped.items() if skip) or "nothing")
 
@@ -101,9 +101,9 @@ def scene_lines(document: SceneDocument, scene: Scene, store: Store) -> Iterator
 def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterator[str]:
     parison = scene.parison
     modes = scene.material.viscous
-    viscous = [] if modes is None else [f"{modes.modulus.size} {modes.kind} modes"]
+    viscous = [] if modes is None else [f"{modes.modulus.size} Prony terms ({modes.kind})"]
     law = ", ".join([document.model.material.model, *(f"{name} in zones" for name in scene.material.zones), *viscous])
-    law += ", wrinkles where it would be compressed" if scene.material.tension_field else ""
+    law += ", tension field (wrinkles instead of compression)" if scene.material.tension_field else ""
     yield f"{scene.name}: {len(parison.triangles)} elements, {scene.first_nodes} nodes, {law}"
     if parison.temperature is not None:
         yield _temperature_line(scene, np.asarray(parison.temperature, float))
@@ -120,7 +120,7 @@ def _sheet_lines(document: SceneDocument, scene: Scene, seen: Survey) -> Iterato
         else ""
     )
     yield f"{parts}, {rims}, {held} of {first} nodes clamped{on_planes}"
-    turns = ", but it changes its sign" if seen.changes_sign else ""
+    turns = ", and changes sign" if seen.changes_sign else ""
     yield f"the pressure, up to {scene.strongest_push():.4g} Pa, pushes the sheet {seen.direction}{turns}"
 
 
@@ -143,7 +143,7 @@ def _mold_lines(scene: Scene, seen: Survey) -> Iterator[str]:
     sides = f"{100 * seen.ahead:.3g} % of the mold's area lies on that side"
     sides += f", {100 * seen.behind:.3g} % on the other, {100 * on:.3g} % next to the sheet"
     if seen.overlap is not None:
-        sides += f"; {100 * seen.overlap:.3g} % of the sheet has mold before it"
+        sides += f"; {100 * seen.overlap:.3g} % of the sheet has mold in front of it"
     yield sides
 
 
@@ -167,14 +167,14 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
     stored = sum(leaf.nbytes for leaf in jax.tree.leaves(scene))
     most = "up to " if scene.refinement is not None else ""
     yield (
-        f"about {steps:.2g} steps, fewer where all sticks sooner: {most}{_duration(seconds)}; "
+        f"about {steps:.2g} steps, fewer if the whole sheet is in contact earlier: {most}{_duration(seconds)}; "
         f"{most}{(_BYTES_AT_FIRST + _COPIES * stored) / 1e9:.2g} GB of memory"
     )
     if is_compiled(scene, store):
         yield "its programs are compiled already"
     else:
         wait = _SECONDS_TO_COMPILE[scene.refinement is not None]
-        yield f"compiles first, for about {wait} s: no scene of this kind and size was run here before"
+        yield f"compiles first, for about {wait} s: no scene of this kind and size was run on this machine before"
     if scene.solver.quasi_static:
         most = f"{100 * SLOW_ENOUGH:.2g} %"
         yield f"quasi-static process: a warning follows if inertia or damping change the wall by more than {most}"
@@ -192,7 +192,7 @@ def _temperature_line(scene: Scene, temperature: np.ndarray) -> str:
     text = f"{low:.4g} degC" if low == high else f"{low:.4g} to {high:.4g} degC"
     cooling, wall, second = scene.cooling, scene.parison.thickness.mean(), as_real(1e-3)
     if cooling is None:
-        return f"temperature of the sheet: {text}, kept"
+        return f"temperature of the sheet: {text}, constant"
     warm, density = as_real(temperature.mean()), scene.material.density.mean()
     later = (cooling.cooled(warm, wall, as_real(share), density, second) for share in (0.0, 1.0))
     air, mold = (float((warm - each) / second) for each in later)

@@ -75,7 +75,7 @@ class _Version(argparse.Action):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="jaxform", description="Blow moulding and thermoforming, simulated and designed.")
+    parser = _Parser(prog="jaxform", description="Simulate and design blow moulding and thermoforming.")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     scenes = commands.add_parser("scenes", help="list the built-in scenes and studies")
@@ -89,39 +89,39 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("source", metavar=what, help="a built-in name or a .toml file")
         sub.add_argument("--quiet", action="store_true", help="print warnings and errors only")
         sub.add_argument("--dtype", choices=("float64", "float32"), default="float64")
-        words = "where check.png goes, the sheet in the mold" if name == "check" else "where the results go"
+        words = "folder for check.png, a picture of sheet and mold" if name == "check" else "folder for the results"
         sub.add_argument("--out", metavar="DIR", required=name != "check", type=Path, help=words)
         sub.add_argument("--force", action="store_true", help="overwrite results in DIR")
         if name == "optimize":
-            words = "go on with the search in DIR where it was killed, or with more iterations where it had ended"
+            words = "resume the search in DIR after an interruption, or with more iterations"
             sub.add_argument("--resume", action="store_true", help=words)
         sub.set_defaults(command=command)
     words = "write report.html again from the files in a folder of results"
     report = commands.add_parser("report", help=words, description=words)
-    report.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
+    report.add_argument("folder", metavar="DIR", type=Path, help="folder of results of simulate or optimize")
     report.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     report.set_defaults(command=_report)
-    words = "draw the part in a folder of results smoothly, from both sides; needs PyVista (pip install pyvista)"
+    words = "render the part in a folder of results from both sides; needs PyVista (pip install pyvista)"
     render = commands.add_parser("render", help=words, description=words)
-    render.add_argument("folder", metavar="DIR", type=Path, help="what simulate or optimize wrote")
+    render.add_argument("folder", metavar="DIR", type=Path, help="folder of results of simulate or optimize")
     render.add_argument("--out", metavar="FILE", type=Path, help="the picture (default: part.png in DIR)")
     render.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     render.set_defaults(command=_render)
-    words = "compile beforehand what common scenes need, or the scenes that are named"
+    words = "compile the programs of common scenes, or of the given scenes, in advance"
     warm = commands.add_parser("warm", help=words, description=words)
     warm.add_argument("sources", metavar="SCENE", nargs="*", help="a built-in name or a .toml file")
     warm.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     warm.add_argument("--dtype", choices=("float64", "float32"), default="float64")
     warm.set_defaults(command=_warm)
-    words = "write the wall of a formed part for the next analysis, on its own mesh or on one of yours"
+    words = "export the wall of a formed part for another analysis, on the formed mesh or on a given mesh"
     exported = commands.add_parser("export", help=words, description=words)
     export_command.add_arguments(exported)
     exported.set_defaults(command=export_command.export)
-    words = "find the numbers of a material from tables of tests"
+    words = "fit the parameters of a material model to test data"
     fit = commands.add_parser("fit", help=words, description=words)
     fit_command.add_arguments(fit)
     fit.set_defaults(command=fit_command.fit)
-    words = "write a folder with a first scene for a mold, which runs as it is"
+    words = "write a scene and a study for a mold, ready to run"
     new = commands.add_parser("new", help=words, description=words)
     new_command.add_arguments(new)
     new.set_defaults(command=new_command.start)

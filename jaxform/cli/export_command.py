@@ -24,22 +24,25 @@ FORMATS = ("abaqus", "calculix", "radioss", "vtu", "csv")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `jaxform export`."""
-    parser.add_argument("folder", metavar="DIR", type=Path, help="results of `jaxform simulate` or `jaxform optimize`")
-    parser.add_argument("--to", required=True, choices=FORMATS, help="what it is written for")
-    words = "a mesh of your own to carry the wall over to, in place of the formed one"
+    parser.add_argument(
+        "folder", metavar="DIR", type=Path, help="folder of results of `jaxform simulate` or `jaxform optimize`"
+    )
+    parser.add_argument("--to", required=True, choices=FORMATS, help="file format")
+    words = "mesh onto which the wall is mapped, instead of the formed mesh"
     parser.add_argument("--onto", metavar="MESH", type=Path, help=words)
-    words = "the whole sheet, with what the scene's [part] cuts off"
+    words = "export the whole sheet, including what the scene's [part] cuts off"
     parser.add_argument("--whole-sheet", action="store_true", help=words)
     words = (
-        "in which coordinates MESH is: the scene's, or those of the mold's file, which [mold] scales, turns and moves"
+        "coordinates of MESH: those of the scene, or those of the mold's file, before [mold] scales, "
+        "rotates and moves it"
     )
-    words += " (default: those in which it lies on the part; the mold's own file is known)"
+    words += " (default: the ones in which MESH lies on the part; the mold's file is recognized)"
     parser.add_argument("--pose", choices=("scene", "file"), help=words)
     words = "metres per unit of length of MESH: 0.001 for millimetres (default 1, or the mold's)"
     parser.add_argument("--scale", metavar="METRES", type=float, help=words)
-    words = "symmetry planes in which the part is completed: x, y or z, or the place as well, as x=0.15 (m)"
+    words = "symmetry planes at which the part is mirrored: x, y or z, or with a position, as in x=0.15 (m)"
     parser.add_argument("--mirror", metavar="PLANE", nargs="+", default=[], help=words)
-    parser.add_argument("--out", metavar="FILE", type=Path, help="what is written (default: wall.* in DIR)")
+    parser.add_argument("--out", metavar="FILE", type=Path, help="output file (default: wall.* in DIR)")
     parser.add_argument("--force", action="store_true", help="overwrite FILE")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
@@ -54,7 +57,7 @@ def export(arguments: argparse.Namespace) -> int:
 
     for name in ("scale", "pose"):
         if getattr(arguments, name) is not None and arguments.onto is None:
-            raise InputError("is there without a mesh", "give --onto as well", f"--{name}", getattr(arguments, name))
+            raise InputError("is given without a mesh", "give --onto as well", f"--{name}", getattr(arguments, name))
     path = _path(arguments, export.FORMATS[arguments.to].ending)
     wall = export.read_wall(arguments.folder, arguments.whole_sheet)
     for plane in arguments.mirror:
@@ -80,8 +83,8 @@ def _map_wall(arguments: argparse.Namespace, wall: WallSurface) -> tuple[WallSur
     side, nodes, share = pose.contact_side(wall, posed, reach, whole=not own)
     if share < 1.0:
         said.append(
-            f"what of {name} the sheet lies on is written, {100 * share:.3g} % of its area; the rest, which is another "
-            "side of it or not near the part, gets no wall"
+            f"of {name}, the side on which the sheet lies is written, {100 * share:.3g} % of its area; the rest, "
+            "another side or too far from the part, gets no wall"
         )
     carried, coverage = mapping.map_wall(wall, side, name)
     if own:
@@ -119,7 +122,7 @@ def _path(arguments: argparse.Namespace, ending: str) -> Path:
     if path.is_dir():
         raise InputError("is a folder", "name a file", "--out", str(path))
     if path.exists() and not arguments.force:
-        raise InputError("is there already", "choose another file or give --force", "--out", str(path))
+        raise InputError("exists already", "choose another file or give --force", "--out", str(path))
     return path
 
 
@@ -130,7 +133,7 @@ def _plane(text: str, wall: WallSurface) -> tuple[int, float]:
     try:
         axis, level = parse_plane(text)
     except InputError:
-        raise InputError("is no plane", "give x, y or z, or a place as x=0.15 (m)", "--mirror", text) from None
+        raise InputError("is not a plane", "give x, y or z, or a place as x=0.15 (m)", "--mirror", text) from None
     return axis, level if "=" in text else wall.planes.get(axis, 0.0)
 
 

@@ -18,19 +18,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of the command."""
     words = "tables of tests, each as PATH or KIND=PATH; kinds: uniaxial, equibiaxial, pure-shear, relaxation, bubble"
     parser.add_argument("sources", metavar="DATA.csv", nargs="+", help=words)
-    parser.add_argument("--model", metavar="NAME", required=True, help="the law, as in a scene file")
+    parser.add_argument("--model", metavar="NAME", required=True, help="the material model, named as in a scene file")
     words = "Python file that declares the model, if it is not built in"
     parser.add_argument("--model-file", metavar="FILE.py", type=Path, help=words)
-    parser.add_argument("--out", metavar="DIR", type=Path, help="where material.toml, summary.json and fit.png go")
-    words = "how many terms a law of lists has (ogden); by default as many as the tests need, 3 at most"
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for material.toml, summary.json and fit.png")
+    words = (
+        "number of terms of a model with lists of parameters (ogden); by default as many as the tests need, 3 at most"
+    )
     parser.add_argument("--terms", metavar="N", type=int, help=words)
-    words = "how many viscous modes; by default, with relaxation tests, as many as they need, 4 at most"
+    words = "number of Prony terms; by default, with relaxation tests, as many as they need, 4 at most"
     parser.add_argument("--modes", metavar="N", type=int, help=words)
-    words = "kind of the viscous modes; christensen by default"
+    words = "kind of the Prony terms; christensen by default"
     parser.add_argument("--viscous", choices=("christensen", "maxwell"), help=words)
-    words = "what differences are divided by: what was measured, or the largest of the table; relative by default"
+    words = (
+        "divide differences by the measured value (relative, the default) or by the table's largest value (absolute)"
+    )
     parser.add_argument("--weights", choices=("relative", "absolute"), default="relative", help=words)
-    words = "kg/m^3, for the table of the material; 1000 by default, since no test tells it"
+    words = "density in material.toml [kg/m^3]; 1000 by default, since no test determines it"
     parser.add_argument("--density", metavar="RHO", type=float, default=1000.0, help=words)
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     parser.add_argument("--force", action="store_true", help="overwrite results in DIR")
@@ -92,7 +96,7 @@ def _number_lines(facts: dict[str, Any]) -> Iterator[str]:
             how = "at its bound, no interval"
         elif number["without_influence"]:
             how = "no influence on these tests, no interval"
-        yield f"{number['name']} = {number['value']:.6g}{unit} ({how or 'no interval: the tests do not tell it'})"
+        yield f"{number['name']} = {number['value']:.6g}{unit} ({how or 'no interval: the tests do not determine it'})"
 
 
 def _error_lines(facts: dict[str, Any]) -> Iterator[str]:
@@ -105,7 +109,7 @@ def _error_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 def _title(facts: dict[str, Any]) -> str:
     modes = sum(number["name"].startswith("viscous.time") for number in facts["numbers"])
-    return facts["model"] + (f", {modes} {facts['viscous']} modes" if modes else "")
+    return facts["model"] + (f", {modes} Prony terms ({facts['viscous']})" if modes else "")
 
 
 def _rows(found: Any) -> Iterator[list[Any]]:

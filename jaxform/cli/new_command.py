@@ -23,21 +23,26 @@ _DEEP = 1.5  # times the width, above which hardly anything is thermoformed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of `jaxform new`."""
-    parser.add_argument("folder", metavar="FOLDER", type=Path, help="where scene.toml and study.toml go")
-    parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files that are the mold")
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="folder for scene.toml and study.toml")
+    parser.add_argument("--mold", metavar="FILE", nargs="+", required=True, help="the mesh files of the mold")
     parser.add_argument("--scale", metavar="M", type=float, help="metres per unit of the files; guessed by default")
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--drape", action="store_true", help="form the sheet over the mold, a buck")
-    kind.add_argument("--cavity", action="store_true", help="form the sheet into the mold; found by default")
+    kind.add_argument("--drape", action="store_true", help="form the sheet over the mold (a male mold)")
+    kind.add_argument("--cavity", action="store_true", help="form the sheet into the mold; detected by default")
     parser.add_argument(
-        "--direction", metavar="SIDE", help="from which the sheet comes: +z, -x ... or X,Y,Z in the file's axes"
+        "--direction", metavar="SIDE", help="side from which the sheet comes: +z, -x ... or X,Y,Z in the file's axes"
     )
     parser.add_argument(
-        "--process", choices=["vacuum", "pressure"], default="vacuum", help="a vacuum has 0.9 bar at most (default)"
+        "--process",
+        choices=["vacuum", "pressure"],
+        default="vacuum",
+        help="forming process; vacuum (the default) is limited to 0.9 bar",
     )
-    parser.add_argument("--thickness", metavar="M", type=float, help="of the sheet [m]; in proportion by default")
+    parser.add_argument(
+        "--thickness", metavar="M", type=float, help="thickness of the sheet [m]; by default in proportion to its width"
+    )
     parser.add_argument("--quiet", action="store_true", help="print errors only")
-    parser.add_argument("--force", action="store_true", help="overwrite what is in FOLDER")
+    parser.add_argument("--force", action="store_true", help="overwrite files in FOLDER")
 
 
 def start(arguments: argparse.Namespace) -> int:
@@ -84,7 +89,7 @@ def _wishes(arguments: argparse.Namespace) -> UserChoices:
 
 def _check_positive(key: str, value: float | None) -> None:
     if value is not None and not _LEAST < value < _MOST:
-        raise InputError("is no possible number of metres", f"give {_LEAST:g} to {_MOST:g}", key, value)
+        raise InputError("is not a plausible length in metres", f"give {_LEAST:g} to {_MOST:g}", key, value)
 
 
 def _warn(made: Draft) -> None:
@@ -94,20 +99,22 @@ def _warn(made: Draft) -> None:
 
     found, largest = made.found, float(made.size.max())
     if made.guessed and unit_checks.METRES < largest <= _LARGE:
-        problem = f"its box is {largest:.4g} units long: taken for {made.units.name}"
-        warn_of(problem, "give --scale 1 where it is in metres", key="--mold")
+        problem = f"its bounding box is {largest:.4g} units long: assumed to be in {made.units.name}"
+        warn_of(problem, "give --scale 1 if it is in metres", key="--mold")
     if made.rest is not None:
         problem = f"looks cut in {scene_text.cut_planes_text(made.rest, made.scale)}: {scene_text.IMAGES} completes it"
-        warn_of(problem, "look at check.png, and write the scene by hand where the mold is meant so", key="--mold")
+        warn_of(
+            problem, "look at check.png; if the mold is meant to be like this, write the scene by hand", key="--mold"
+        )
     if made.drape is not None:
         scene_choices.warn(made.drape, made.scale)
         return
     if found.depth > _DEEP * made.width:
         problem = f"is {found.depth / made.width:.2g} times as deep as the sheet is wide: its bottom gets very thin"
-        warn_of(problem, "expect corners that are not filled, or draw from a wider sheet", key="--mold")
+        warn_of(problem, "expect unfilled corners, or form a wider sheet", key="--mold")
     if made.slit is not None:
-        problem = f"has {scene_text.slits_text(made.slit)}, and more than twice as deep: they are left open"
-        warn_of(problem, "widen them, or raise pressure.value and look whether the sheet meets itself", key="--mold")
+        problem = f"has {scene_text.slits_text(made.slit)}, more than twice as deep as wide: they are left open"
+        warn_of(problem, "widen them, or raise pressure.value and check whether the sheet touches itself", key="--mold")
     if found.rim < opening.RIM:
         problem = f"only {100 * found.rim:.0f} % of the edge around the opening is at one height"
         warn_of(problem, "look at check.png: the sheet is clamped in one plane", key="--mold")
@@ -117,8 +124,8 @@ def _lines(made: Draft) -> Iterator[str]:
     from jaxform.io import scene_choices, scene_text
 
     box = " x ".join(f"{side:.4g}" for side in made.size)
-    otherwise = made.units.others or "--scale says otherwise"
-    yield f"the mold's box is {box} in its file's units, taken for {made.units.name} ({otherwise})"
+    otherwise = made.units.others or "--scale overrides this"
+    yield f"the mold's bounding box is {box} in its file's units, assumed to be {made.units.name} ({otherwise})"
     yield from _cavity_lines(made) if made.drape is None else scene_choices.lines(made.drape)
     if made.doubt:
         yield f"it is {made.doubt}"
@@ -137,7 +144,10 @@ def _cavity_lines(made: Draft) -> Iterator[str]:
     from jaxform.tools import buck
 
     x, y, z = made.found.view.turn.T[:, 2]
-    yield f"its opening is found; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, +z of the scene"
+    yield (
+        f"its opening was found; the sheet is pushed along ({x:.3g}, {y:.3g}, {z:.3g}) of the file, which is "
+        "+z of the scene"
+    )
     if made.found.others:
         sides = " or ".join(f"--direction={buck.direction_name(side)}" for side in made.found.others)
         yield f"it is hollow on other sides too: {sides}"

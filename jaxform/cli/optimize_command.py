@@ -29,7 +29,10 @@ def optimize_study(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
     notes = folder / "search.jsonl"
     if arguments.resume and not os.path.exists(notes):
-        problem, remedy = "has no search to go on with: it begins anew", "name the folder of the one that was stopped"
+        problem, remedy = (
+            "contains no search to resume: a new one is started",
+            "name the folder of the interrupted search",
+        )
         warn_of(problem, remedy, key="--resume", value=str(folder))
     session.open_folder(folder, arguments.force or (arguments.resume and os.path.exists(notes)))
     journal = optimize.Journal(notes, f"{study.digest} {arguments.dtype}", arguments.resume)
@@ -134,16 +137,16 @@ def _tell_design(say: Callable[[str], None], design: Any, folder: Path) -> None:
         # The violations are reported with the status.
         kept = "broken" if design.broken else f"kept to {100 * facts['violation']:.2g} %"
         say(
-            f"limits are {kept}; multiplier {facts['multiplier']:.3g}: what the objective gains per relative change of "
-            "the limit"
+            f"limits are {kept}; multiplier {facts['multiplier']:.3g}: improvement of the objective per relative "
+            "change of the limit"
         )
     if facts["price"] is not None:
         say(
-            f"the last tenth of the gain cost the time of {facts['price']['simulations_for_the_last_tenth']:.0f} "
-            f"simulations, all before it that of {facts['price']['simulations_for_nine_tenths']:.0f}"
+            f"the last 10 % of the improvement took the time of {facts['price']['simulations_for_the_last_tenth']:.0f} "
+            f"simulations, the first 90 % that of {facts['price']['simulations_for_nine_tenths']:.0f}"
         )
     if facts["warm_start"]:
-        say(f"{facts['warm_start']} updates of the fixed point came first (solver.warm_start)")
+        say(f"{facts['warm_start']} fixed-point updates were done first (solver.warm_start)")
     say(
         f"{facts['evaluations']} simulations with and without gradient (the time of {facts['simulations']:.0f} "
         f"simulations, {facts['seconds']:.0f} s); stopped by {facts['stopped_by']}: {facts['message']}; results in "

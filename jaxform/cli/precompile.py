@@ -42,7 +42,9 @@ def warm(arguments: argparse.Namespace) -> int:
     """
     say, store = session.prepare(arguments)
     if store.folder is None:
-        raise InputError("there is no cache folder to keep programs in", "set HOME or XDG_CACHE_HOME to one of yours")
+        raise InputError(
+            "there is no cache folder for compiled programs", "set HOME or XDG_CACHE_HOME to a folder of yours"
+        )
     wanted = [_kind_of_file(source, store) for source in arguments.sources] or list(kinds())
     done = new = 0
     with session.progress(not arguments.quiet, "compiling") as bar:
@@ -55,9 +57,9 @@ def warm(arguments: argparse.Namespace) -> int:
                 if bar is None:
                     say(f"{done} of {len(wanted)}: {kind.words}{'' if fresh else ' (compiled already)'}")
         except KeyboardInterrupt:
-            say(f"interrupted; {done} of {len(wanted)} are compiled and stay so")
+            say(f"interrupted; {done} of {len(wanted)} are compiled and remain stored")
             return session.INTERRUPTED
-    say(f"{new} compiled, {len(wanted) - new} were so already; kept in {store.folder.parent}")
+    say(f"{new} compiled, {len(wanted) - new} were compiled already; stored in {store.folder.parent}")
     return session.DONE
 
 

@@ -83,7 +83,7 @@ def open_folder(folder: Path, force: bool) -> None:
     if disk.is_file(folder):
         raise InputError("is a file", "name a folder", "--out", str(folder))
     try:
-        # What was killed while it wrote may have left a file that is no result.
+        # What was killed while it wrote may have left a file that is not a result.
         results = (file for file in folder.iterdir() if not file.name.startswith(PREFIX)) if folder.exists() else ()
         if any(results) and not force:
             raise InputError("exists and is not empty", "choose another folder or give --force", "--out", str(folder))
@@ -180,7 +180,7 @@ def write_part(
     folder, told = arguments.out, list(arguments.warned)
 
     def write() -> tuple[dict[str, Any], Exception | None]:
-        with report_waiting(arguments, "measuring the part against the mold; its files are written"):
+        with report_waiting(arguments, "comparing the part with the mold; its files are written already"):
             summary = output.write_result(scene, result, folder, told, amend, there=there)
         return summary, _failure(then) if picture.elsewhere else None
 

@@ -90,7 +90,7 @@ def _run(scene: Scene, frames: Any, arguments: argparse.Namespace, store: Store)
             with contextlib.suppress(OSError, InputError):
                 output.write_at_once(scene, result, arguments.out, arguments.warned)
                 there = True
-            words = "measuring the part against the mold; its files are written"
+            words = "comparing the part with the mold; its files are written already"
             measuring.enter_context(session.report_waiting(arguments, words))
 
         def on_window(moment: Moment) -> bool:
@@ -118,8 +118,8 @@ def _tell(say: Callable[[str], None], summary: dict[str, Any], folder: Path) -> 
     )
     say(
         f"wall {wall['min']:.4g} to {wall['max']:.4g} mm, mean {wall['mean']:.4g} mm, coefficient of variation "
-        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % touches the mold; "
-        f"energy balance within {100 * summary['energy']['balance_error']:.2g} %"
+        f"{100 * summary['thickness']['cv']:.3g} %; {100 * summary['contact_fraction']:.3g} % in contact with the "
+        f"mold; energy balance within {100 * summary['energy']['balance_error']:.2g} %"
     )
     say(_thinnest(summary["thinnest"]))
     if summary["gap_max"] > summary["thickness"]["mean"]:
@@ -134,7 +134,7 @@ def _thinnest(found: dict[str, Any]) -> str:
 
     where, around = (
         format_place(found["recovered_place"]),
-        "around its ring" if found["scatter_of"] == "ring" else "there",
+        "around its circle" if found["scatter_of"] == "ring" else "among the elements there",
     )
     return (
         f"thinnest wall, recovered from the elements: {1e3 * found['recovered']:.4g} mm at {where}; scatter "

@@ -33,11 +33,11 @@ def expand_path(name: str | Path, folder: str | Path | None = None) -> Path:
     """
     text = str(name)
     if "\0" in text:
-        raise InputError("has a NUL character, which no file's name may have", "correct the path", value=text)
+        raise InputError("contains a NUL character, which a file name cannot contain", "correct the path", value=text)
     try:
         return Path(folder or "") / Path(text).expanduser()
     except RuntimeError:
-        raise InputError("names a home folder that is not known", "write the whole path", value=text) from None
+        raise InputError("names an unknown home folder", "write the whole path", value=text) from None
 
 
 def is_file(path: Path) -> bool:
@@ -68,9 +68,9 @@ def read_bytes(path: Path, most: int, name: str | Path | None = None) -> bytes:
     except OSError as error:
         raise _unreadable(error, value) from None
     except ValueError:
-        raise InputError("is no possible name of a file", "correct the path", value=value) from None
+        raise InputError("is not a valid file name", "correct the path", value=value) from None
     if len(content) > expected:
-        raise InputError("grows while it is read", "wait until it is written", value=value)
+        raise InputError("changes while it is read", "wait until it is written", value=value)
     return content
 
 
@@ -84,7 +84,7 @@ def read_text(path: Path, most: int = MOST_TEXT, name: str | Path | None = None)
         text = read_bytes(path, most, name).decode("utf-8-sig")
     except UnicodeDecodeError:
         value = str(path if name is None else name)
-        raise InputError("is not a text file in UTF-8", "save it as UTF-8", value=value) from None
+        raise InputError("is not a string file in UTF-8", "save it as UTF-8", value=value) from None
     return text.replace("\r\n", "\n")
 
 
@@ -118,7 +118,7 @@ PREFIX = ".jaxform-"
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | Path, remedy: str = "make room, or choose another folder") -> Iterator[Path]:
+def atomic_path(path: str | Path, remedy: str = "free disk space, or choose another folder") -> Iterator[Path]:
     """Gives a path to write to; what was written there then replaces the file at `path`, or nothing does.
 
     Args:
@@ -165,8 +165,12 @@ def user_cache_folder() -> Path | None:
         for place in (folder, folder / COMPILED, folder / MADE):
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not _belongs_to_user(place):
-                problem = "is not used as a cache: others own it or can write to it"
-                warn_of(problem, "make it yours alone (chown, chmod go-w), or remove it", value=str(place))
+                problem = "is not used as a cache: other users own it or can write to it"
+                warn_of(
+                    problem,
+                    "make yourself its only owner and writer (chown, chmod go-w), or remove it",
+                    value=str(place),
+                )
                 return None
     # Without HOME, a user whom the system does not know has none.
     except (OSError, RuntimeError, ValueError):

@@ -154,7 +154,7 @@ def _describe_os_error(error: OSError) -> str:
     what = " ".join((error.strerror or str(error) or type(error).__name__).split())
     place = f"{truncate_text(error.filename)}: " if isinstance(error.filename, str) else ""
     if error.errno in _NO_ROOM:
-        return f"{place}{what}; make room, or choose another folder"
+        return f"{place}{what}; free disk space, or choose another folder"
     if isinstance(error, FileNotFoundError):
-        return f"{place}{what}; somebody has removed it meanwhile, or the folder it is in"
+        return f"{place}{what}; it or its folder was removed during the run"
     return f"{place}{what}; check the file, its folder and their permissions"

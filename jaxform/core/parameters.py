@@ -72,7 +72,7 @@ def register_part[T](
         InputError: It derives from something else, lacks the method, or a number is not declared or missing.
     """
     if not (isinstance(cls, type) and issubclass(cls, base)) or getattr(cls, method) is getattr(base, method):
-        raise InputError(f"is no {base.__name__.lower()}", remedy, value=getattr(cls, "__name__", str(cls)))
+        raise InputError(f"is not a {base.__name__.lower()}", remedy, value=getattr(cls, "__name__", str(cls)))
     made = pytree(cls)
     declared = {each.name: each.metadata.get("range") for each in _parameter_fields(made)}
     missing = sorted(key for key, allowed in {**dict.fromkeys(needed), **declared}.items() if allowed is None)

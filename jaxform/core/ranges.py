@@ -229,11 +229,11 @@ def as_numbers(key: str, given: ArrayLike) -> Any:
         values = np.asarray(given)
     except (ValueError, TypeError) as error:
         uneven = "inhomogeneous" in str(error)
-        problem = "has rows of different lengths" if uneven else "is no array of numbers"
+        problem = "has rows of different lengths" if uneven else "is not an array of numbers"
         raise InputError(problem, remedy, key, given) from None
     if values.dtype.kind not in "iuf":
-        kinds = {"c": "is complex", "U": "is a text", "S": "is a text", "b": "is true or false, not a number"}
-        raise InputError(kinds.get(values.dtype.kind, "is no array of numbers"), remedy, key, given)
+        kinds = {"c": "is complex", "U": "is a string", "S": "is a string", "b": "is true or false, not a number"}
+        raise InputError(kinds.get(values.dtype.kind, "is not an array of numbers"), remedy, key, given)
     return values
 
 

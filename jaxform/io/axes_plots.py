@@ -48,7 +48,7 @@ def part(
     """
     ax = _axes(ax, projection="3d")
     if ax.name != "3d":
-        raise InputError("has no third dimension", 'make it with projection="3d"', "ax", ax.name)
+        raise InputError("is not a three-dimensional axes", 'make it with projection="3d"', "ax", ax.name)
     scene, result = drop_unused(scene, result)
     view = surfaces.part_view(scene, result, limits or plots.wall_scale([(scene, result)]), edges=edges)
     colors = views.draw(ax, view if mold else view._replace(surfaces=view.surfaces[-1:], outline=None))

@@ -110,12 +110,12 @@ def _tables(path: Path, file: str) -> dict[str, Any]:
     except RecursionError:
         raise InputError("cannot be read (nested too deeply)", "check the file", file=file) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML: {error}", "correct that place", file=file) from None
+        raise InputError(f"is not valid TOML: {error}", "correct that line", file=file) from None
     except InputError:
         raise
     except ValueError:
         # Python converts no more than some thousand digits.
-        raise InputError("has a number with too many digits", "correct that place", file=file) from None
+        raise InputError("has a number with too many digits", "correct that line", file=file) from None
     return tables
 
 
@@ -125,7 +125,7 @@ def _check_keys(text: str, file: str) -> None:
     if found:
         line = text.count("\n", 0, found.start()) + 1
         problem = f"has a dotted key of more than {_MOST_PARTS} parts (line {line})"
-        raise InputError(problem, "correct that place", file=file)
+        raise InputError(problem, "correct that line", file=file)
 
 
 def _check_integers(value: Any, key: str, file: str) -> None:

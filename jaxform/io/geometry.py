@@ -287,7 +287,7 @@ def transfer_values(mesh: Mesh, values: Array, positions: Array) -> Array:
         worst = int(np.argmax(found.distance))
         if found.distance[worst] > FARTHEST * size:
             place = ", ".join(f"{x:.4g}" for x in positions[elsewhere[worst]])
-            problem = f"has nothing at ({place}) m: its mesh is {found.distance[worst]:.3g} m away"
+            problem = f"does not cover ({place}) m: its mesh is {found.distance[worst]:.3g} m away"
             raise InputError(problem, "give a mesh of the initial sheet, in metres")
         weight = weights(found.place, mesh.positions[triangles[found.triangle]])
         result[elsewhere] = interpolate(values, triangles, found.triangle, weight)

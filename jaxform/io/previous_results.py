@@ -35,7 +35,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise InputError("is not valid JSON", AGAIN, file=str(path)) from None
     if not isinstance(found, dict):
-        raise InputError("is no table", AGAIN, file=str(path))
+        raise InputError("is not a table", AGAIN, file=str(path))
     return found
 
 
@@ -74,5 +74,5 @@ def check_planes(path: Path, scale: float, planes: Sequence[str]) -> None:
         return
     names = ", ".join(f'"{"xyz"[axis]}={level:.9g}"' for axis, level in wanted.items())
     problem = f"the part of that run is cut at planes = [{names}] (its {SUMMARY})"
-    remedy = "name the same planes: otherwise its cuts are clamped, or its rim is free"
+    remedy = "name the same planes: otherwise its cut edges are clamped, or its rim is free"
     warn_of(problem, remedy, key="parison.planes", value=list(planes))

@@ -153,6 +153,6 @@ def _write(plotter: Any, path: Path) -> None:
     try:
         pixels = plotter.screenshot(return_img=True)
     except RuntimeError as error:
-        problem = f"cannot draw here ({str(error).splitlines()[0]})"
+        problem = f"cannot render on this machine ({str(error).splitlines()[0]})"
         raise InputError(problem, "install Mesa, or draw on a machine with a display", "render") from None
     imsave(path, pixels, format="png")

@@ -74,8 +74,8 @@ def warn_of_motion(scene: Scene, file: str) -> None:
     way = np.asarray(scene.motion.direction, float).tolist()
     ends = f"{found.first:.3g} m from the sheet at first, {found.last:.3g} m at {found.end:.3g} s"
     warn_of(
-        f"the mold moves without coming nearer to the sheet: {ends}",
-        "turn mold.motion.direction round, or move the mold to the other side of the sheet (mold.translate)",
+        f"the mold moves, but not towards the sheet: {ends}",
+        "reverse mold.motion.direction, or move the mold to the other side of the sheet (mold.translate)",
         key="mold.motion.direction",
         value=way,
         file=file,
@@ -306,12 +306,16 @@ def _warn_of_sheet(scene: Scene, seen: Survey, file: str) -> None:
         remedy = "give thickness and sizes in m"
         mean = float(np.asarray(scene.parison.thickness, float).mean())
         warn_of(
-            f"the thickness is {many}:{guess or ' a film?'}", remedy, key="parison.thickness", value=mean, file=file
+            f"the thickness is {many}:{guess or ' is it a film?'}",
+            remedy,
+            key="parison.thickness",
+            value=mean,
+            file=file,
         )
     lightest, heaviest = float(scene.material.density.min()), float(scene.material.density.max())
     density = heaviest if lightest >= _LIGHT else lightest
     if not _LIGHT <= density <= _HEAVY:
-        remedy = "give kg/m^3" + (f": {1e3 * density:.4g} where it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
+        remedy = "give kg/m^3" + (f": {1e3 * density:.4g} if it is in g/cm^3" if 0.1 <= density < _LIGHT else "")
         warn_of("no plastic or rubber has such a density", remedy, key="material.density", value=density, file=file)
 
 
@@ -321,7 +325,7 @@ def _warn_of_law(scene: Scene, file: str) -> None:
     energy = np.asarray(equibiaxial_energy(scene.law.elastic, as_real(np.square(stretch))), float)
     falls = np.flatnonzero(np.diff(energy) < 0.0)
     if len(falls):
-        what = f"is unstable: its energy falls beyond an equibiaxial stretch of {stretch[falls[0]]:.3g}"
+        what = f"is unstable: its energy decreases beyond an equibiaxial stretch of {stretch[falls[0]]:.3g}"
         warn_of(what, "change its parameters, or keep the sheet below such stretches", key="material", file=file)
 
 
@@ -333,9 +337,9 @@ def _warn_of_load(scene: Scene, seen: Survey, file: str) -> None:
         if scene.motion is not None:
             return
         what = "there is no pressure" if largest == 0 else "the pressure hardly moves the sheet"
-        remedy = f"a sheet as stiff as this wants {stiffness * seen.thinness:.1g} Pa and more; give Pa"
+        remedy = f"a sheet of this stiffness needs {stiffness * seen.thinness:.1g} Pa or more; give Pa"
     elif load > _STRONG:
-        what = f"the pressure is {load:.1g} times what the sheet bears"
+        what = f"the pressure is {load:.1g} times what the sheet can carry"
         remedy = "give pressure and stiffness in Pa"
     else:
         return
@@ -358,7 +362,7 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
     elif not seen.changes_sign and (seen.exposed >= _EXPOSED or (seen.ahead < _HARDLY <= seen.behind)):
         _warn_of_side(seen, boxes, file)
     elif seen.overlap is not None and seen.overlap + seen.exposed < _HARDLY:
-        what = f"seen along the pressure ({seen.direction}), the mold is beside the sheet ({boxes})"
+        what = f"seen along the pressure ({seen.direction}), the mold does not face the sheet ({boxes})"
         warn_of(what, "move the mold (mold.translate)", key="mold", file=file)
     elif not seen.changes_sign and seen.overlap is not None and seen.bare is not None:
         _warn_of_bare(seen, seen.overlap, seen.bare, file)
@@ -368,8 +372,8 @@ def _warn_of_bare(seen: Survey, overlap: float, bare: Spot, file: str) -> None:
     """Warns of sheet that the pressure would blow past the mold, or through it."""
     if 1 - overlap < _BARE and bare.radius < _HOLE * seen.sheet.size:
         return
-    share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold before it"
-    where = f"within {bare.radius:.2g} m of {format_place(bare.middle)} there is none at all"
+    share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold in front of it"
+    where = f"within {bare.radius:.2g} m of {format_place(bare.middle)} there is none"
     remedy = (
         "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
         "mold, give parison.symmetry"
@@ -397,7 +401,7 @@ def _units(ratio: float, scale: float | None, sheet_scale: float | None) -> tupl
             filter(lambda units: fits(factors[units]), known), key=lambda units: _unit_mismatch(ratio, factors, units)
         )
         if back and scale is not None and scale != 1.0 and fits(1 / scale):
-            return ": is its file in metres already?", "scale = 1"
+            return ": is its file already in metres?", "scale = 1"
         if back and scale is not None and fits(25.4):
             return ": inches?", f"scale = {25.4 * scale:.4g}"
         if fitting:
@@ -443,7 +447,7 @@ def warn_of_side_holes(scene: Scene, file: str = "") -> None:
     where = f"{holes[0].size:.2g} m wide at {format_place(holes[0].place @ turn)}"
     largest = "" if len(holes) == 1 else "the largest "
     remedy = "close it in the file, or let `jaxform new` cover it: it writes covers.stl"
-    warn_of(f"has {what}, {largest}{where}: the sheet would be blown through", remedy, key="mold", file=file)
+    warn_of(f"has {what}, {largest}{where}: the sheet would be blown through it", remedy, key="mold", file=file)
 
 
 def _region_before_mold(sheet: Array, mold: Array, level: float) -> Callable[[Array], Mask]:
@@ -478,7 +482,7 @@ def warn_of_thin_features(scene: Scene, file: str = "") -> None:
     problem = (
         f"has a rib or pin at {format_place(found.place)} that is {found.height:.2g} m high and at most "
         f"{found.width:.2g} m wide, and elements have sides of {side:.2g} m: it may pass through the "
-        "sheet between two nodes"
+        "sheet between its nodes"
     )
     remedy = f"make the elements smaller (parison.element_size = {0.5 * found.width:.1g}), or refine near the mold"
     warn_of(problem, f"{remedy} ([refinement])", key="mold", file=file)

@@ -102,21 +102,21 @@ def warn(made: Drape, scale: float) -> None:
         place = ", ".join(f"{x:.4g}" for x in made.undercut.place / scale)
         problem = (
             f"is undercut by up to {1e3 * made.undercut.depth:.3g} mm, at ({place}) of the file: "
-            "the sheet does not lie on it there, and the part does not come off"
+            "the sheet does not touch it there, and the part cannot be released"
         )
         warn_of(problem, "close it in the mold, or give another --direction", key="--mold")
     if not made.buck.flat:
-        problem = "has no flat base: the platen lies where it is widest, and what is below is not formed"
-        warn_of(problem, "give --direction for the side from which the sheet comes, or cut the mold flat", key="--mold")
+        problem = "has no flat base: the platen is placed where it is widest, and nothing below is formed"
+        warn_of(problem, "give the side from which the sheet comes (--direction), or cut the mold flat", key="--mold")
 
 
 def lines(made: Drape) -> Iterator[str]:
     """Description of the setup, line by line."""
     side = buck.direction_name(made.buck.direction)
-    on = "on the platen of the file" if made.site.platen is None else "on a platen that is added (platen.stl)"
-    yield f"taken for a buck, {on}: the sheet comes from {side} of the file and is draped over it"
+    on = "on the platen of the file" if made.site.platen is None else "on an added platen (platen.stl)"
+    yield f"taken as a male mold, {on}: the sheet comes from {side} of the file and is draped over it"
     if made.buck.others:
-        yield f"it may stand otherwise too: --direction={' or --direction='.join(made.buck.others)}"
+        yield f"other orientations are possible: --direction={' or --direction='.join(made.buck.others)}"
     if made.holes:
         yield f"platen.stl closes {made.holes} hole{'s' if made.holes > 1 else ''} too"
 

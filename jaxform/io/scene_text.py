@@ -186,7 +186,7 @@ def _mold(made: Draft, names: Sequence[str]) -> list[str]:
         lines += [f"# {PLATEN} is the platen on which the buck stands, with vacuum at its surface{holes}."]
     elif made.covers.mesh is not None:
         lines += [
-            f"# {COVERS} closes what the sheet would be blown through ({covers_text(made)}).",
+            f"# {COVERS} closes the holes through which the sheet would be blown ({covers_text(made)}).",
             "# Leave it out if it should be.",
         ]
     path = inline(files if len(files) > 1 else files[0])

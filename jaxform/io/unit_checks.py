@@ -37,8 +37,8 @@ def _warn_of_modes(scene: Scene, file: str) -> None:
     whole, own = float(scene.law.elastic.stiffness().mean()), float(modes.stiffness().mean())
     if own < _WEAK_MODES * whole:
         modulus = np.asarray(modes.modulus, float)
-        problem = f"the Prony terms are {own / whole:.1g} times as stiff as the model: modulus is in Pa"
-        remedy = "multiply relative moduli, as Abaqus and Ansys take them, by the shear modulus at once"
+        problem = f"the Prony terms are {own / whole:.1g} times as stiff as the elastic model: modulus is in Pa"
+        remedy = "if they are relative moduli, as in Abaqus and Ansys, multiply them by the instantaneous shear modulus"
         warn_of(problem, remedy, key="material.viscous.modulus", value=modulus.tolist(), file=file)
 
 
@@ -57,7 +57,7 @@ def _warn_of_shift(scene: Scene, file: str) -> None:
         warn_of(problem, remedy, key="material.shift.reference", value=reference, file=file)
     energy = None if isinstance(shift, Wlf) else getattr(shift, "activation_energy", None)
     if energy is not None and 0.0 < float(energy) < _IDLE_ENERGY:
-        problem, remedy = "changes next to nothing: it is in J/mol", f"give {1e3 * float(energy):.4g} where it is in kJ"
+        problem, remedy = "has almost no effect: is it in J/mol?", f"give {1e3 * float(energy):.4g} if it is in kJ"
         warn_of(problem, remedy, key="material.shift.activation_energy", value=float(energy), file=file)
 
 
@@ -71,14 +71,14 @@ def _warn_of_surroundings(cooling: Cooling, temperature: np.ndarray, file: str) 
         if not (hot or kelvin):
             continue
         problem = (
-            f"heats the sheet, which has {temperature.min():.4g} degC"
+            f"is above the sheet's temperature of {temperature.min():.4g} degC"
             if hot
-            else f"is hot for {name}"
+            else f"is high for {name}"
             if name == "air"
-            else "is hot for a mold"
+            else "is high for a mold"
         )
         problem += ": is it in kelvin?" if kelvin else ""
-        remedy = f"give degC: {value - _KELVIN:.4g}" if kelvin else "see that this is meant"
+        remedy = f"give degC: {value - _KELVIN:.4g}" if kelvin else "check that this is intended"
         warn_of(problem, remedy, key=key, value=value, file=file)
 
 

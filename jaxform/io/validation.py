@@ -27,21 +27,23 @@ MOST_LENGTH = 1e6
 
 def _finite(value: float) -> float:
     if abs(value) > MOST:
-        raise validation_error("is beyond what can be computed with", f"give a number of up to {MOST:g}", value=value)
+        raise validation_error(
+            "is outside the range of the computation", f"give a number of up to {MOST:g}", value=value
+        )
     return value
 
 
 def _not_underflowing(value: float) -> float:
     if value < LEAST:
         raise validation_error(
-            "is beyond what can be computed with", f"give a number of at least {LEAST:g}", value=value
+            "is outside the range of the computation", f"give a number of at least {LEAST:g}", value=value
         )
     return value
 
 
 def _short(value: float) -> float:
     if abs(value) > MOST_LENGTH:
-        raise validation_error("is longer than anything here", f"give metres, up to {MOST_LENGTH:g}", value=value)
+        raise validation_error("is larger than any possible length", f"give metres, up to {MOST_LENGTH:g}", value=value)
     return value
 
 
@@ -86,10 +88,10 @@ class Table(BaseModel):
         """Reports unknown keys first: a misspelt key explains the missing one."""
         for key in data if isinstance(data, dict) else ():
             if key in cls.later:
-                raise validation_error("is not there yet", cls.later[key], key)
+                raise validation_error("is not supported yet", cls.later[key], key)
             if key not in cls.model_fields:
                 free = [name for name in cls.model_fields if name not in data]
-                raise validation_error("is no key here", _suggestion(key, free, list(cls.model_fields)), key)
+                raise validation_error("is not a valid key here", _suggestion(key, free, list(cls.model_fields)), key)
         return data
 
 
@@ -125,13 +127,13 @@ def check_choice(
     """A table whose key has one of the known values; raises otherwise. Arguments as for `choice`."""
     options = f"use {', '.join(known)}"
     if not isinstance(table, dict):
-        raise validation_error("is not a table", f"begin a section for it, with {key} = ...", value=table)
+        raise validation_error("is not a table", f"write it as a section, with {key} = ...", value=table)
     if key not in table:
         if usual is None:
             raise validation_error("is missing", options, key)
         return {**table, key: usual}
     if table[key] in later:
-        raise validation_error("is not there yet", options, key, table[key])
+        raise validation_error("is not supported yet", options, key, table[key])
     if table[key] not in known:
         close = difflib.get_close_matches(str(table[key]), known, n=1)
         raise validation_error("is unknown", f"did you mean {close[0]}?" if close else options, key, table[key])
@@ -146,7 +148,7 @@ def form(name: Callable[[Any], str]) -> Discriminator:
 def check_increasing(at: Sequence[float], key: str = "at") -> None:
     """Raises unless the numbers increase."""
     if any(right <= left for left, right in pairwise(at)):
-        raise validation_error("does not increase", "sort the knots, no place twice", key, list(at))
+        raise validation_error("does not increase", "sort the knots, and give each only once", key, list(at))
 
 
 def validate[M: Table](model: type[M], data: dict[str, Any], file: str) -> M:
@@ -204,7 +206,7 @@ _WORDS: dict[str, tuple[str, str]] = {
     "float_type": ("is not a number", "give one number, without quotes"),
     "int_type": ("is not a whole number", "give one whole number, without quotes"),
     "int_from_float": ("is not a whole number", "give one whole number"),
-    "string_type": ("is not a text", "put it in quotes"),
+    "string_type": ("is not a string", "put it in quotes"),
     "bool_type": ("is neither true nor false", "write true or false, without quotes"),
     "list_type": ("is not a list", "put it in square brackets"),
     "model_type": ("is not a table", "give its keys"),

@@ -296,7 +296,9 @@ def _tangents(
 ) -> list[Any]:
     """The results' tangents, from those of the arguments: the function is worked out once more for it."""
     if not forward:
-        raise NotImplementedError("what jax.vjp keeps of a simulation can only be transposed: take jax.jvp of it")
+        raise NotImplementedError(
+            "the residuals of jax.vjp of a simulation can only be transposed: use jax.jvp instead"
+        )
     first = kept.num_leaves
     primals, given = leaves[first : first + structure.num_leaves], leaves[first + structure.num_leaves :]
     return _forward(rule, structure, moving, primals, list(given))[1]

@@ -129,7 +129,7 @@ def loading[T: Loading](cls: type[T]) -> type[T]:
         InputError: It does not derive from `Loading`, gives no pressure, has an undeclared number, or has a state of
             its own but does not follow the volume.
     """
-    remedy = "derive it from jaxform.Loading and give it a pressure, `at`"
+    remedy = "derive it from jaxform.Loading and define its pressure, `at`"
     made = register_part(cls, Loading, "at", remedy, "pressure")
     if made.start is not Loading.start and not made.follows_volume:
         raise InputError(

@@ -198,7 +198,7 @@ def law(cls: Any = None, /, *, model: str = "") -> Any:
     """
 
     def declare(cls: Any) -> Any:
-        remedy = "derive it from jaxform.Law and give it an energy"
+        remedy = "derive it from jaxform.Law and define its energy"
         made = register_part(cls, Law, "energy", remedy, "material", needed=("density",))
         if model:
             _register_model(model, made)

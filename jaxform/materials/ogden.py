@@ -79,10 +79,10 @@ class Ogden(PlaneLaw):
         # Of zones each place is looked at.
         mu, alpha = np.broadcast_arrays(*(own if own.ndim > 1 else own[:, None] for own in (mu, alpha)))
         if not np.all(alpha):
-            raise InputError("has a power of 0", "leave that term out", "material.alpha", alpha[:, 0].tolist())
+            raise InputError("has an exponent of 0", "leave that term out", "material.alpha", alpha[:, 0].tolist())
         if np.any(soft := np.sum(mu * alpha, axis=0) <= 0):
-            remedy = "let the sum of mu alpha, twice the shear modulus, be above 0"
-            raise InputError("has no stiffness in small strain", remedy, "material.mu", mu[:, np.argmax(soft)].tolist())
+            remedy = "the sum of mu alpha, twice the shear modulus, must be positive"
+            raise InputError("has no stiffness at small strain", remedy, "material.mu", mu[:, np.argmax(soft)].tolist())
 
 
 @jax.custom_jvp

@@ -42,7 +42,7 @@ class Shift:
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def shift[T: Shift](cls: type[T]) -> type[T]:
     """Makes a class a shift: a frozen dataclass and a pytree, its numbers known to `replace` and to designs."""
-    remedy = "derive it from Shift and give it a factor"
+    remedy = "derive it from Shift and define its factor"
     return register_part(cls, Shift, "factor", remedy, "material.shift", needed=("reference",))
 
 

@@ -137,7 +137,7 @@ class Modes:
 @dataclass_transform(frozen_default=True, field_specifiers=(parameter, ranged_parameter, static))
 def modes[T: Modes](cls: type[T]) -> type[T]:
     """Makes a class a kind of modes: a frozen dataclass and a pytree, its numbers known to `replace` and to designs."""
-    remedy = "derive it from Modes and say what its stress follows"
+    remedy = "derive it from Modes and define its evolution"
     return register_part(cls, Modes, "measure", remedy, "material.viscous", needed=("modulus", "time"))
 
 

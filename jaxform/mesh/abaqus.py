@@ -26,10 +26,10 @@ _NODES = {"3": (3, 3), "4": (4, 4), "6": (6, 3), "65": (6, 3), "8": (8, 4), "9":
 """Of surface elements by the number in their name: all nodes, and the corners, which come first."""
 _SOLID = re.compile(r"(?:C3D|CCL|CSS|SC[68]|DC3D|AC3D|COH3D|EC3D|FC3D|PC3D|Q3D)\w*")
 _ELSEWHERE = {
-    "INCLUDE": "takes in other files",
-    "MANIFEST": "takes in other files",
+    "INCLUDE": "includes other files",
+    "MANIFEST": "includes other files",
     "PARAMETER": "has parameters",
-    "SYSTEM": "has nodes in other coordinates",
+    "SYSTEM": "has nodes in local coordinates",
     "NGEN": "generates nodes",
     "NFILL": "generates nodes",
     "NCOPY": "generates nodes",
@@ -81,7 +81,7 @@ def read_inp(content: bytes, name: str) -> Faces:
     model = _model(content)
     scopes = [model.top, model.assembly, *_assemble_instances(model)]
     if curved := sum(scope.curved for scope in scopes):
-        warn_of(f"has {curved} elements with nodes on their sides, of which the corners are taken", value=name)
+        warn_of(f"has {curved} elements with mid-side nodes, of which only the corners are used", value=name)
     points: list[tuple[float, float, float]] = []
     corners: list[int] = []
     counts: list[int] = []
@@ -92,7 +92,7 @@ def read_inp(content: bytes, name: str) -> Faces:
             try:
                 corners += [index[node] for node in face]
             except KeyError as missing:
-                problem = f"has an element {label} of node {missing}, which is not there"
+                problem = f"has an element {label} of node {missing}, which does not exist"
                 raise InputError(problem, "export it again, with all its nodes") from None
             counts.append(len(face))
     if not counts:
@@ -154,22 +154,22 @@ def _model(content: bytes) -> _Model:
 
 
 def _check_plain(word: str, options: dict[str, str]) -> None:
-    remedy = "give one file that has the mesh as plain nodes and elements, or export it as STL"
+    remedy = "give one file with the mesh as plain nodes and elements, or export it as STL"
     if _ELSEWHERE.get(word):
         raise InputError(f"{_ELSEWHERE[word]} (*{word})", remedy)
     if word in ("NODE", "ELEMENT") and "INPUT" in options:
-        raise InputError(f"takes in other files (*{word}, INPUT={options['INPUT']})", remedy)
+        raise InputError(f"includes other files (*{word}, INPUT={options['INPUT']})", remedy)
     if word == "NODE" and options.get("SYSTEM", "R").upper() not in ("R", "RECTANGULAR"):
-        raise InputError(f"has nodes in other coordinates (*NODE, SYSTEM={options['SYSTEM']})", remedy)
+        raise InputError(f"has nodes in local coordinates (*NODE, SYSTEM={options['SYSTEM']})", remedy)
     if word == "INSTANCE" and ("LIBRARY" in options or "INSTANCE" in options):
-        raise InputError("takes in an instance of other results (*INSTANCE, LIBRARY)", remedy)
+        raise InputError("includes an instance of other results (*INSTANCE, LIBRARY)", remedy)
 
 
 def _numbers(words: list[str]) -> list[float]:
     try:
         return [float(word.lower().replace("d", "e")) for word in words if word]
     except ValueError:
-        raise InputError(f"has words for numbers ({', '.join(words)[:60]})", "export or copy it again") from None
+        raise InputError(f"has words instead of numbers ({', '.join(words)[:60]})", "export or copy it again") from None
 
 
 def _add_elements(scope: _Scope, kind: str, data: list[list[str]]) -> None:
@@ -201,7 +201,7 @@ def _assemble_instances(model: _Model) -> list[_Scope]:
     for instance in model.instances:
         part = model.parts.get(instance.part)
         if part is None and not instance.scope.nodes:
-            raise InputError(f"has an instance of part {instance.part!r}, which is not there", "export it again")
+            raise InputError(f"has an instance of part {instance.part!r}, which does not exist", "export it again")
         part = part or _Scope()
         scope = _Scope(part.nodes | instance.scope.nodes, part.faces + instance.scope.faces, part.solid, part.curved)
         scopes.append(_transform(scope, instance))
@@ -216,7 +216,9 @@ def _transform(scope: _Scope, instance: _Instance) -> _Scope:
     shift = (*instance.numbers[0], 0.0, 0.0, 0.0)[:3] if len(instance.numbers[0]) <= 3 else None
     turns = [row for row in instance.numbers if len(row) == _PLACED]
     if shift is None or len(instance.numbers) != 1 + len(turns) or len(turns) > 1:
-        raise InputError(f"has an instance of part {instance.part!r} whose place is not understood", "export it again")
+        raise InputError(
+            f"has an instance of part {instance.part!r} whose position is not understood", "export it again"
+        )
     places = places + np.array(shift)
     for row in turns:
         places = _rotate(places, np.array(row[:3]), np.array(row[3:6]), row[6])

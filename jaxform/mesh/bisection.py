@@ -100,14 +100,14 @@ def build_forest(
     """
     count = len(triangles) << (depth + 1)
     if count > _MOST_TRIANGLES:
-        problem = f"the mesh bisected beforehand would have {count} triangles"
-        raise InputError(problem, "lower it, or begin with fewer elements", "refinement.max_level", depth)
+        problem = f"the mesh bisected in advance would have {count} triangles"
+        raise InputError(problem, "lower it, or start with fewer elements", "refinement.max_level", depth)
     for bad, problem in (
         (topology.nonmanifold_edges(triangles), "an edge of more than two triangles cannot be refined"),
-        (topology.inconsistent_edges(triangles), "neighbours that turn opposite ways cannot be refined"),
+        (topology.inconsistent_edges(triangles), "neighbours of opposite orientation cannot be refined"),
     ):
         if len(bad):
-            raise InputError(problem, "remedy the mesh or leave [refinement] out", "parison", bad[0].tolist())
+            raise InputError(problem, "correct the mesh or leave [refinement] out", "parison", bad[0].tolist())
     count = len(positions)
     nodes = _NodeTable(
         positions=np.asarray(positions, float),

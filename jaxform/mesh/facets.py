@@ -55,7 +55,9 @@ def locate_numbers(wanted: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDA
     at = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
     missing = wanted[numbers[at] != wanted]
     if missing.size:
-        raise InputError(f"has elements of node {missing[0]}, which is not there", "export it again with all its nodes")
+        raise InputError(
+            f"has elements of node {missing[0]}, which does not exist", "export it again with all its nodes"
+        )
     return at
 
 
@@ -78,7 +80,7 @@ def read_stl(content: bytes, name: str) -> Faces:
         return _unwelded_faces(_ascii_corners(content, lower))
     if len(content) >= 84 and count and b"\0" in content:
         there = (len(content) - 84) // _FACET.itemsize
-        problem = f"is no ASCII STL file, and as a binary one not all of it is there: {there} of {count} triangles"
+        problem = f"is not an ASCII STL file, and is incomplete as a binary one: {there} of {count} triangles"
         raise InputError(problem, "export or copy it again")
     raise ValueError("neither binary nor ASCII STL")
 

@@ -53,7 +53,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
         raise replace(error, value=value) from None
     # meshio raises all kinds of errors on bad input, and exits; so do the readers, a few kinds.
     except (Exception, SystemExit):
-        problem = f"is not a readable {ending[1:].upper()} file, or not all of it is there"
+        problem = f"is not a readable {ending[1:].upper()} file or is incomplete"
         raise InputError(problem, REEXPORT, value=value) from None
     for words in told:
         warnings.warn(words.message, stacklevel=2)
@@ -63,7 +63,7 @@ def read_faces(path: Path, further: bool = False) -> Faces:
 def _unknown_format_error(ending: str, readers: Collection[str], value: str) -> InputError:
     problem, remedy = "is of no known mesh format", f"use one of {', '.join(readers)}"
     if ending in _GEOMETRY:
-        problem += ": a CAD program's own geometry, which has no triangles yet"
+        problem += ": the native geometry of a CAD program, which has no triangles"
         remedy = f"export the part as STL from the CAD program, or {remedy}"
     return InputError(problem, remedy, value=value)
 

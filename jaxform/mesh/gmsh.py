@@ -85,7 +85,7 @@ class _BinarySection:
 
 
 def _truncation_error() -> InputError:
-    return InputError("is cut off: a section has fewer numbers than it says", "export or copy it again")
+    return InputError("is truncated: a section has fewer numbers than it declares", "export or copy it again")
 
 
 def read_msh(content: bytes, name: str) -> Faces:
@@ -111,7 +111,7 @@ def _section(content: bytes, place: int, name: str, read: _MshContent) -> int:
     """Reads the section at a place in the content, and returns the place behind it."""
     end = content.find(b"$End" + name.encode() if name not in ("NOD", "ELM") else b"$END" + name.encode(), place)
     if end < 0:
-        raise InputError(f"is cut off: its section ${name} has no end", "export or copy it again")
+        raise InputError(f"is truncated: its section ${name} has no end", "export or copy it again")
     if name == "MeshFormat":
         _format(content[place:end], read)
         return end

@@ -110,7 +110,7 @@ def as_length(key: str, value: Any) -> float:
 def check_resolution(element_size: float | None, elements: int | None, *, largest: float) -> None:
     """Raises InputError unless an element size [m] that the shape allows, or a number of elements, is given."""
     if (element_size is None) == (elements is None):
-        problem = "nothing says how fine the mesh is" if elements is None else "is given together with elements"
+        problem = "no mesh size is given" if elements is None else "is given together with elements"
         raise InputError(problem, "give element_size or elements, one of them", "parison.element_size", element_size)
     if element_size is not None and as_length("parison.element_size", element_size) > largest:
         raise InputError(

@@ -122,7 +122,7 @@ def _section(cursor: _Cursor, words: list[str], read: _VtkContent) -> None:
     word = words[0].upper()
     if word == "DATASET":
         if words[1].upper() not in ("POLYDATA", "UNSTRUCTURED_GRID"):
-            raise InputError(f"is no surface but a {words[1].lower()}", "extract the surface and export it")
+            raise InputError(f"is not a surface but a {words[1].lower()}", "extract the surface and export it")
     elif word == "POINTS":
         read.points = cursor.numbers(3 * int(words[1]), words[2]).reshape(-1, 3)
     elif word in _OF_POLYDATA or word == "CELLS":
@@ -150,7 +150,7 @@ def _cells(cursor: _Cursor, first: int, second: int, kind: int, read: _VtkConten
     else:
         starts, corners = _split_cell_list(cursor.numbers(second, "int").astype(np.int64), first)
     if starts[0] != 0 or starts[-1] != len(corners) or (np.diff(starts) < 0).any():
-        raise ValueError("corners of cells do not fit")
+        raise ValueError("the corners of the cells do not match")
     read.blocks.append((kind, starts, corners))
 
 

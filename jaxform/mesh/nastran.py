@@ -28,12 +28,12 @@ def read_bdf(content: bytes, name: str) -> Faces:
     """The triangles and quadrilaterals of bulk data; of those with nodes on their sides the corners, with a warning.
 
     Raises:
-        InputError: It takes in other files, has nodes in other coordinates, repeats cards by `=`, has no shells, or
+        InputError: It includes other files, has nodes in local coordinates, repeats cards by `=`, has no shells, or
             some node is missing.
     """
     text = content.decode("utf-8-sig", errors="replace")
     if _INCLUDE.search(text):
-        raise InputError("takes in other files (INCLUDE)", "give one file that has the mesh")
+        raise InputError("includes other files (INCLUDE)", "give one file that has the mesh")
     nodes: dict[int, list[float]] = {}
     corners: list[int] = []
     counts: list[int] = []
@@ -50,7 +50,7 @@ def read_bdf(content: bytes, name: str) -> Faces:
             raise _coordinate_system_error(card, fields[1])
         solid |= card in _SOLIDS
     if curved:
-        warn_of(f"has {curved} elements with nodes on their sides, of which the corners are taken", value=name)
+        warn_of(f"has {curved} elements with mid-side nodes, of which only the corners are used", value=name)
     if not counts or not nodes:
         raise missing_surface_error(solid=solid)
     numbers = np.array(sorted(nodes))
@@ -110,10 +110,10 @@ def _parse_position(fields: list[str]) -> list[float]:
     try:
         return [float(_EXPONENT.sub(r"e\1", field.lower().replace("d", "e")) or 0.0) for field in fields[2:5]]
     except ValueError:
-        problem = f"has a grid point {fields[0]} with coordinates that are no numbers ({', '.join(fields[2:5])})"
+        problem = f"has a grid point {fields[0]} with coordinates that are not numbers ({', '.join(fields[2:5])})"
         raise InputError(problem, "export or copy it again") from None
 
 
 def _coordinate_system_error(card: str, system: str) -> InputError:
-    problem = f"has nodes in other coordinates ({card}, coordinate system {system})"
+    problem = f"has nodes in local coordinates ({card}, coordinate system {system})"
     return InputError(problem, "export it with all nodes in the basic coordinate system")

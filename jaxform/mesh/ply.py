@@ -82,7 +82,7 @@ def _header(content: bytes) -> tuple[str, list[_Element], bytes]:
         raise InputError("does not begin with `ply`, as a PLY file does", "export or copy it again")
     head, end, body = content.partition(b"end_header")
     if not end:
-        raise InputError("has a header without its end (`end_header`)", "export or copy it again")
+        raise InputError("has a header without `end_header`", "export or copy it again")
     body = body.lstrip(b" \t")
     body = body[2:] if body.startswith(b"\r\n") else body[1:]
     order, elements = None, []
@@ -111,7 +111,7 @@ def _property(words: list[str], line: str) -> _Property:
 
 
 def _truncation_error(element: _Element, there: int) -> InputError:
-    problem = f"is cut off: {there} of its {element.count} items `{element.name}` are there"
+    problem = f"is truncated: {there} of its {element.count} items `{element.name}` are present"
     return InputError(problem, "export or copy it again")
 
 
@@ -199,7 +199,7 @@ class _PlyText:
         try:
             self.numbers = np.array(body.split()).astype(np.float64)
         except ValueError:
-            raise InputError("has words where its numbers should be", "export it again") from None
+            raise InputError("has words instead of numbers", "export it again") from None
         self.place = 0
 
     def read(self, element: _Element) -> None:

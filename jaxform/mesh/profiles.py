@@ -33,14 +33,14 @@ class Profile:
     def __post_init__(self) -> None:
         """Raises InputError for an unknown place, knots that do not increase, lengths that differ, or NaN."""
         if self.along not in ("radius", "x", "y", "z"):
-            raise InputError("is no place", "use radius, x, y or z", f"{self.key}.along", self.along)
+            raise InputError("is not a coordinate", "use radius, x, y or z", f"{self.key}.along", self.along)
         for name in ("at", "value"):
             object.__setattr__(self, name, _finite_tuple(f"{self.key}.{name}", getattr(self, name)))
         if len(self.at) != len(self.value):
             problem = f"has {len(self.value)} values for {len(self.at)} knots"
             raise InputError(problem, "give one value per knot", f"{self.key}.value", self.value)
         if any(right <= left for left, right in pairwise(self.at)):
-            raise InputError("does not increase", "sort the knots, no place twice", f"{self.key}.at", self.at)
+            raise InputError("does not increase", "sort the knots, and give each only once", f"{self.key}.at", self.at)
 
     def coordinate(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """The place [m] of positions [m] of shape (..., 3), shape (...)."""

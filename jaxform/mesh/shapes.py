@@ -29,14 +29,14 @@ def check_surface(mesh: Mesh) -> None:
     many = topology.nonmanifold_edges(mesh.triangles)
     against = topology.inconsistent_edges(mesh.triangles)
     if bad.size:
-        problem = f"{bad.size} degenerate triangles (no area, or twice the same), the first is number {bad[0]}"
+        problem = f"{bad.size} degenerate triangles (no area, or a repeated node), the first is number {bad[0]}"
         raise InputError(problem, "remove them from the mesh", key="parison.path")
     if len(many):
         problem = f"{len(many)} edges belong to more than two triangles, the first {_place(mesh, many[0])}"
         raise InputError(problem, "a parison is one surface: remove inner walls and copies", key="parison.path")
     if len(against):
-        problem = f"inverted triangles at {len(against)} edges, the first {_place(mesh, against[0])}"
-        raise InputError(problem, "turn the triangles so that all normals agree", key="parison.path")
+        problem = f"triangles of opposite orientation at {len(against)} edges, the first {_place(mesh, against[0])}"
+        raise InputError(problem, "orient the triangles so that all normals agree", key="parison.path")
 
 
 def _place(mesh: Mesh, edge: NDArray[np.int64]) -> str:
@@ -55,7 +55,7 @@ def parse_plane(text: str) -> tuple[int, float]:
     except ValueError:
         level = math.nan
     if axis.strip() not in ("x", "y", "z") or not abs(level) <= meshes.LARGEST:
-        raise InputError("is no symmetry plane", 'name planes as in ["x", "y"], or with their place, ["x=0.15"]')
+        raise InputError("is not a symmetry plane", 'name planes as in ["x", "y"], or with their place, ["x=0.15"]')
     return "xyz".index(axis.strip()), level
 
 
@@ -101,10 +101,10 @@ def clamped_nodes(mesh: Mesh, clamp: str, rim: NDArray[np.int64]) -> NDArray[np.
             known = ", ".join(sorted(mesh.fields)) or "none"
             raise InputError("the mesh has no such field", f"its fields: {known}", key, clamp)
         if not np.isfinite(mesh.fields[name]).all() or not mesh.fields[name].any():
-            raise InputError("the field marks no node", "set it to 1 where nothing may move, 0 elsewhere", key, clamp)
+            raise InputError("the field marks no node", "set it to 1 at clamped nodes, 0 elsewhere", key, clamp)
         clamped = mesh.fields[name] != 0
     elif clamp != "none":
-        raise InputError("is no way to clamp", "use boundary, none or field:NAME", key, clamp)
+        raise InputError("is not a way to clamp", "use boundary, none or field:NAME", key, clamp)
     return clamped
 
 
@@ -329,7 +329,9 @@ def bottle_half(
     """
     for key, share in (("swell", swell), ("neck_swell", swell if neck_swell is None else neck_swell)):
         if not 0 < share < 1:
-            raise InputError("is no fraction of the bottle", "give a number between 0 and 1", f"parison.{key}", share)
+            raise InputError(
+                "is not a fraction of the bottle", "give a number between 0 and 1", f"parison.{key}", share
+            )
     if not 0 < inset <= 0.3 * hole[0]:
         raise InputError("does not fit the bottle", f"use up to {0.3 * hole[0]:.4g} m", "parison.inset", inset)
     from jaxform.mesh import bottle
@@ -345,7 +347,7 @@ def bottle_half(
 
 def _parts(symmetry: str) -> int:
     if symmetry not in PARTS:
-        raise InputError("is no symmetry", f"use {', '.join(PARTS)}", "parison.symmetry", symmetry)
+        raise InputError("is not a symmetry", f"use {', '.join(PARTS)}", "parison.symmetry", symmetry)
     return PARTS[symmetry]
 
 
@@ -425,7 +427,7 @@ def from_mesh(mesh: Mesh, *, flip: bool = False, clamp: str = "boundary", planes
     if loose.size:
         node = int(rim[np.isin(part[rim[:, 0]], loose), 0][0])
         where = ", ".join(f"{x:.6g}" for x in positions[node])
-        problem = f"unclamped open parison: nothing holds the part with the open edge at ({where}) m"
+        problem = f"unclamped open parison: nothing constrains the part with the open edge at ({where}) m"
         raise InputError(problem, "clamp its boundary, close it, or name its symmetry planes", "parison.clamp", clamp)
     if clamped.all():
         raise InputError("clamps every node", "refine the mesh or clamp less", "parison.clamp", clamp)

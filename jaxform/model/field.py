@@ -76,7 +76,7 @@ def field[T: Field](cls: type[T]) -> type[T]:
     Raises:
         InputError: It does not derive from `Field`, says not how it starts, or has an undeclared number.
     """
-    remedy = "derive it from jaxform.Field and say what it is at first, `start`"
+    remedy = "derive it from jaxform.Field and define its initial value, `start`"
     return register_part(cls, Field, "start", remedy, "fields")
 
 

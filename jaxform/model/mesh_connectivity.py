@@ -95,12 +95,12 @@ def warn_of_connectivity(parison: Parison, file: str, key: str, value: str) -> N
         warn_of(
             f"elements meet in a single node at {_format_count(len(found.pinched), 'place')}, the first at "
             f"{format_place(positions[found.pinched[0]])}",
-            "join them along edges, or part them",
+            "join them along edges, or separate them",
             **where,
         )
     if found.part_count > 1:
         warn_of(
-            f"falls into {found.part_count} parts that no edge joins",
+            f"has {found.part_count} parts that share no edge",
             "join them if they are one sheet; `jaxform check` draws them",
             **where,
         )
@@ -109,7 +109,7 @@ def warn_of_connectivity(parison: Parison, file: str, key: str, value: str) -> N
         warn_of(
             f"the pressure pushes {_format_count(len(found.opposed), 'part')}, the first at {format_place(middle)}, "
             "the opposite way to the largest",
-            "turn the triangles of these parts",
+            "reverse the orientation of these parts",
             **where,
         )
 

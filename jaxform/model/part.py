@@ -89,7 +89,7 @@ def _box(given: ArrayLike) -> np.ndarray:
     except (TypeError, ValueError):
         box = np.zeros(0)
     if box.shape != (2, 3) or not np.isfinite(box).all():
-        raise InputError("is no box", "give [[x0, y0, z0], [x1, y1, z1]] in m", "part.box", given)
+        raise InputError("is not a box", "give [[x0, y0, z0], [x1, y1, z1]] in m", "part.box", given)
     if not (box[0] < box[1]).all():
         raise InputError("has no inside", "give the lowest corner first, then the highest", "part.box", given)
     return box
@@ -97,9 +97,9 @@ def _box(given: ArrayLike) -> np.ndarray:
 
 def _trim(axis: str, at: float, keep: str) -> Trim:
     if axis not in ("x", "y", "z"):
-        raise InputError("is no axis", 'give "x", "y" or "z"', "part.trim.axis", axis)
+        raise InputError("is not an axis", 'give "x", "y" or "z"', "part.trim.axis", axis)
     if keep not in ("above", "below"):
-        raise InputError("is no side of a plane", 'give "above" or "below"', "part.trim.keep", keep)
+        raise InputError("is not a side of a plane", 'give "above" or "below"', "part.trim.keep", keep)
     if not np.isfinite(at):
         raise InputError("is not finite", "give a place along the axis in m", "part.trim.at", at)
     return Trim(as_real(at), "xyz".index(axis), keep == "above")
@@ -114,10 +114,10 @@ def check_part(part: Part | None, triangle_count: int | None) -> None:
     if part is None or part.walls is None:
         return
     if triangle_count is None:
-        raise InputError("there is no mold that the part could touch", "give a mold, or box or trim", "part.walls")
+        raise InputError("there is no mold", "give a mold, or box or trim", "part.walls")
     if part.walls.shape != (triangle_count,):
         remedy = f"give one for each of the mold's {triangle_count} triangles"
-        raise InputError("is no mask of the mold's triangles", remedy, "part.walls", part.walls.shape)
+        raise InputError("is not a mask of the mold's triangles", remedy, "part.walls", part.walls.shape)
 
 
 def select_mold_files(paths: Sequence[str], wanted: Sequence[str]) -> list[int]:
@@ -132,7 +132,7 @@ def select_mold_files(paths: Sequence[str], wanted: Sequence[str]) -> list[int]:
         found = found or [k for k, path in enumerate(paths) if _file_name(path) == _file_name(name)]
         if not found:
             known = ", ".join(paths) or "none"
-            raise InputError("is no file of the mold", f"its files: {known}", "part.molds", name)
+            raise InputError("is not a file of the mold", f"its files: {known}", "part.molds", name)
         chosen.update(found)
     return sorted(chosen)
 

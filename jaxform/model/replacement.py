@@ -40,7 +40,7 @@ def replace(scene: Scene, changes: Mapping[str, ArrayLike]) -> Scene:
     check_scene(scene)
     before = scene
     if not isinstance(changes, Mapping):
-        raise InputError("is no mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
+        raise InputError("is not a mapping of paths to values", 'give {"pressure.value": new}', "changes", changes)
     for path, value in changes.items():
         old = _designable(scene, str(path))
         scene = _replace_at(scene, str(path), _convert_value(str(path), value, old, scene))
@@ -61,11 +61,11 @@ def _keep_window_count(scene: Scene, before: Scene) -> Scene:
 def check_scene(scene: Any) -> None:
     """Raises InputError unless it is a scene of the precision that JAX computes in."""
     if not isinstance(scene, Scene):
-        raise InputError("is no scene", "use jaxform.load or jaxform.build_scene", "scene", scene)
+        raise InputError("is not a scene", "use jaxform.load or jaxform.build_scene", "scene", scene)
     own, now = scene.parison.positions.dtype, jnp.result_type(float)
     if own != now:
         problem = f"was built in {own}, and JAX computes in {now}: x64 was switched since"
-        raise InputError(problem, "load or build the scene anew, or switch jax_enable_x64 back", "scene")
+        raise InputError(problem, "load or build the scene again, or switch jax_enable_x64 back", "scene")
 
 
 def _replace_at(scene: Scene, path: str, values: Any) -> Scene:
@@ -182,7 +182,7 @@ def _designable(scene: Scene, path: str) -> jax.Array:
     known = list(_designable_numbers(scene))
     close = difflib.get_close_matches(path, known, n=1)
     remedy = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(known)}"
-    raise InputError("this scene has no such number", remedy, path)
+    raise InputError("this scene has no such parameter", remedy, path)
 
 
 def _convert_value(path: str, value: ArrayLike, old: jax.Array, scene: Scene) -> jax.Array:
@@ -212,7 +212,7 @@ def _as_array(path: str, value: Any) -> jax.Array:
     try:
         new = jnp.asarray(value)
     except (ValueError, TypeError):
-        raise InputError("is no array of numbers", "give real numbers", path) from None
+        raise InputError("is not an array of numbers", "give real numbers", path) from None
     if not (jnp.issubdtype(new.dtype, jnp.floating) or jnp.issubdtype(new.dtype, jnp.integer)):
-        raise InputError(f"has the type {new.dtype}", "give real numbers", path)
+        raise InputError(f"has type {new.dtype}", "give real numbers", path)
     return as_real(new)

@@ -231,7 +231,7 @@ class Scene:
     def irreversible_parts(self) -> list[str]:
         """The parts that cannot be stepped backwards, in words; none where the scene is reversible."""
         parts = {
-            "it has fields of its own": bool(self.fields),
+            "it has user-defined fields": bool(self.fields),
             "its material has Prony terms": self.material.viscous is not None,
             "the sheet cools": self.cooling is not None,
             "its pressure follows the enclosed volume": self.pressure.follows_volume,
@@ -350,7 +350,7 @@ def make_refinement(
     deepest = max(max_level, base_level)
     require(deepest > 0, "must not both be 0", "refinement.max_level", max_level)
     if mass_scaling_levels > deepest:
-        problem = f"is more than the {deepest} levels that there are"
+        problem = f"is more than the {deepest} levels of the scene"
         raise InputError(problem, f"give at most {deepest}", "refinement.mass_scaling_levels", mass_scaling_levels)
     uneven = None if jump is None else as_real(jump)
     return Refinement(

@@ -31,12 +31,17 @@ def validate_law(material: Law, count: int, forest: bisection.TriangleForest | N
         InputError: It is none, or a number is not one number in its range, nor one at each node.
     """
     if not is_registered(material, Law):
-        raise InputError("is no law", "derive its class from jaxform.Law, decorated with jaxform.law", "material")
+        raise InputError(
+            "is not a material model", "derive its class from jaxform.Law, decorated with jaxform.law", "material"
+        )
     made = _replace_values(material, {"viscous": _modes(material.viscous), "shift": _shift(material.shift)})
     made = _convert_numbers(made, "material", nodes={count} if forest is None else {count, len(forest.positions)})
     made.verify()
     if made.tension_field and made.viscous is not None:
-        problem, remedy = "is not possible with viscous modes, whose stress may push", "leave one of the two out"
+        problem, remedy = (
+            "cannot be combined with Prony terms, whose stress may be compressive",
+            "leave out one of the two",
+        )
         raise InputError(problem, remedy, "material.tension_field", True)
     if forest is None:
         return made
@@ -55,17 +60,19 @@ def _modes(modes: Modes | None) -> Modes | None:
         return None
     key = "material.viscous"
     if not is_registered(modes, Modes):
-        raise InputError("are no viscous modes", "use jaxform.Christensen or jaxform.Maxwell", key)
+        raise InputError("are not Prony terms", "use jaxform.Christensen or jaxform.Maxwell", key)
     made = _convert_numbers(modes, key)
     if made.modulus.shape != made.time.shape:
-        problem = f"has {made.time.size} numbers, modulus has {made.modulus.size}"
-        raise InputError(problem, "give one for each mode", f"{key}.time")
+        problem = f"has {made.time.size} entries, modulus has {made.modulus.size}"
+        raise InputError(problem, "give one for each Prony term", f"{key}.time")
     return made
 
 
 def _shift(shift: Shift | None) -> Shift | None:
     if shift is not None and not is_registered(shift, Shift):
-        raise InputError("is no shift", "use jaxform.Wlf, Arrhenius or ArrheniusStiffness", "material.shift")
+        raise InputError(
+            "is not a time-temperature shift", "use jaxform.Wlf, Arrhenius or ArrheniusStiffness", "material.shift"
+        )
     return None if shift is None else _convert_numbers(shift, "material.shift", nodes=set())
 
 
@@ -87,10 +94,10 @@ def validate_cooling(given: Cooling | None, fields: Collection[str], mold: Mold 
     for name in names:
         check_one(f"cooling.{name}", getattr(given, name))
     if "temperature" in fields:
-        problem = "has the name of the temperature of a sheet that cools"
+        problem = "has the name of the sheet's temperature, which the scene computes"
         raise InputError(problem, "give it another name", "fields.temperature")
     if float(given.mold) > 0.0 and mold is None:
-        warn_of("there is no mold that could cool the sheet", "give [mold], or leave it out", key="cooling.mold")
+        warn_of("there is no mold to cool the sheet", "give [mold], or leave it out", key="cooling.mold")
     return _replace_values(given, {name: as_real(getattr(given, name)) for name in names})
 
 
@@ -101,7 +108,7 @@ def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) 
         if temperature is not None:
             remedy = "give [material.shift], or leave the temperature out"
             warn_of(
-                "the temperature changes nothing: the material does not depend on it",
+                "the temperature has no effect: the material does not depend on it",
                 remedy,
                 key="parison.temperature",
             )
@@ -116,13 +123,18 @@ def check_temperature(material: Law, parison: Parison, cooling: Cooling | None) 
         # It is glass there, as `Shift.factor` has it.
         value = float(getattr(cooling, f"{name}_temperature"))
         if float(getattr(cooling, name)) > 0.0 and value <= coldest < lowest:
-            problem = f"is below {coldest:g} degC, where the shift has no value: what cools so far no longer relaxes"
-            warn_of(problem, "see that the sheet is formed before", key=f"cooling.{name}_temperature", value=value)
+            problem = f"is below {coldest:g} degC, where the shift is not defined: below it the sheet no longer relaxes"
+            warn_of(
+                problem,
+                "make sure that the sheet is formed before it gets there",
+                key=f"cooling.{name}_temperature",
+                value=value,
+            )
     if lowest <= coldest:
-        problem = f"is not above {coldest:g} degC, where the shift has no value"
+        problem = f"is not above {coldest:g} degC, where the shift is not defined"
         raise InputError(problem, "check material.shift and the units", "parison.temperature", lowest)
     if material.viscous is None and not shift.stiffens:
-        problem = "changes nothing: it shifts the times of viscous modes, of which there are none"
+        problem = "has no effect: it shifts the times of Prony terms, and there are none"
         warn_of(problem, "give [material.viscous], or leave it out", key="material.shift")
 
 
@@ -156,7 +168,7 @@ def check_motion(mold: Mold, parison: Parison) -> None:
     direction = np.asarray(mold.motion.direction, float)
     if np.any(planes & (direction != 0.0)):
         names = ", ".join(axis for axis, plane in zip("xyz", planes, strict=True) if plane)
-        remedy = "move it along the planes, or give the whole parison"
+        remedy = "move it within the planes, or give the whole parison"
         raise InputError(
             f"the mold moves across a symmetry plane (normal to {names})",
             remedy,
@@ -173,17 +185,17 @@ def validate_loading(pressure: Loading) -> Loading:
     """
     if not is_registered(pressure, Loading):
         remedy = "use make_pressure, or derive its class from jaxform.Loading, decorated with jaxform.loading"
-        raise InputError("is no loading", remedy, "pressure")
+        raise InputError("is not a loading", remedy, "pressure")
     made = _convert_numbers(pressure, "pressure")
     none = as_real(0.0)
     first = _shapes("pressure", first_pressure, made, none)
     if first.pressure.shape != ():
-        raise InputError(f"gives pressures of shape {first.pressure.shape}", "let `at` give one number", "pressure")
+        raise InputError(f"gives pressures of shape {first.pressure.shape}", "let `at` return one number", "pressure")
     later = _shapes("pressure", next_pressure, made, first, Interval(none, none, none, none))
     if _kinds(later) != _kinds(first):
         shapes = f"{_words(later.state)}, than at first, {_words(first.state)}"
-        problem = f"has another state of its own after a step, {shapes}"
-        raise InputError(problem, "let `after` give arrays of the same shapes as `start`", "pressure")
+        problem = f"has another state after a step, {shapes}"
+        raise InputError(problem, "let `after` return arrays of the same shapes as `start`", "pressure")
     return made
 
 
@@ -204,7 +216,7 @@ def validate_field(name: str, given: Field, count: int, forest: bisection.Triang
     """
     key = f"fields.{name}"
     if not is_registered(given, Field):
-        raise InputError("is no field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
+        raise InputError("is not a field", "derive its class from jaxform.Field, decorated with jaxform.field", key)
     if name in _RESERVED or not name.isidentifier():
         raise InputError("cannot be a field's name", f"give a name in letters, none of {', '.join(_RESERVED)}", key)
     made, new = _convert_numbers(given, key), {}
@@ -220,7 +232,7 @@ def validate_field(name: str, given: Field, count: int, forest: bisection.Triang
     made = _replace_values(made, new)
     shape = _shapes(key, made.start, as_real(np.zeros((whole, 3)))).shape
     if shape != (whole,):
-        raise InputError(f"starts with values of shape {shape}", f"let `start` give ({whole},)", key)
+        raise InputError(f"starts with values of shape {shape}", f"let `start` return ({whole},)", key)
     return made
 
 
@@ -232,7 +244,7 @@ def _convert_numbers[T](part: T, section: str, nodes: set[int] | None = None) ->
         check(key, given, allowed)
         shape, listed = as_numbers(key, given).shape, name in lists
         if listed and (len(shape) == 0 or shape[0] == 0 or len(shape) > 1 + (nodes is not None)):
-            raise InputError("is no list of numbers", "give one for each term", key, given)
+            raise InputError("is not a list of numbers", "give one for each term", key, given)
         if nodes is not None and len(shape) > int(listed) and (len(shape) > 1 + listed or shape[-1] not in nodes):
             many = " or ".join(map(str, sorted(nodes)))
             problem = f"has shape {shape}, is not one number, nor one at each node ({many})"

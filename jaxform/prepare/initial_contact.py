@@ -155,8 +155,8 @@ def check_start(parison: Parison, triangles: NDArray[np.integer], mold: Mold, gr
     where = positions[sides[0]].mean(0)
     place = ", ".join(f"{value:.4g}" for value in where)
     raise InputError(
-        f"the parison starts through the mold, near ({place}) m, in mold triangle {triangle[0]}",
-        "move the mold (mold.translate), shrink the parison, or give a coarse mold of a round shape smaller triangles "
+        f"the parison initially penetrates the mold, near ({place}) m, in mold triangle {triangle[0]}",
+        "move the mold (mold.translate), make the parison smaller, or give a curved mold smaller triangles "
         "(mold.element_size, mold.segments)",
         "mold",
     )

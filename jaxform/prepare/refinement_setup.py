@@ -33,8 +33,8 @@ def reserve_capacity(refinement: Refinement, forest: bisection.TriangleForest, f
 def check_capacity(refinement: Refinement, count: int) -> None:
     """Raises InputError where so many elements exceed the capacity."""
     if refinement.elements < count:
-        remedy = f"make room for the {count} elements that there are at first, and more"
-        raise InputError("is too little", remedy, "refinement.elements", refinement.elements)
+        remedy = f"allow for the {count} initial elements, and more"
+        raise InputError("is too small", remedy, "refinement.elements", refinement.elements)
 
 
 def build_hierarchy(parison: Parison, refinement: Refinement) -> tuple[bisection.TriangleForest, Parison]:

@@ -219,7 +219,9 @@ def _check_mesh(positions: np.ndarray, triangles: np.ndarray, parison: Parison) 
         )
     held = np.asarray(parison.clamped)[:, None] | np.asarray(parison.fixed)
     if np.all(held):
-        raise InputError("nothing can move: every node is clamped", "clamp fewer nodes or refine the mesh", "parison")
+        raise InputError(
+            "every node is clamped, so nothing can move", "clamp fewer nodes or refine the mesh", "parison"
+        )
 
 
 def _degenerate(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -239,7 +241,7 @@ def _place_on_mold(
         return parison, None
     if len(bad := _degenerate(found.positions, triangles)):
         raise InputError(
-            f"the parison cannot be laid onto it: {len(bad)} of its triangles would be degenerate",
+            f"the parison cannot be projected onto it: {len(bad)} of its triangles would be degenerate",
             "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
             "mold",
         )
@@ -258,7 +260,7 @@ def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:
         apart = np.ptp(there) > 1e-6 * np.ptp(places, axis=0).max()
         if apart and pressure.follows_volume:
             raise InputError(
-                "nodes are held on more than one plane, from which the enclosed volume cannot be counted",
+                "nodes are fixed to more than one plane, so the enclosed volume is not defined",
                 f"keep one symmetry plane across {axis}",
                 "parison.fixed",
                 f"{axis} from {there.min():.4g} to {there.max():.4g} m",

@@ -120,16 +120,16 @@ def warnings_of_filling(result: Result, scene: Scene, filling: Filling) -> list[
         if gap.width <= max(_BRIDGED * float(sides[2]), _WIDE * size) and not noticed:
             return []
         return [
-            f"the sheet sticks all around a place of the mold that is {gap.width:.3g} m before it, at "
+            f"a gap of {gap.width:.3g} m between sheet and mold is closed off by contact all around, at "
             f"{format_place(gap.place)}: its elements are too large to follow the mold there; add [refinement], or "
             "make parison.element_size smaller"
         ]
     if not noticed:
         return []
     return [
-        f"the mold is not filled everywhere: {gap.width:.3g} m are left at {format_place(gap.place)}, "
+        f"the mold is not filled: {gap.width:.3g} m remain at {format_place(gap.place)}, "
         f"{100 * gap.width / filling.depth:.0f} % of the opening's depth; raise pressure.value or solver.end_time, or "
-        "say mold.fill = false"
+        "set mold.fill = false"
     ]
 
 

@@ -78,6 +78,6 @@ def restrict_to_part(result: Result, scene: Scene) -> tuple[Result, list[str]]:
     if np.asarray(part.used).any():
         return part, []
     return result, [
-        "no element of the formed sheet is in [part], so all numbers are of the whole sheet; compare part.box, "
+        "no element of the formed sheet is in [part], so all results are those of the whole sheet; compare part.box, "
         "part.trim and part.molds with where the sheet is (they are in formed positions, m)"
     ]

@@ -65,8 +65,8 @@ def _warnings_of_no_contact(result: Result, scene: Scene) -> list[str]:
     if ((np.asarray(result.contact_time) > 0) & far & active).any() or np.asarray(result.stuck)[active].all():
         return []
     return [
-        "nothing touched the mold after the start; look at sheet and mold with `jaxform check` (units, sides), or "
-        "raise pressure.value or solver.end_time"
+        "nothing touched the mold after the start; look at sheet and mold with `jaxform check` (units, "
+        "sides), or raise pressure.value or solver.end_time"
     ]
 
 
@@ -85,7 +85,8 @@ def _warnings_of_escape(result: Result, scene: Scene) -> list[str]:
         return []
     return [
         f"the sheet left the mold's box, by {beyond[farthest]:.3g} m at {format_place(now[farthest])}; look at sheet "
-        "and mold with `jaxform check`: is the mold in front of the pressure, as wide as the sheet, and without a hole?"
+        "and mold with `jaxform check`: does the mold face the pressure, is it as wide as the sheet, and "
+        "without a hole?"
     ]
 
 
@@ -142,9 +143,9 @@ def _warnings_of_crossing(result: Result, scene: Scene) -> list[str]:
     nodes = np.asarray(result.triangles)[found[np.argmin(_ratio(result)[found])]]
     where = format_place(np.asarray(result.positions, float)[nodes].mean(0))
     return [
-        f"the sheet passes through itself, {len(found)} elements of it, at {where}: it folds there, or two films meet, "
-        "and its contact with itself is not simulated; do not trust the wall there, lower pressure.value, or widen "
-        "what is narrow in the mold"
+        f"the sheet passes through itself with {len(found)} elements, at {where}: it folds there, or two of its sides "
+        "meet, and self-contact is not simulated; the wall is not reliable there; lower pressure.value, or widen "
+        "narrow places of the mold"
     ]
 
 
@@ -155,9 +156,9 @@ def _warnings_of_tearing(result: Result) -> list[str]:
         return []
     worst = torn[np.argmin(ratio[torn])]
     where = format_place(np.asarray(result.positions, float)[triangles[worst]].mean(0))
-    count = f"{len(torn)} elements that touch nothing are" if len(torn) > 1 else "an element that touches nothing is"
+    count = f"{len(torn)} elements without contact are" if len(torn) > 1 else "an element without contact is"
     return [
-        f"{count} stretched unrealistically far: down to {100 * ratio[worst]:.2g} % of the initial thickness at "
+        f"{count} stretched unrealistically: down to {100 * ratio[worst]:.2g} % of the initial thickness at "
         f"{where}; lower pressure.value or the end time, or put the mold where it stops the sheet"
     ]
 
@@ -173,6 +174,6 @@ def _warnings_of_thinning(result: Result, scene: Scene) -> list[str]:
     wall = float(np.asarray(result.element_thickness, float)[worst])
     return [
         f"the wall is down to {100 * ratio[worst]:.2g} % of the initial thickness ({wall:.2g} m) at {where}, an area "
-        f"draw ratio of {1 / ratio[worst]:.3g}: no material sustains that; make the mold shallower, round its corners, "
-        "or form a wider sheet"
+        f"draw ratio of {1 / ratio[worst]:.3g}: no material withstands that; make the mold shallower, round its "
+        "corners, or form a wider sheet"
     ]

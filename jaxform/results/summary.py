@@ -29,16 +29,18 @@ from jaxform.tools.penetration import Penetration, penetration, pull_direction, 
 # The status of a run in words.
 
 _WORDS = {
-    Status.NON_FINITE: "a position or velocity is not finite; the state before that window is kept",
-    Status.UNSTABLE: "unstable: the sheet holds more energy than was put in, or less",
+    Status.NON_FINITE: "a position or velocity is not finite; the result is the state before that window",
+    Status.UNSTABLE: "unstable: the energy of the sheet does not match the work done on it",
     Status.WINDOWS_EXHAUSTED: "the limit on steps was reached before the end time",
     Status.CONTACT_OVERFLOW: "more candidate pairs of node and mold triangle were found than the capacity holds",
     Status.CONTACT_MISSED: "a node moved so far in one step that it may have missed the mold",
     Status.STOPPED: "stopped by the caller",
     Status.REFINEMENT_OVERFLOW: "refinement asked for more elements or nodes than the capacity holds",
-    Status.RUNAWAY: "the sheet ran away: it is ten thousand times its initial size",
-    Status.ESCAPED: "the sheet left its mold: it is as far outside the box of sheet and mold as the box is long",
-    Status.BURST: "the sheet passed through itself and burst: a sheet's contact with itself is not simulated",
+    Status.RUNAWAY: "the sheet expands without limit: it is ten thousand times its initial size",
+    Status.ESCAPED: (
+        "the sheet left its mold: it is outside their common bounding box by more than the size of that box"
+    ),
+    Status.BURST: "the sheet passed through itself and burst: self-contact is not simulated",
     Status.INPUT: "a parameter of the scene is out of its range, so nothing was simulated",
     Status.UNBALANCED: "the run reached its end, but its energy balance misses more than 1 % of the work",
     Status.UNFILLED: "the mold is not filled",
@@ -51,13 +53,12 @@ _REMEDIES = {
     Status.CONTACT_OVERFLOW: "coarsen the mold, or use `jaxform.run`, which enlarges the capacity by itself",
     Status.CONTACT_MISSED: "lower solver.safety or the pressure",
     Status.REFINEMENT_OVERFLOW: "raise refinement.elements, or lower refinement.max_level",
-    Status.RUNAWAY: "lower the pressure below what the sheet bears, or put it in a mold",
+    Status.RUNAWAY: "lower the pressure to what the sheet can carry, or add a mold",
     Status.ESCAPED: "look at sheet and mold with `jaxform check` (units, sides, holes), or lower the pressure",
-    Status.BURST: "lower the pressure, or widen what is narrow in the mold",
-    Status.INPUT: "keep what is designed within its range, and free of NaN",
+    Status.BURST: "lower the pressure, or widen narrow places of the mold",
+    Status.INPUT: "keep designed parameters within their range, and free of NaN",
     Status.UNBALANCED: "lower solver.safety, raise solver.damping, or raise the pressure more slowly",
-    Status.UNFILLED: "raise pressure.value or solver.end_time, or say mold.fill = false where the mold is not to be "
-    "filled",
+    Status.UNFILLED: "raise pressure.value or solver.end_time, or set mold.fill = false if the mold need not be filled",
 }
 
 
@@ -67,12 +68,14 @@ def explain(result: Result) -> Any:
     Of results side by side (from `vmap` or `simulate_batch`) a list with a sentence for each.
 
     Raises:
-        InputError: If it is no result, or one that is traced.
+        InputError: If it is not a result, or one that is traced.
     """
     if not isinstance(result, Result):
-        raise InputError("is no result", "give what `simulate`, `run` or `simulate_batch` returns", "result", result)
+        raise InputError("is not a result", "give what `simulate`, `run` or `simulate_batch` returns", "result", result)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(result)):
-        raise InputError("is traced, its numbers are not known yet", "explain it outside of the function", "result")
+        raise InputError(
+            "is traced, so its values are not known yet", "call `explain` outside the traced function", "result"
+        )
     count = np.shape(result.status)
     if not count:
         return _describe_status(result)
@@ -108,7 +111,7 @@ def _describe_gap(result: Result) -> str:
         return ""
     left, depth = result.filling.left, result.filling.depth
     share = f"{100 * left.width / depth:.0f} % of the opening's depth of {depth:.3g} m"
-    return f": {left.width:.3g} m are left at {format_place(left.place)}, {share}"
+    return f": {left.width:.3g} m remain at {format_place(left.place)}, {share}"
 
 
 SLOW_ENOUGH = 0.01  # predicted quasi-static error above which a slow process is warned of
@@ -175,8 +178,8 @@ def summarize(result: Result, scene: Scene) -> dict[str, Any]:
 def summarize_at_once(result: Result, scene: Scene) -> dict[str, Any]:
     """The summary as far as it takes no time: the keys of `PENDING` are null, and a warning says so."""
     unmeasured = (
-        "the command was stopped before the part was measured against the mold: penetration, gaps and folds are not "
-        "known; run it again for them"
+        "the command was interrupted before the part was compared with the mold: penetration, gaps and folds are not "
+        "known; run it again to get them"
     )
     facts = _facts(result, scene)
     return facts | {"warnings": [*facts["warnings"], unmeasured]}
@@ -250,7 +253,7 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
     peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.work))
     drag = error - peak
     what = (
-        f"the kinetic energy came to {100 * peak:.2g} % of the work"
+        f"the kinetic energy reached {100 * peak:.2g} % of the work"
         if peak > drag
         else f"damping took {100 * float(result.energy.damping_loss / jnp.abs(result.energy.work)):.2g} % of the work"
     )
@@ -261,8 +264,8 @@ def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
         remedy += ", move the mold more slowly (later mold.motion.time)"
     remedy += ", or raise solver.damping" if peak > 4 * drag else ", or lower solver.damping" if drag > peak else ""
     return [
-        f"this is no slow process (solver.quasi_static): {what}, so the wall may be about {100 * error:.2g} % off that "
-        f"of one; {remedy}"
+        f"this process is not quasi-static (solver.quasi_static): {what}, so the wall may be about {100 * error:.2g} % "
+        f"off that that of a slow process; {remedy}"
     ]
 
 
@@ -278,7 +281,7 @@ def warnings_of_mold(result: Result, scene: Scene, beyond: Penetration) -> list[
             beyond, corners, np.asarray(result.element_thickness, float)[np.asarray(result.used)]
         )
     return [
-        f"the sheet is beyond the mold, deepest at {format_place(beyond.place)} with {beyond.elements:.3g} m: it hangs "
+        f"the sheet penetrates the mold, by up to {beyond.elements:.3g} m at {format_place(beyond.place)}: it hangs "
         "over the mold's rim, or its elements are too large for an edge; make the mold as wide as the sheet, or the "
         "elements smaller"
     ]
@@ -292,9 +295,9 @@ def _warnings_of_ribs(beyond: Penetration) -> list[str]:
     where = "in 1 place" if ribs.count == 1 else f"in about {ribs.count} places"
     return [
         f"the sheet passed through a rib or pin of the mold {where}, which stands {ribs.height:.3g} m above it at "
-        f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: only nodes meet the mold, none met it; the "
-        "wall is as if it were not there; make parison.element_size smaller than it is wide, or add [refinement] with "
-        "a larger max_level"
+        f"{format_place(ribs.place)} and is {ribs.width:.2g} m wide there: contact is detected at nodes, and no node "
+        "met it; the wall is computed without it; make parison.element_size smaller than its width, or add "
+        "[refinement] with a larger max_level"
     ]
 
 

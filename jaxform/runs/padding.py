@@ -143,7 +143,9 @@ def padded(scene: Scene) -> Scene:
     """
     check_scene(scene)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
-        raise InputError("is traced, how much room it needs is not known", "pad it outside of the function", "scene")
+        raise InputError(
+            "is traced, so the capacity it needs is not known", "pad it outside the traced function", "scene"
+        )
     if scene.tables.counts is not None:
         return scene
     with device_context(scene.parison.positions) as placed:

@@ -53,11 +53,11 @@ def simulate(scene: Scene, *, schedule: Schedule | None = None, adjoint: Adjoint
 
     Raises:
         InputError: The scene has a part that the chosen adjoint cannot go back over, a derivative is asked for with
-            respect to the end time, or something is no scene or no schedule.
+            respect to the end time, or something is not a scene or no schedule.
     """
     check_scene(scene)
     if schedule is not None and not isinstance(schedule, Schedule):
-        raise InputError("is no schedule", "give that of a result: result.schedule", "schedule", schedule)
+        raise InputError("is not a schedule", "give the schedule of a result: result.schedule", "schedule", schedule)
     schedule = cast_to_precision(schedule)
     if isinstance(scene.solver.end_time, Tracer):
         end_time = _refuse_derivative(scene.solver.end_time)
@@ -79,8 +79,8 @@ def _refuse_derivative(end_time: jax.Array) -> jax.Array:
 @functools.partial(_refuse_derivative.defjvp, symbolic_zeros=True)
 def _(primals: tuple[jax.Array], tangents: tuple[Any]) -> tuple[jax.Array, Any]:
     if not isinstance(tangents[0], SymbolicZero):
-        remedy = "take differences, or design pressure.time within a fixed end_time"
-        raise InputError("has no derivative: it decides how many steps there are", remedy, "solver.end_time")
+        remedy = "use finite differences, or design pressure.time within a fixed end_time"
+        raise InputError("has no derivative: it determines the number of steps", remedy, "solver.end_time")
     return primals[0], tangents[0]
 
 
@@ -205,7 +205,7 @@ def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> 
 def _rows(changes: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
     """The changes, as arrays with a row for each design."""
     if not isinstance(changes, Mapping):
-        raise InputError("is no mapping of paths to rows of values", "stack a row per design", "changes", changes)
+        raise InputError("is not a mapping of paths to rows of values", "stack a row per design", "changes", changes)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(dict(changes))):
         raise InputError("is traced, but a batch is not differentiable", "map `simulate` for that", "changes")
     return {str(path): as_numbers(str(path), values) for path, values in changes.items()}

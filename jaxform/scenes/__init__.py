@@ -208,7 +208,7 @@ def exact_wall(name: str = "dish") -> dict[str, NDArray[np.float64]]:
     """
     found = files.read_reference(files.read_scene(name))
     if found is None:
-        raise InputError("has no exact solution beside it", "take dish or dish-coarse", "name", name)
+        raise InputError("has no exact solution", "take dish or dish-coarse", "name", name)
     return found
 
 
@@ -261,7 +261,7 @@ def _plain(key: str, value: Any) -> Any:
     """The value as a scene file could have it."""
     if isinstance(value, Tracer):
         problem = "is traced, but a scene is built on the host"
-        raise InputError(problem, "build the scene first, then put the number in with `jaxform.replace`", key)
+        raise InputError(problem, "build the scene first, then set the value with `jaxform.replace`", key)
     if isinstance(value, Mapping):
         return {name: _plain(f"{key}.{name}", item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -289,9 +289,9 @@ def _cup(profile: list[list[float]], radius: Any, depth: Any, wall_angle: Any) -
     bottom = r if angle == 90 else r - z / math.tan(math.radians(angle))
     if bottom <= 0:
         least = math.degrees(math.atan2(z, r))
-        remedy = f"make it less deep, or give a wall_angle above {least:.3g} degrees"
+        remedy = f"reduce the depth, or give a wall_angle above {least:.3g} degrees"
         raise InputError(
-            f"leaves no bottom: the walls meet at {r * math.tan(math.radians(angle)):.4g} m", remedy, "depth", z
+            f"leaves no bottom: the side walls meet at {r * math.tan(math.radians(angle)):.4g} m", remedy, "depth", z
         )
     return [[0.0, z], [bottom, z], [r, 0.0]]
 

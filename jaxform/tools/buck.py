@@ -100,7 +100,7 @@ def parse_direction(text: str) -> Array:
     length = float(np.linalg.norm(vector))
     if vector.shape != (3,) or not np.isfinite(length) or length == 0:
         remedy = "give +x, -x, +y, -y, +z, -z or three numbers, such as --direction=0,0.5,1"
-        raise InputError("is no direction", remedy, "--direction", text)
+        raise InputError("is not a direction", remedy, "--direction", text)
     return vector / length
 
 
@@ -197,7 +197,7 @@ def _place_mold(surface: ViewedSurface, stand: _Stand, size: float, others: list
     elif not flat:
         base = widest
     if base - top <= tolerance:
-        problem = f"nothing stands above a base when the sheet comes from {direction_name(stand.direction)}"
+        problem = f"the mold does not rise above a base as seen from {direction_name(stand.direction)}"
         remedy = "give another --direction, or --cavity where the sheet goes into a hollow"
         raise InputError(problem, remedy)
     body = view.inside & (view.height < base - tolerance)

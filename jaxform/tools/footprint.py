@@ -250,7 +250,7 @@ def sheet_over_opening(
     mold = weld_mold(vertices, triangles)
     found = opening.find_opening(mold.positions, mold.triangles)
     if found.male:
-        raise InputError("the mold has no opening: a plug stands out of it", "give polygon", "parison.mold_rim")
+        raise InputError("the mold has no opening: a plug protrudes from it", "give polygon", "parison.mold_rim")
     polygon = outline(found, mold.positions, mold.triangles)
     sheet = shapes.outline(polygon=polygon, element_size=element_size, elements=elements)
     turn, shift = found.view.turn, np.array([0.0, 0.0, found.level])

@@ -64,7 +64,7 @@ def make_mold(vertices: np.ndarray, triangles: np.ndarray, dropped: int = 0, mot
     if not np.all(np.isfinite(vertices)):
         raise InputError("a vertex of the mold is not finite", "repair the mesh", key="mold")
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(vertices)):
-        raise InputError("a triangle of the mold has a vertex that is not there", "repair the mesh", key="mold")
+        raise InputError("a triangle of the mold has a vertex that does not exist", "repair the mesh", key="mold")
     bad = meshes.find_degenerate(vertices, triangles) if len(triangles) else np.zeros(0, bool)
     if np.all(bad):
         raise InputError("the mold has no triangles", "give a surface mesh of triangles", key="mold")

@@ -95,7 +95,7 @@ def box_insert(
     outer, block = _sides("mold.size", size), _sides("mold.insert_size", insert_size)
     depth, height = _positive("mold.depth", depth), _positive("mold.insert_height", insert_height)
     if not 0 <= draft < 60:
-        raise InputError("is no draft angle", "give 0 to 60 degrees", "mold.draft", draft)
+        raise InputError("is not a draft angle", "give 0 to 60 degrees", "mold.draft", draft)
     if height >= depth:
         raise InputError(f"is not less than the depth ({depth:g} m)", "lower it", "mold.insert_height", insert_height)
     if isinstance(divisions, bool) or not isinstance(divisions, int | np.integer) or not 1 <= divisions <= 200:
@@ -105,7 +105,7 @@ def box_insert(
     if np.any(block >= floor):
         raise InputError("does not fit on the bottom", "make it smaller", "mold.insert_size", list(insert_size))
     if np.any(top <= 0):
-        raise InputError("leaves no top on the insert", "lower it", "mold.draft", draft)
+        raise InputError("leaves no top face on the insert", "lower it", "mold.draft", draft)
     levels = [(outer, 0.0), (floor, depth), (block, depth), (top, depth - height)]
     corner = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
     rings = [np.column_stack([0.5 * outer + corner * side, np.full(4, z)]) for side, z in levels]
@@ -185,7 +185,7 @@ def from_mesh(mesh: Mesh, *, translate: Sequence[float] = (0, 0, 0), rotate: Seq
     shift, turn = _triple("mold.translate", translate, "metres"), _triple("mold.rotate", rotate, "degrees")
     clean, dropped = meshes.drop_degenerate(meshes.weld(mesh))
     if not len(clean.triangles):
-        problem = f"no triangle with an area is left of {len(mesh.triangles)}"
+        problem = f"none of its {len(mesh.triangles)} triangles has an area"
         raise InputError(problem, "check the file and the scale", key="mold.path")
     return MoldShape(clean.positions @ rotation(turn).T + shift, clean.triangles, dropped)
 
@@ -205,7 +205,7 @@ def _profile_points(profile: ArrayLike) -> NDArray[np.float64]:
     if len(np.unique(points, axis=0)) < len(points):
         raise InputError("has a point twice", "give each point once", key, profile)
     if np.any((points[:-1, 0] == 0) & (points[1:, 0] == 0)):
-        raise InputError("runs along the axis", "begin with the last point on the axis", key, profile)
+        raise InputError("runs along the axis", "start with the last point on the axis", key, profile)
     return points + 0.0
 
 

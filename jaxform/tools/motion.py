@@ -103,14 +103,16 @@ def make_motion(direction: ArrayLike, time: ArrayLike, displacement: ArrayLike) 
     far = np.atleast_1d(as_numbers("mold.motion.displacement", displacement))
     if way.shape != (3,) or not np.all(np.isfinite(way)) or not np.any(way):
         raise InputError(
-            "is no direction", "give three numbers, such as [0, 0, 1]", "mold.motion.direction", way.tolist()
+            "is not a direction", "give three numbers, such as [0, 0, 1]", "mold.motion.direction", way.tolist()
         )
     if times.shape != far.shape or times.ndim != 1 or times.size < 2:
-        problem = f"{times.size} times and {far.size} displacements are no motion"
+        problem = f"{times.size} times and {far.size} displacements do not define a motion"
         raise InputError(problem, "give two or more knots, one displacement per time", "mold.motion.displacement")
     check("mold.motion.time", times)
     check("mold.motion.displacement", far)
     if far[0] != 0.0:
-        remedy = "begin with 0, and put the mold where it starts (mold.translate)"
-        raise InputError("the mold does not start where it is", remedy, "mold.motion.displacement", float(far[0]))
+        remedy = "start with 0, and place the mold at its start (mold.translate)"
+        raise InputError(
+            "the motion does not start with a displacement of 0", remedy, "mold.motion.displacement", float(far[0])
+        )
     return Motion(as_real(way / np.linalg.norm(way)), as_real(times), as_real(far))

@@ -98,7 +98,7 @@ def find_opening(
     male = sides.male if male is None else male
     best = sides.raised if male else sides.hollow
     if max(best.hollow, best.raised) < HOLLOW * size**3 or best.share < LEAST_RIM:
-        problem = "no opening was found: no side shows a cavity within a rim at one height, nor a plug on a base"
+        problem = "no opening was found: no side has a cavity within a level rim, nor a plug on a base"
         remedy = "give --drape where the sheet is formed over the mold, or --direction for the side it comes from"
         raise InputError(problem, remedy)
     view = heights.view_heights(surface, best.view.turn, FINE)

@@ -217,9 +217,9 @@ def refuse_bottles(mold: Mesh) -> None:
     if found is None:
         return
     widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
-    problem = f"is a bottle: its hollow is {widths}"
+    problem = f"is a bottle: its cavity is {widths}"
     remedy = (
-        f"`new` makes no scene for blow moulding; give --drape --direction=+{_flattest_axis(mold)} for a sheet over "
+        f"`new` writes no scene for blow moulding; give --drape --direction=+{_flattest_axis(mold)} for a sheet over "
         "one side of it, or one half of it, cut along its axis, as a cavity"
     )
     raise InputError(problem, remedy)

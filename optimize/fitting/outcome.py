@@ -17,7 +17,7 @@ from optimize.fitting.tables import Pull, Table
 Array = np.ndarray
 
 _CURVE = 120  # points of a curve that is drawn
-ASSUMPTION = "the weighted differences are independent and of equal variance, and the law is the right one"
+ASSUMPTION = "the weighted differences are independent and of equal variance, and the model is correct"
 
 
 class Match(NamedTuple):

@@ -22,7 +22,7 @@ MOST_TERMS, MOST_MODES = 6, 6
 _MOST_TRIED_TERMS, _MOST_TRIED_MODES = 3, 4
 _ALIKE = 0.99  # correlation above which the tests hardly distinguish two parameters
 _POOR = 0.2  # mean relative error above which a material model is doubtful
-_MORE = "give tests of other kinds, or choose a law of fewer numbers"
+_MORE = "give tests of other types, or choose a model with fewer parameters"
 
 
 def fit(
@@ -55,7 +55,7 @@ def fit(
     """
     _check(tables, model, terms, viscous, weights)
     if viscous is not None and not modes and not _relaxation_tests(tables):
-        problem = "has no test to tell it: none is of kind relaxation, and no modes are asked for"
+        problem = "cannot be used: no test is of type relaxation, and no Prony terms are requested"
         raise InputError(problem, "give a relaxation test, or --modes, or leave it out", "--viscous", viscous)
     viscous = viscous or "christensen"
     times = _times(tables)
@@ -106,7 +106,9 @@ def _check(tables: Sequence[Table], model: str, terms: int | None, viscous: str 
     if model not in LAWS:
         raise InputError("is unknown", f"use {', '.join(LAWS)}", "--model", model)
     if terms is not None and not list_parameter_names(LAWS[model]):
-        raise InputError(f"means nothing to {model}", "leave it out: its numbers are no lists", "--terms", terms)
+        raise InputError(
+            f"has no effect on {model}", "leave it out: the parameters of this model are not lists", "--terms", terms
+        )
     if terms is not None and not 1 <= terms <= MOST_TERMS:
         raise InputError("is out of range", f"give 1 to {MOST_TERMS}", "--terms", terms)
     if viscous is not None and viscous not in MODES:
@@ -139,7 +141,12 @@ def _check_modes(tables: Sequence[Table], modes: int | None, times: tuple[float,
     if modes and times is None:
         raise InputError("needs tests with a column time", "give a relaxation test", "--modes", modes)
     if modes == 0 and _relaxation_tests(tables):
-        raise InputError("leaves nothing that relaxes", "leave out the relaxation tests, or this option", "--modes", 0)
+        raise InputError(
+            "leaves the relaxation tests without Prony terms",
+            "leave out the relaxation tests, or this option",
+            "--modes",
+            0,
+        )
 
 
 def _relaxation_tests(tables: Sequence[Table]) -> bool:
@@ -159,12 +166,12 @@ def _warn_of_doubtful_fit(fit: Fit) -> None:
     solution = fit.solution
     if solution.unstable is not None:
         state, stretch = solution.unstable
-        problem = f"is unstable from a stretch of {stretch:.4g} on ({state}), and no stable numbers were found"
-        warn_of(problem, "choose another law, or fewer terms", key="--model", value=fit.model)
+        problem = f"is unstable from a stretch of {stretch:.4g} on ({state}), and no stable parameters were found"
+        warn_of(problem, "choose another model, or fewer terms", key="--model", value=fit.model)
     elif solution.held_stable:
         warn_of(
-            "would fit better where it is unstable; the numbers are the best stable ones",
-            "look at the picture, or choose another law",
+            "fits better with unstable parameters; the parameters are the best stable ones",
+            "check fit.png, or choose another model",
             key="--model",
             value=fit.model,
         )
@@ -178,13 +185,13 @@ def _warn_of_doubtful_fit(fit: Fit) -> None:
 def _warn_of_doubtful_numbers(fit: Fit) -> None:
     numbers, confidence = fit.solution.problem.numbers.all, fit.confidence
     masks = {
-        " ended at the bound of what is allowed": confidence.at_bound,
-        ": no influence on what was measured": confidence.without_influence,
+        " ended at the bound of its range": confidence.at_bound,
+        ": no influence on the measured values": confidence.without_influence,
     }
     for problem, mask in masks.items():
         if mask.any():
             words = ", ".join(number.words for number, chosen in zip(numbers, mask, strict=True) if chosen)
-            warn_of(f"{words}{problem}", "a simpler law may do for these tests")
+            warn_of(f"{words}{problem}", "a simpler model may be sufficient for these tests")
     values = fit.solution.problem.numbers.values(fit.solution.free)
     with np.errstate(invalid="ignore"):
         told = confidence.high - confidence.low < 2.0 * np.abs(values)
@@ -192,7 +199,7 @@ def _warn_of_doubtful_numbers(fit: Fit) -> None:
         alike = np.argwhere(np.triu(np.abs(confidence.correlation), 1) > _ALIKE)
     if wide.any():
         words = ", ".join(number.words for number, is_wide in zip(numbers, wide, strict=True) if is_wide)
-        warn_of(f"{words}: known to no better than the number itself", _MORE)
+        warn_of(f"{words}: uncertain by as much as the value itself", _MORE)
     if len(alike):
         pairs = ", ".join(f"{numbers[a].words} and {numbers[b].words}" for a, b in alike)
-        warn_of(f"{pairs}: these tests hardly tell one from the other", _MORE)
+        warn_of(f"{pairs}: these tests hardly distinguish them", _MORE)

@@ -215,7 +215,7 @@ def _best(found: list[Array], problem: Problem) -> list[Array]:
 def _check_rows(problem: Problem) -> None:
     rows, unknown = int(problem.used.sum()), len(problem.numbers.all)
     if rows <= unknown:
-        words = f"{rows} measured values cannot tell {unknown} numbers"
+        words = f"{rows} measured values cannot determine {unknown} parameters"
         raise InputError(words, "give more rows, or fewer terms or modes")
 
 
@@ -224,7 +224,9 @@ def _first_valid(found: list[Array], problem: Problem) -> Array:
     for free in found:
         if _is_law(free, problem):
             return free
-    raise InputError("no numbers of this law fit these tests", "choose another law, or check units and kinds of tests")
+    raise InputError(
+        "no parameters of this model fit these tests", "choose another model, or check units and types of tests"
+    )
 
 
 def _is_law(free: Array, problem: Problem) -> bool:

@@ -135,10 +135,12 @@ def known(word: str) -> str:
 
 
 def _kind(path: Path, columns: dict[str, Array], settings: dict[str, str]) -> str:
-    remedy = f"write it before the path, as in uniaxial={path.name}, or as a line `# kind = ...`: {', '.join(KINDS)}"
+    remedy = (
+        f"write it before the path, as in uniaxial={path.name}, or in a line `# kind = ...`; types: {', '.join(KINDS)}"
+    )
     if "kind" in settings:
         if not known(settings["kind"]):
-            raise InputError("is no kind of test", remedy, "kind", settings["kind"])
+            raise InputError("is not a type of test", remedy, "kind", settings["kind"])
         return known(settings["kind"])
     if {"pressure", "height"} <= set(columns):
         return "bubble"
@@ -147,7 +149,7 @@ def _kind(path: Path, columns: dict[str, Array], settings: dict[str, str]) -> st
     # The others are tension too.
     found = found or ({"uniaxial"} if "tension" in stem else set())
     if len(found) != 1:
-        raise InputError("names more than one kind of test" if found else "does not say what test it is", remedy)
+        raise InputError("names more than one type of test" if found else "does not name its type of test", remedy)
     return found.pop()
 
 
@@ -168,7 +170,7 @@ def _parse(text: str, name: str) -> tuple[dict[str, Array], dict[str, str]]:
     mark = max(",;\t", key=header.count)
     names = [_column(cell, name) for cell in _cells(header, mark)]
     if len(set(names)) < len(names):
-        raise InputError("has two columns of one name", "rename one of them", value=header)
+        raise InputError("has two columns of the same name", "rename one of them", value=header)
     if len(lines) - 1 > _MOST_ROWS:
         raise InputError(f"has {len(lines) - 1} rows", f"give up to {_MOST_ROWS}, every tenth for instance")
     if len(lines) == 1:
@@ -181,7 +183,7 @@ def _cells(line: str, mark: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=mark))]
     except csv.Error as error:
-        raise InputError(f"has a line that is no CSV ({error})", "save it as plain CSV", value=line[:80]) from None
+        raise InputError(f"has a line that is not CSV ({error})", "save it as plain CSV", value=line[:80]) from None
 
 
 def _column(cell: str, name: str) -> str:
@@ -189,22 +191,22 @@ def _column(cell: str, name: str) -> str:
     match = re.fullmatch(r"([^\[(]*?)\s*(?:[\[(](.*?)[\])])?", cell)
     word, unit = (match[1].lower(), match[2]) if match else (cell, None)
     if _number(word) is not None:
-        raise InputError("has numbers where the names of columns should be", "begin with such a line", value=cell)
+        raise InputError("has no line of column names", "start with a line of column names", value=cell)
     units = _UNITS.get(word)
     if units is None:
         close = difflib.get_close_matches(word, _UNITS, n=1)
-        remedy = f"did you mean {close[0]}?" if close else f"the columns that are known: {', '.join(_UNITS)}"
-        warn_of("is a column that is not used", remedy, value=cell, file=name)
+        remedy = f"did you mean {close[0]}?" if close else f"the known columns are {', '.join(_UNITS)}"
+        warn_of("is an unknown column and is ignored", remedy, value=cell, file=name)
     elif unit is not None and unit.strip() not in units:
         wanted = units[0] or "the ratio of lengths"
-        raise InputError(f"is in {unit.strip()}", f"give it in {wanted}; nothing is converted", word)
+        raise InputError(f"is in {unit.strip()}", f"give it in {wanted}; units are not converted", word)
     return word
 
 
 def _check_settings(settings: dict[str, str], name: str) -> None:
     for key in settings:
         if key not in _SETTINGS and (close := difflib.get_close_matches(key, _SETTINGS, n=1)):
-            warn_of("is no setting", f"did you mean {close[0]}?", key=key, value=settings[key], file=name)
+            warn_of("is not a setting", f"did you mean {close[0]}?", key=key, value=settings[key], file=name)
 
 
 def _row(line: str, mark: str, names: list[str], count: int) -> list[float]:
@@ -216,7 +218,7 @@ def _row(line: str, mark: str, names: list[str], count: int) -> list[float]:
     for word, cell in zip(names, cells, strict=True):
         number = _number(cell)
         if number is None and word in _UNITS:
-            raise InputError(f"is no finite number in line {count}", "correct it, or leave the line out", word, cell)
+            raise InputError(f"is not a finite number in line {count}", "correct or remove the line", word, cell)
         numbers.append(np.nan if number is None else number)
     return numbers
 
@@ -237,14 +239,14 @@ def _setting(settings: dict[str, str], key: str) -> float:
         raise InputError("is missing", remedy, key)
     number = _number(settings[key].split("#")[0].strip())
     if number is None or number <= 0.0:
-        raise InputError("is no positive number", remedy, key, settings[key])
+        raise InputError("is not a positive number", remedy, key, settings[key])
     return number
 
 
 def _pull(name: str, kind: str, columns: dict[str, Array], settings: dict[str, str]) -> Pull:
     state = known(settings.get("state", "uniaxial")) if kind == "relaxation" else kind
     if state not in STATES:
-        raise InputError("is no state", f"use {', '.join(STATES)}", "state", settings["state"])
+        raise InputError("is not a stress state", f"use {', '.join(STATES)}", "state", settings["state"])
     stretch = _stretch(name, columns, settings)
     keys = [key for key in ("stress", "cauchy_stress") if key in columns]
     if len(keys) != 1:
@@ -257,12 +259,12 @@ def _pull(name: str, kind: str, columns: dict[str, Array], settings: dict[str, s
     if time is not None:
         _check_times(time)
     if time is not None and time[-1] <= 0.0:
-        raise InputError("tells of no time after 0", "give rows at later times", "time", float(time[-1]))
+        raise InputError("has no time after 0", "give rows at later times", "time", float(time[-1]))
     _warn_of_doubtful_stress(name, keys[0], stretch, stress)
     # What is not strained says nothing, but of a history it is part.
     used = np.abs(stretch - 1.0) > 1e-9 if time is None else np.ones(len(stretch), bool)
     if not used.any() or not np.any(np.abs(stretch - 1.0) > 1e-9):
-        raise InputError("has no row in which anything is strained", "give stretches that differ from 1")
+        raise InputError("has no row with a strain", "give stretches that differ from 1")
     return Pull(name, kind, state, stretch[used], stress[used], time)
 
 
@@ -273,28 +275,34 @@ def _stretch(name: str, columns: dict[str, Array], settings: dict[str, str]) -> 
         columns, given = {"stretch": np.full(rows, _setting(settings, "stretch"))}, ["stretch"]
     if len(given) != 1:
         problem = "has both stretch and strain" if given else "has neither stretch nor strain"
-        raise InputError(problem, "give stretch (1 where nothing is strained) or strain (0 there)")
+        raise InputError(problem, "give stretch (1 without strain) or strain (0 without strain)")
     values = columns[given[0]]
     if given[0] == "strain":
         if values.max() > _PER_CENT:
-            warn_of(f"goes up to {values.max():.4g}", "divide by 100 if this is per cent", key="strain", file=name)
+            warn_of(f"goes up to {values.max():.4g}", "divide by 100 if it is in per cent", key="strain", file=name)
         values = 1.0 + values
     if values.min() <= 0.0:
-        remedy = "call the column strain if it is 0 where nothing is strained"
+        remedy = "name the column strain if it is 0 in the unstrained state"
         raise InputError("has a stretch that is not above 0", remedy, given[0], float(columns[given[0]].min()))
     farthest = values[np.argmax(np.abs(np.log(values)))]
     if not 1.0 / _FARTHEST <= farthest <= _FARTHEST:
-        percent = "divide by 100 if this is per cent" if given[0] == "strain" else "give the length over that at first"
-        raise InputError(f"goes farther than any sheet, to a stretch of {farthest:.4g}", percent, given[0])
+        percent = (
+            "divide by 100 if it is in per cent"
+            if given[0] == "strain"
+            else "give the ratio of length to initial length"
+        )
+        raise InputError(f"reaches a stretch of {farthest:.4g}, more than any sheet withstands", percent, given[0])
     return values
 
 
 def _check_times(time: Array) -> None:
     if time[0] < 0.0:
-        raise InputError("begins before 0, when nothing is strained yet", "begin at 0", "time", float(time[0]))
+        raise InputError("starts before 0, when the sample is not strained yet", "start at 0", "time", float(time[0]))
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if len(back):
-        raise InputError("does not increase", "sort the rows by time, no time twice", "time", float(time[back[0] + 1]))
+        raise InputError(
+            "does not increase", "sort the rows by time, and give each time once", "time", float(time[back[0] + 1])
+        )
 
 
 def _warn_of_doubtful_stress(name: str, key: str, stretch: Array, stress: Array) -> None:
@@ -307,7 +315,7 @@ def _warn_of_doubtful_stress(name: str, key: str, stretch: Array, stress: Array)
     slack = (np.abs(stretch - 1.0) > _SLACK) & (np.abs(stress) < LEAST_SHARE * largest)
     if slack.any():
         problem = f"is {stress[slack][0]:.4g} Pa at a stretch of {stretch[slack][0]:.4g}"
-        warn_of(problem, "leave out rows in which the sample hangs loose or has torn", key=key, file=name)
+        warn_of(problem, "leave out rows in which the sample is slack or has torn", key=key, file=name)
     against = (stretch - 1.0) * stress < 0.0
     if against.any() and np.abs(stress[against]).max() > 0.01 * largest:
         problem = f"is {stress[against][0]:.4g} Pa at a stretch of {stretch[against][0]:.4g}"
@@ -331,8 +339,10 @@ def _bubble(name: str, columns: dict[str, Array], settings: dict[str, str]) -> B
         raise InputError("has no row in which the sheet is inflated", "give pressures and heights above 0")
     thickness = columns.get("thickness")
     if thickness is not None and (thickness[used].min() <= 0.0 or thickness[used].max() > 1.2 * sheet):
-        problem = f"is from {thickness[used].min():.4g} to {thickness[used].max():.4g} m, the sheet {sheet:.4g} m"
-        raise InputError(problem, "give the wall at the pole, in m", "thickness")
+        problem = (
+            f"is from {thickness[used].min():.4g} to {thickness[used].max():.4g} m, and the sheet has {sheet:.4g} m"
+        )
+        raise InputError(problem, "give the wall thickness at the pole, in m", "thickness")
     wall = None if thickness is None else thickness[used]
     since = None if time is None else _since_flat(time, height, used)
     return Bubble(name, height[used], pressure[used], wall, since, radius, sheet)
@@ -345,6 +355,6 @@ def _since_flat(time: Array, height: Array, used: Array) -> Array:
     if not used[first:].all():
         later = first + int(np.argmin(used[first:]))
         problem = f"is flat, or has no pressure, at {time[later]:.4g} s, after it was inflated"
-        remedy = "let time be 0 where the inflation begins, and leave out such rows"
+        remedy = "let time be 0 at the start of the inflation, and leave out such rows"
         raise InputError(problem, remedy, "height", float(height[later]))
     return time[first:] - (time[first - 1] if first else 0.0)

@@ -50,7 +50,7 @@ def _hurry(ramp: float) -> jaxform.Scene:
 
 
 def test_a_fast_process_is_warned_of_and_a_slow_one_is_not() -> None:
-    with pytest.warns(UserWarning, match=r"no slow process .* raise the pressure more slowly"):
+    with pytest.warns(UserWarning, match=r"not quasi-static .* raise the pressure more slowly"):
         fast = jaxform.run(_hurry(4.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

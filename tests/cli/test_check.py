@@ -86,7 +86,7 @@ def test_check_reads_studies(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert thin != STUDY
     (tmp_path / "study.toml").write_text(thin)
     assert command.main(["check", str(tmp_path / "study.toml")]) == 2
-    assert "study.toml: objective.minimum = 0.01: cannot be kept" in capfd.readouterr().err
+    assert "study.toml: objective.minimum = 0.01: cannot be satisfied" in capfd.readouterr().err
 
 
 def test_check_of_a_study_whose_target_is_another_scene_runs_nothing(capfd: pytest.CaptureFixture[str]) -> None:

@@ -157,7 +157,7 @@ def test_what_is_stopped_while_it_measures_keeps_its_part(
     summary = json.loads((out / "summary.json").read_text())
     assert summary["status"] == "ok" and summary["thickness"]["min"] > 0
     assert all(summary[key] is None for key in ("penetration_max", "penetration_place", "gap_max", "gap_place"))
-    assert "stopped before" in summary["warnings"][-1]
+    assert "interrupted before" in summary["warnings"][-1]
     assert len(meshio.read(out / "final.vtu").points) == summary["nodes_final"]
     monkeypatch.undo()
     assert command.main(["report", str(out)]) == 0
@@ -165,7 +165,7 @@ def test_what_is_stopped_while_it_measures_keeps_its_part(
     assert command.main(["simulate", str(_write(tmp_path)), "--out", str(out), "--force"]) == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["penetration_max"] is not None and summary["gap_max"] is not None
-    assert not any("stopped before" in sentence for sentence in summary["warnings"])
+    assert not any("interrupted before" in sentence for sentence in summary["warnings"])
 
 
 def test_what_takes_longer_than_a_moment_is_named(
@@ -174,11 +174,11 @@ def test_what_takes_longer_than_a_moment_is_named(
     begun = threading.Event()
     monkeypatch.setattr(session, "_MOMENT", 0.0)
     monkeypatch.setattr("builtins.print", lambda *words, **_: (sys.stdout.write(str(words[0])), begun.set()))
-    with session.report_waiting(argparse.Namespace(quiet=False), "measuring the part"):
+    with session.report_waiting(argparse.Namespace(quiet=False), "comparing the part"):
         assert begun.wait(30)
     assert "measuring the part ..." in capfd.readouterr().out
     begun.clear()
-    with session.report_waiting(argparse.Namespace(quiet=True), "measuring the part"):
+    with session.report_waiting(argparse.Namespace(quiet=True), "comparing the part"):
         pass
     assert not begun.is_set()
 
@@ -282,7 +282,7 @@ def test_a_wish_for_a_slow_process(tmp_path: Path, capfd: pytest.CaptureFixture[
     assert "quasi-static process" in capfd.readouterr().out
     assert command.main(["simulate", str(scene_file), "--out", str(out), "--quiet"]) == 0
     lines = capfd.readouterr().err.splitlines()
-    assert len(lines) == 1 and "no slow process" in lines[0] and "pressure.time" in lines[0]
+    assert len(lines) == 1 and "not quasi-static" in lines[0] and "pressure.time" in lines[0]
     summary = json.loads((out / "summary.json").read_text())
     assert summary["warnings"] == [lines[0].removeprefix("jaxform: warning: ")]
     assert summary["energy"]["quasi_static_error"] > 0.01

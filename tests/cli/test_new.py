@@ -144,7 +144,7 @@ def test_a_folder_with_files_is_kept(tmp_path, capfd):
     assert f"FOLDER = '{tmp_path}': exists and is not empty" in capfd.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["dish.stl"]
     before = mold.read_bytes()
-    # The mold that is there already is the scene's.
+    # The mold that exists already is the scene's.
     assert command.main(["new", str(tmp_path), "--mold", str(mold), "--force", "--quiet"]) == 0
     assert mold.read_bytes() == before and capfd.readouterr().out == ""
 
@@ -238,7 +238,7 @@ def test_an_outline_in_a_scene_file(tmp_path):
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ("", "parison.polygon: nothing says what the planform is"),
+        ("", "parison.polygon: no planform is given"),
         ("polygon = [[0, 0], [1, 0], [0, 1]]\nmold_rim = true", "parison.polygon: is given together with mold_rim"),
         ("polygon = [[0.0, 0.0], [1.0, 0.0]]", "parison.polygon = [[0.0, 0.0], [1.0, 0.0]]: is too short"),
         ('mold_rim = true\nplanes = ["x"]', "parison.planes = ['x']: is not possible with mold_rim"),

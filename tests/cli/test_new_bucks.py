@@ -41,7 +41,7 @@ def test_bucks_get_a_frame_a_platen_and_a_way(tmp_path, capfd, name):
     folder = tmp_path / "scene"
     assert command.main(["new", str(folder), "--mold", str(mold)]) == 0
     said = capfd.readouterr()
-    assert said.err == "" and "taken for a buck" in said.out and "draped over it" in said.out
+    assert said.err == "" and "taken as a male mold" in said.out and "draped over it" in said.out
     own = name == "cone on platen"
     assert (folder / "platen.stl").exists() != own
     data = files.read_scene(folder / "scene.toml").data
@@ -102,16 +102,16 @@ def test_what_is_asked_for_counts(tmp_path, capfd):
     assert "comes from -z" in said.out and "undercut by up to 17" in said.err and "--direction" in said.err
     # Both sides of an open bowl.
     bowl = write(tmp_path / "bowl.stl", dome())
-    for given, words in ((["--drape"], "taken for a buck"), (["--cavity"], "its opening is found")):
+    for given, words in ((["--drape"], "taken as a male mold"), (["--cavity"], "its opening was found")):
         assert command.main(["new", str(folder), "--mold", str(bowl), "--force", *given]) == 0
         assert words in capfd.readouterr().out
     cup = [[0.0, 0.0], [0.04, 0.0], [0.05, 0.05], [0.048, 0.05], [0.038, 0.002], [0.0, 0.002]]
     turned = jaxform.molds.revolved(profile=cup, segments=48)
     over = write(tmp_path / "cup.stl", Mesh(turned.vertices, turned.triangles))
     assert command.main(["new", str(folder), "--mold", str(over), "--force"]) == 0
-    assert "its opening is found" in capfd.readouterr().out
+    assert "its opening was found" in capfd.readouterr().out
     assert command.main(["new", str(folder), "--mold", str(over), "--force", "--drape"]) == 0
-    assert "taken for a buck" in capfd.readouterr().out
+    assert "taken as a male mold" in capfd.readouterr().out
 
 
 def test_a_vacuum_has_a_limit_and_says_what_it_fills(tmp_path, capfd):

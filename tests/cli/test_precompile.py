@@ -28,9 +28,9 @@ def test_what_was_compiled_beforehand_serves_other_scenes_of_the_kind(
     assert command.main(["check", str(scene)]) == 0
     assert "compiles first, for about 6 s" in capfd.readouterr().out
     assert command.main(["warm", str(scene)]) == 0
-    assert "1 compiled, 0 were so already" in capfd.readouterr().out
+    assert "1 compiled, 0 were compiled already" in capfd.readouterr().out
     assert command.main(["warm", str(other), str(scene)]) == 0
-    assert "0 compiled, 2 were so already" in capfd.readouterr().out
+    assert "0 compiled, 2 were compiled already" in capfd.readouterr().out
     assert command.main(["check", str(other)]) == 0
     assert "its programs are compiled already" in capfd.readouterr().out
 

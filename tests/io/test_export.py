@@ -149,8 +149,8 @@ def _move(mesh: Mesh, far: float) -> Mesh:
     ("change", "words"),
     [
         (lambda mesh: Mesh(1e3 * mesh.positions, mesh.triangles), "--scale"),
-        (lambda mesh: _move(mesh, 0.5), "nearly nothing of the mesh lies within"),
-        (lambda mesh: meshes.merge([mesh, _move(mesh, 1e-4)]), "give one side of the wall alone"),
+        (lambda mesh: _move(mesh, 0.5), "almost no part of the mesh lies within"),
+        (lambda mesh: meshes.merge([mesh, _move(mesh, 1e-4)]), "give one side of the wall only"),
     ],
 )
 def test_a_mesh_that_is_no_wall_of_this_part_is_refused(change: Callable[[Mesh], Mesh], words: str) -> None:
@@ -161,7 +161,7 @@ def test_a_mesh_that_is_no_wall_of_this_part_is_refused(change: Callable[[Mesh],
 def test_a_mesh_of_less_surface_than_the_part_has_is_told_so() -> None:
     mesh = _bowl(200)
     part = meshes.merge([mesh, _move(mesh, 1e-4), _move(mesh, 2e-4)])
-    with pytest.raises(InputError, match="follows all of the part: this one leaves out") as told:
+    with pytest.raises(InputError, match="follows the whole part: this one omits") as told:
         mapping.map_wall(_wall(part, _thickness(part.positions)), mesh, "mesh")
     assert "both" not in str(told.value)
 
@@ -449,10 +449,10 @@ def test_bad_arguments_are_one_line(results: Path, tmp_path: Path, capfd: pytest
     folder = str(results)
     for more, words in (
         (["--to", "nastran"], "invalid choice"),
-        (["--to", "csv"], "is there already; choose another file or give --force"),
-        (["--to", "vtu", "--scale", "0.001"], "--scale = 0.001: is there without a mesh; give --onto"),
-        (["--to", "vtu", "--mirror", "w"], "--mirror = 'w': is no plane"),
-        (["--to", "vtu", "--mirror", "x=nan"], "is no plane"),
+        (["--to", "csv"], "exists already; choose another file or give --force"),
+        (["--to", "vtu", "--scale", "0.001"], "--scale = 0.001: is given without a mesh; give --onto"),
+        (["--to", "vtu", "--mirror", "w"], "--mirror = 'w': is not a plane"),
+        (["--to", "vtu", "--mirror", "x=nan"], "is not a plane"),
         (["--to", "vtu", "--mirror", "x", "x"], "lies on both sides"),
         (["--to", "vtu", "--onto", str(tmp_path / "no.stl")], "--onto = "),
         (["--to", "vtu", "--onto", str(tmp_path / "bad.stl")], "is not a readable STL file"),
@@ -534,5 +534,5 @@ def test_meshes_of_other_programs_are_taken(tmp_path: Path, ending: str, form: s
 def test_an_input_file_that_takes_in_others_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "part.inp"
     path.write_text(f"*Include, input={path}\n")
-    with pytest.raises(InputError, match=r"takes in other files \(\*INCLUDE\)"):
+    with pytest.raises(InputError, match=r"includes other files \(\*INCLUDE\)"):
         mapping.read_target(path, 1.0)

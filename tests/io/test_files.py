@@ -72,7 +72,7 @@ def test_a_field_of_a_formed_part_is_matched_by_initial_position(tmp_path: Path)
     np.testing.assert_allclose(geometry.nodal_field(path, "thickness", inside), 0.01 + 0.003 * inside[:, 0], rtol=1e-9)
     # A second forming begins where the first one ended.
     np.testing.assert_array_equal(geometry.nodal_field(path, "thickness", formed[::-1]), wall[::-1])
-    with pytest.raises(jaxform.InputError, match="has nothing at"):
+    with pytest.raises(jaxform.InputError, match="does not cover"):
         geometry.nodal_field(path, "thickness", 1e3 * coarse.positions)
 
 

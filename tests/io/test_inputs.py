@@ -141,15 +141,15 @@ def test_older_names_of_keys_in_files(tmp_path: Path) -> None:
 
 
 _KINDS = [
-    (None, "no array of numbers"),
-    ("1.0", "a text"),
-    (["1", "2"], "a text"),
+    (None, "not an array of numbers"),
+    ("1.0", "a string"),
+    (["1", "2"], "a string"),
     ([1j, 2.0], "complex"),
     ([True, False], "true or false"),
-    (np.array([None, 1.0]), "no array of numbers"),
+    (np.array([None, 1.0]), "not an array of numbers"),
     ([[0.0, 1.0], [0.0]], "rows of different lengths"),
-    ({}, "no array of numbers"),
-    (10**400, "no array of numbers"),
+    ({}, "not an array of numbers"),
+    (10**400, "not an array of numbers"),
     (jnp.asarray([1j, 2.0]), "complex"),
 ]
 
@@ -168,7 +168,7 @@ def test_batches_that_do_not_fit_are_refused_in_words() -> None:
         ({"pressure.value": rows, "material.c": np.ones(3)}, "as many rows"),
         ({"pressure.value": np.ones((2, 3))}, "shape"),
         ({"pressure.value": [[0.0, 1.0], [0.0, np.nan]]}, "not finite"),
-        (None, "no mapping"),
+        (None, "not a mapping"),
     ):
         with pytest.raises(jaxform.InputError, match=words):
             jaxform.simulate_batch(_small(), changes)  # pyright: ignore
@@ -282,7 +282,7 @@ def test_the_host_refuses_what_a_trace_let_through() -> None:
 
 @pytest.mark.parametrize("other", [None, "ok", np.zeros(3)])
 def test_only_results_are_explained(other: Any) -> None:
-    with pytest.raises(jaxform.InputError, match="is no result"):
+    with pytest.raises(jaxform.InputError, match="is not a result"):
         jaxform.explain(other)
 
 

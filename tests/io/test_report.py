@@ -311,12 +311,12 @@ def _without_wall(text: str) -> str:
         ("summary.json", None, "holds no summary.json; name the folder"),
         ("final.vtu", None, "holds no final.vtu"),
         ("summary.json", "{", "summary.json: is not valid JSON"),
-        ("summary.json", "[]", "summary.json: is no table"),
+        ("summary.json", "[]", "summary.json: is not a table"),
         ("summary.json", "{}", "summary.json: scene: is missing"),
         ("summary.json", "[" * 100_000, "summary.json: is not valid JSON"),
         ("final.vtu", _without_wall, "final.vtu: thickness: is missing"),
         ("final.vtu", "<VTKFile>", "final.vtu: is not a readable VTU file"),
-        ("frames.pvd", "<VTKFile>", "frames.pvd: is no list of frames"),
+        ("frames.pvd", "<VTKFile>", "frames.pvd: is not a list of frames"),
         ("frames.pvd", '<a><DataSet timestep="-1" file="gone.vtu"/></a>', "gone.vtu"),
         ("mold.vtu", "", "mold.vtu: is empty"),
     ],
@@ -594,7 +594,7 @@ def test_a_design_is_shown_beside_its_start(page: browser.Browser, design: Path)
         place, corners = np.array(read["place"].split(","), float), part.positions[part.triangles[int(read["element"])]]
         assert np.linalg.norm(corners.mean(0) - place) < np.ptp(corners, axis=0).max()
     titles = page.value("[...document.querySelectorAll('h2')].map(({textContent}) => textContent)")
-    for title in ("The search", "Wall along the meridian", "The sheet before it is formed", "History of the search"):
+    for title in ("The search", "Wall along the meridian", "The initial sheet", "History of the search"):
         assert title in titles
     assert page.value("document.querySelectorAll('svg.chart').length") == 4
     assert page.complaints == [] and page.requests == [(design / "report.html").as_uri()]

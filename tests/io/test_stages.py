@@ -101,5 +101,5 @@ def test_a_plane_may_be_anywhere(tmp_path: Path) -> None:
     np.testing.assert_array_equal(sheet.positions, whole.positions)
     with pytest.raises(jaxform.InputError, match=r"no node lies on x = 0\.14"):
         shapes.from_mesh(meshes.read_mesh(path), planes=["x=0.14"])
-    with pytest.raises(jaxform.InputError, match="is no symmetry plane"):
+    with pytest.raises(jaxform.InputError, match="is not a symmetry plane"):
         shapes.from_mesh(meshes.read_mesh(path), planes=["x=inf"])

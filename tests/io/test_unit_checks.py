@@ -43,12 +43,12 @@ DOUBTFUL = {
     "kelvin, warmer": (PASCALS + WLF.format(reference=140.0), 433.15, "give degC: 160"),
     "kelvin of the reference": (
         PASCALS + ARRHENIUS.format(kind="arrhenius", reference=413.0, energy=4e4), 150.0, "give degC: 139.9"),
-    "kJ": (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=140.0, energy=40.0), 150.0, "give 4e+04 where"),
+    "kJ": (PASCALS + ARRHENIUS.format(kind="arrhenius", reference=140.0, energy=40.0), 150.0, "give 4e+04 if"),
     "kJ of stiffness": (
-        ARRHENIUS.format(kind="arrhenius-stiffness", reference=140.0, energy=86.0), 150.0, "it is in J/mol"),
-    "hot air": (COOLING.format(air=298.0, mold=60.0), 150.0, "air_temperature = 298.0: heats the sheet"),
+        ARRHENIUS.format(kind="arrhenius-stiffness", reference=140.0, energy=86.0), 150.0, "is it in J/mol"),
+    "hot air": (COOLING.format(air=298.0, mold=60.0), 150.0, "air_temperature = 298.0: is above the sheet"),
     "hot mold": (COOLING.format(air=25.0, mold=333.0), 150.0, "give degC: 59.85"),
-    "a hot oven": (COOLING.format(air=180.0, mold=60.0), 150.0, "heats the sheet, which has 150 degC; see"),
+    "a hot oven": (COOLING.format(air=180.0, mold=60.0), 150.0, "is above the sheet's temperature of 150 degC; check"),
 }  # fmt: skip
 
 

@@ -155,14 +155,14 @@ def test_numbers_out_of_range_are_refused_or_told() -> None:
 
 
 def test_what_is_no_law_is_refused_in_words() -> None:
-    with pytest.raises(InputError, match="is no law"):
+    with pytest.raises(InputError, match="is not a material model"):
         jaxform.law(cast("Any", type("Nothing", (), {})))
-    with pytest.raises(InputError, match="is no law"):
+    with pytest.raises(InputError, match="is not a material model"):
         jaxform.law(type("Empty", (jaxform.Law,), {}))
     body: dict[str, Any] = {"energy": Yeoh.energy, "__annotations__": {"c1": jax.Array, "density": jax.Array}}
     with pytest.raises(InputError, match="does not declare c1, density"):
         jaxform.law(type("Undeclared", (jaxform.Law,), body))
-    with pytest.raises(InputError, match="material: is no law"):
+    with pytest.raises(InputError, match="material: is not a material model"):
         scenes.sphere(32, 2.0, real(1.0), [0.0, 2.0], end_time=0.1)  # pyright: ignore[reportArgumentType]
 
 
@@ -175,7 +175,7 @@ def test_a_law_that_was_not_declared_is_refused_in_words() -> None:
         pass
 
     for law in (Plain(), Derived(real(1.0), real(0.1), real(0.0), real(1.0))):
-        with pytest.raises(InputError, match=r"material: is no law.*decorated with jaxform\.law"):
+        with pytest.raises(InputError, match=r"material: is not a material model.*decorated with jaxform\.law"):
             scenes.sphere(32, 2.0, law, [0.0, 2.0], end_time=0.1)
 
 

@@ -157,5 +157,5 @@ def test_what_is_wrong_is_refused_in_words(tmp_path: Path, temperature: str, shi
 def test_a_temperature_that_changes_nothing_is_told(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(FILE.format(temperature=_WARM, shift=""))
-    with pytest.warns(jaxform.InputWarning, match=r"parison.temperature.*changes nothing.*material.shift"):
+    with pytest.warns(jaxform.InputWarning, match=r"parison.temperature.*has no effect.*material.shift"):
         files.load(path)

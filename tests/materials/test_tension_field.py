@@ -210,5 +210,5 @@ def test_viscous_modes_cannot_go_slack(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     text = scenes.FILE.replace("[material]\n", "[material]\ntension_field = true\n")
     path.write_text(text + '[material.viscous]\nkind = "maxwell"\nmodulus = [1e5]\ntime = [0.1]\n')
-    with pytest.raises(InputError, match=r"scene\.toml.*material\.tension_field.*viscous modes"):
+    with pytest.raises(InputError, match=r"scene\.toml.*material\.tension_field.*Prony terms"):
         files.build(files.read_scene(path))

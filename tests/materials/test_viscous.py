@@ -383,7 +383,7 @@ def test_modes_in_a_file(tmp_path: Path) -> None:
     ("viscous", "words"),
     [
         ('{ kind = "kelvin", modulus = [1e5], time = [0.1] }', "kind = 'kelvin'"),
-        ('{ kind = "maxwell", modulus = [1e5], time = [0.1, 1.0] }', r"time = \[0.1, 1.0\].*one for each mode"),
+        ('{ kind = "maxwell", modulus = [1e5], time = [0.1, 1.0] }', r"time = \[0.1, 1.0\].*one for each Prony term"),
         ('{ kind = "maxwell", modulus = [], time = [] }', "modulus.*too short"),
         ('{ kind = "maxwell", modulus = [-1e5], time = [0.1] }', r"modulus\[0\] = -100000"),
         ('{ kind = "maxwell", modulus = [1e5], time = [0.0] }', r"time\[0\] = 0"),
@@ -397,8 +397,8 @@ def test_what_python_gives_is_checked_too() -> None:
     plain = scenes.cup()
     parts: dict[str, Any] = {"parison": plain.parison, "solver": plain.solver, "pressure": plain.pressure}
     for viscous, words in (
-        (jaxform.Maxwell(jnp.ones(2), jnp.ones(1)), "one for each mode"),
-        (jaxform.Maxwell(jnp.ones(()), jnp.ones(())), "no list of numbers"),
+        (jaxform.Maxwell(jnp.ones(2), jnp.ones(1)), "one for each Prony term"),
+        (jaxform.Maxwell(jnp.ones(()), jnp.ones(())), "not a list of numbers"),
         (3.0, "jaxform.Christensen or jaxform.Maxwell"),
     ):
         law = jaxform.NeoHookean(real(1.0), real(1.0), viscous=viscous)  # pyright: ignore[reportArgumentType]

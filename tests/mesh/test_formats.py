@@ -99,7 +99,7 @@ def test_bytes_after_the_last_triangle_of_an_stl_are_left_out_with_a_word(tmp_pa
 @pytest.mark.parametrize("header", [b"cup", b"solid cup", b"solid facet"])
 def test_a_binary_stl_that_is_cut_says_how_much_is_there(tmp_path: Path, header: bytes) -> None:
     words = _assert_refused(tmp_path, "cup.stl", _binary_stl(header)[:-60])
-    assert ("34 of 36 triangles" in words) or (header == b"solid facet" and "not all of it" in words)
+    assert ("34 of 36 triangles" in words) or (header == b"solid facet" and "is incomplete" in words)
 
 
 @pytest.mark.parametrize("name", ["cup.step", "cup.STP", "cup.igs", "cup.sldprt"])
@@ -111,7 +111,7 @@ def test_geometry_of_a_cad_program_is_refused_with_the_way_to_a_mesh(tmp_path: P
 def test_an_ascii_stl_that_is_cut_is_refused(tmp_path: Path) -> None:
     text = _ascii_stl()
     for end in (text.rindex("endsolid"), text.rindex("endloop"), text.rindex("vertex") + 20, len(text) // 2):
-        assert "not all of it" in _assert_refused(tmp_path, "cup.stl", text[:end])
+        assert "is incomplete" in _assert_refused(tmp_path, "cup.stl", text[:end])
 
 
 def _obj(face: str = "f {} {} {}\n", relative: bool = False) -> str:
@@ -150,7 +150,7 @@ def test_an_obj_that_is_cut_is_told_of(tmp_path: Path) -> None:
     with pytest.warns(InputWarning, match="ends within a line"):
         _read(tmp_path, "cup.obj", text[:-1])
     assert "has a face with 2 corners" in _assert_refused(tmp_path, "cup.obj", text[: text.rindex(" ")])
-    assert "not all of it" in _assert_refused(tmp_path, "cup.obj", text[: text.index("\nv ", 200) + 8])
+    assert "is incomplete" in _assert_refused(tmp_path, "cup.obj", text[: text.index("\nv ", 200) + 8])
 
 
 def _quads() -> tuple[np.ndarray, np.ndarray]:

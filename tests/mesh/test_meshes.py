@@ -195,7 +195,7 @@ def test_ascii_stl_cut_between_facets(tmp_path, capfd):
     path = write(tmp_path, "stl-ascii")
     text = path.read_text()
     path.write_text(text[: text.rindex("endfacet") + 9])
-    assert "not all of it" in assert_refused(path, capfd).problem
+    assert "is incomplete" in assert_refused(path, capfd).problem
 
 
 def test_not_a_file(tmp_path, capfd):

@@ -33,7 +33,7 @@ def _assert_refused(folder: Path, name: str, content: str | bytes) -> str:
     with pytest.raises(InputError) as caught:
         _read(folder, name, content)
     words = str(caught.value)
-    assert name in words and "\n" not in words and "not all of it is there" not in words
+    assert name in words and "\n" not in words and "is incomplete" not in words
     return words
 
 
@@ -254,7 +254,7 @@ def test_of_elements_with_nodes_on_their_sides_the_corners_are_taken(tmp_path: P
     first, second = ", ".join(map(str, row[:5])), ", ".join(map(str, row[5:]))  # goes on in the next line
     points = np.concatenate([QUAD_POINTS[[0, 1, 4, 3]], QUAD_POINTS[:4] + 0.5])
     path.write_text(f"*NODE\n{_nodes(points)}*ELEMENT, TYPE={kind}\n{first},\n{second}\n")
-    with pytest.warns(InputWarning, match="1 elements with nodes on their sides, of which the corners are taken"):
+    with pytest.warns(InputWarning, match="1 elements with mid-side nodes, of which only the corners are used"):
         mesh = read_mesh(path, further=True)
     assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3]][: corners - 2]
 
@@ -263,17 +263,17 @@ def test_of_elements_with_nodes_on_their_sides_the_corners_are_taken(tmp_path: P
     ("change", "words"),
     [
         (("*Element", "*Ngen\n1, 9, 1\n*Element"), "generates nodes (*NGEN)"),
-        (("*Element", "*SYSTEM\n0, 0, 1, 1\n*Element"), "other coordinates (*SYSTEM)"),
-        (("*Node\n", "*Node, system=C\n"), "other coordinates (*NODE, SYSTEM=C)"),
+        (("*Element", "*SYSTEM\n0, 0, 1, 1\n*Element"), "local coordinates (*SYSTEM)"),
+        (("*Node\n", "*Node, system=C\n"), "local coordinates (*NODE, SYSTEM=C)"),
         (("*Node\n", "*Node, input=nodes.txt\n"), "other files (*NODE, INPUT=nodes.txt)"),
         (("*Element", "*Elgen\n1, 2\n*Element"), "generates elements (*ELGEN)"),
         (("*Node\n", "*Include, input=a.inp\n*Node\n"), "other files (*INCLUDE)"),
         (("*Node\n", "*Parameter\na = 1\n*Node\n"), "parameters (*PARAMETER)"),
         (("1, 1, 2", "1, 1, 77, 2"), "element 1 of type S3 with 4 nodes"),
-        (("*Node\n1,", "*Node\n100,"), "element 1 of node 1, which is not there"),
+        (("*Node\n1,", "*Node\n100,"), "element 1 of node 1, which does not exist"),
         (("type=S3", "type=C3D4"), "has solids but no surface"),
         (("type=S3", "type=B31"), "has no triangles"),
-        (("*Node\n1,", "*Node\n<a>,"), "words for numbers (<a>"),
+        (("*Node\n1,", "*Node\n<a>,"), "words instead of numbers (<a>"),
     ],
 )
 def test_an_input_file_that_is_more_than_a_mesh_is_refused_by_name(
@@ -333,8 +333,8 @@ def test_bulk_data_in_all_fields_with_and_without_its_begin(tmp_path: Path, fiel
         (("grid,1,,", "grid,1,2,"), "GRID, coordinate system 2"),
         (("grid,1,,", "GRDSET,,5\ngrid,1,,"), "GRDSET, coordinate system 5"),
         (("grid,1,,", "include 'a.bdf'\ngrid,1,,"), "other files (INCLUDE)"),
-        (("grid,1,,", "grid,1,,x"), "grid point 1 with coordinates that are no numbers"),
-        (("grid,1,,", "grid,100,,"), "elements of node 1, which is not there"),
+        (("grid,1,,", "grid,1,,x"), "grid point 1 with coordinates that are not numbers"),
+        (("grid,1,,", "grid,100,,"), "elements of node 1, which does not exist"),
         (("grid,2,,", "=,*1,=\ngrid,2,,"), "repeats cards"),
         (("CTRIA3", "CTETRA"), "has solids but no surface"),
     ],
@@ -355,7 +355,7 @@ def test_shells_of_nastran_with_nodes_on_their_sides_give_their_corners(tmp_path
         "CQUAD4,1,1,1,2,5,4", "CQUAD8,1,1,1,2,5,4,7,8\n,9,10"
     )
     (tmp_path / "q.bdf").write_text(text)
-    with pytest.warns(InputWarning, match="1 elements with nodes on their sides"):
+    with pytest.warns(InputWarning, match="1 elements with mid-side nodes"):
         assert read_mesh(tmp_path / "q.bdf", further=True).triangles.tolist() == SPLIT[:2]
 
 
@@ -463,7 +463,7 @@ def test_a_mesh_of_gmsh_that_is_cut_or_curved_or_of_another_version_says_so(tmp_
         content = _msh(version, order)
         assert "section $Elements has no end" in _assert_refused(tmp_path, "cup.msh", content[:-15])
         short = content[: content.index(b"$EndElements") - 60] + content[content.index(b"$EndElements") :]
-        assert "cut off: a section has fewer numbers" in _assert_refused(tmp_path, "cup.msh", short)
+        assert "truncated: a section has fewer numbers" in _assert_refused(tmp_path, "cup.msh", short)
     assert "version 3.0 of the MSH format" in _assert_refused(
         tmp_path, "cup.msh", _msh("2.2", "").replace(b"2.2 0 8", b"3.0 0 8")
     )
@@ -474,5 +474,5 @@ def test_a_mesh_of_gmsh_that_is_cut_or_curved_or_of_another_version_says_so(tmp_
         tmp_path, "s.msh", solid + "$Elements\n1\n1 4 2 0 1 1 2 3 4\n$EndElements\n"
     )
     missing = _msh("2.2", "").replace(b"\n11 ", b"\n99 ", 1)
-    assert "elements of node 11, which is not there" in _assert_refused(tmp_path, "cup.msh", missing)
+    assert "elements of node 11, which does not exist" in _assert_refused(tmp_path, "cup.msh", missing)
     assert "no section $MeshFormat" in _assert_refused(tmp_path, "cup.msh", "hello\n")

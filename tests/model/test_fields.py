@@ -137,11 +137,11 @@ def test_what_cannot_be_stepped_backwards_is_named(cup: jaxform.Scene) -> None:
     motion = jaxform.Motion(jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 1.0]), jnp.array([0.0, 0.01]))
     moving = dataclasses.replace(plain, mold=dataclasses.replace(plain.mold, motion=motion))
     assert moving.irreversible_parts == ["the mold moves"]
-    assert cup.irreversible_parts == ["it has fields of its own"]
+    assert cup.irreversible_parts == ["it has user-defined fields"]
 
 
 def test_the_reversed_scheme_is_refused_in_words(cup: jaxform.Scene) -> None:
-    with pytest.raises(InputError, match="backwards: it has fields of its own"):
+    with pytest.raises(InputError, match="backwards: it has user-defined fields"):
         jaxform.simulate(cup, adjoint=jaxform.Reversed())
     with pytest.raises(InputError, match="not an adjoint strategy"):
         jaxform.simulate(cup, adjoint=cast("Any", 1))
@@ -194,7 +194,7 @@ def test_a_field_that_rests_lets_what_sticks_be_skipped() -> None:
 def test_numbers_out_of_range_are_told(cup: jaxform.Scene) -> None:
     with pytest.raises(InputError, match=r"fields\.temperature\.air_rate.*must not be negative"):
         jaxform.replace(cup, {"fields.temperature.air_rate": -1.0})
-    with pytest.raises(InputError, match=r"no such number.*fields\.temperature\.air"):
+    with pytest.raises(InputError, match=r"no such parameter.*fields\.temperature\.air"):
         jaxform.replace(cup, {"fields.temperature.aire": 1.0})
     bad = jax.jit(lambda rate: jaxform.simulate(jaxform.replace(cup, {"fields.temperature.air_rate": rate})))(-1.0)
     assert int(bad.status) == Status.INPUT and np.all(np.isfinite(np.asarray(bad.fields["temperature"])))
@@ -208,7 +208,7 @@ def test_numbers_out_of_range_are_told(cup: jaxform.Scene) -> None:
         ({"thickness": cooling(1.0)}, "cannot be a field's name"),
         ({"a b": cooling(1.0)}, "cannot be a field's name"),
         ({"temperature": Short()}, r"fields\.temperature: starts with values of shape \(3,\)"),
-        ({"temperature": 3.0}, r"fields\.temperature.*is no field"),
+        ({"temperature": 3.0}, r"fields\.temperature.*is not a field"),
         ({"temperature": cooling(-300.0)}, r"fields\.temperature\.initial.*at least -273\.15"),
     ],
 )
@@ -218,5 +218,5 @@ def test_what_is_no_field_is_refused_in_words(fields: Any, words: str) -> None:
         jaxform.build_scene(
             parison=plain.parison, material=plain.material, pressure=plain.pressure, solver=plain.solver, fields=fields
         )
-    with pytest.raises(InputError, match="is no field"):
+    with pytest.raises(InputError, match="is not a field"):
         jaxform.field(cast("Any", type("Nothing", (), {})))

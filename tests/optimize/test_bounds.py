@@ -189,7 +189,7 @@ def test_a_reachable_target_takes_the_fixed_point_alone() -> None:
     assert design.stopped_by == "target" and len(design.history) <= 14
     assert design.summary()["warm_start"] == len(design.history) - 1
     assert all(row["gradient_norm"] == "" for row in design.history)
-    assert waits == ["simulating the scene to begin with"]
+    assert waits == ["simulating the initial scene"]
 
 
 def test_updates_that_do_not_halve_the_value_leave_it_to_the_gradient() -> None:

@@ -92,7 +92,7 @@ def test_a_scene_that_its_variables_cannot_have_is_a_warning() -> None:
     far = optimize.ThicknessProfile(scene, along="radius", bounds=(0.3, 2.0), knots=4)
     slow = optimize.PressureKnots(scene, bounds=(0.0, 0.4), rate=1e-4)
     sheet, pressure = feasibility.doubts(dataclasses.replace(study, variables=(far, slow)))
-    assert "parison.thickness is 0.01 in the scene" in sheet and "begins with 0.3" in sheet
+    assert "parison.thickness is 0.01 in the scene" in sheet and "starts with 0.3" in sheet
     assert "pressure.value is 0 to" in pressure and "rate" in pressure
 
 
@@ -138,14 +138,14 @@ def test_the_command_tells_a_broken_limit_and_exits_with_3(tmp_path: Path, capfd
         assert "limits are broken; multiplier" in captured.out and "stopped by" in captured.out
         summary = json.loads((tmp_path / "out" / "summary.json").read_text())
         assert (
-            summary["status"].startswith("a limit is not kept: the thinnest wall is") and "bounds" in summary["status"]
+            summary["status"].startswith("a limit is violated: the thinnest wall is") and "bounds" in summary["status"]
         )
         assert summary["status"] in captured.err
         assert summary["design"]["violation"] > 0.3 and summary["design"]["stopped_by"] == "iterations"
         (tmp_path / "study.toml").write_text(study.format(1.0))
         assert command.main(["optimize", str(tmp_path / "study.toml"), "--out", str(tmp_path / "none")]) == 2
     lines = capfd.readouterr().err.splitlines()
-    assert len(lines) == 1 and "study.toml: objective.minimum = 1.0: cannot be kept" in lines[0]
+    assert len(lines) == 1 and "study.toml: objective.minimum = 1.0: cannot be satisfied" in lines[0]
     assert not (tmp_path / "none" / "history.csv").exists()
 
 

@@ -77,7 +77,7 @@ def test_of_a_number_of_the_law() -> None:
         ({"distance": -1.0}, "variable.distance = -1.0"),
         ({"bounds": (160.0, 120.0)}, "variable.bounds"),
         ({"of": "solver.damping"}, "variable.of = 'solver.damping'.*does not vary"),
-        ({"of": "material.hardness"}, "material.hardness.*no such number"),
+        ({"of": "material.hardness"}, "material.hardness.*no such parameter"),
     ],
 )
 def test_what_is_wrong_is_refused_in_words(options: dict[str, Any], words: str) -> None:

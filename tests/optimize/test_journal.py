@@ -77,7 +77,7 @@ def test_a_damaged_line_is_named_and_nothing_is_changed(
     lines[number] = damage(lines[number])
     path.write_bytes(b"".join(lines))
     before = path.read_bytes()
-    with pytest.raises(InputError, match=r"damaged in line \d.*delete that line.*--force") as caught:
+    with pytest.raises(InputError, match=r"damaged: line \d.*delete that line.*--force") as caught:
         Journal(path, STUDY, resume=True)
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
     assert path.read_bytes() == before
@@ -110,12 +110,12 @@ def _pipe(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda path: _link(path, "/dev/zero"), "no regular file"),
-        (_pipe, "no regular file"),
+        (lambda path: _link(path, "/dev/zero"), "not a regular file"),
+        (_pipe, "not a regular file"),
         (lambda path: os.truncate(path, 1 << 40), "damaged"),
         (lambda path: os.truncate(path, 0), "is empty"),
-        (lambda path: path.write_bytes(b"{"), "damaged in line 1"),
-        (lambda path: path.write_text('{"study": "study"}\n'), "damaged in line 1"),
+        (lambda path: path.write_bytes(b"{"), "damaged: line 1"),
+        (lambda path: path.write_text('{"study": "study"}\n'), "damaged: line 1"),
         (lambda path: Journal(path, "another"), "another study"),
     ],
 )
@@ -162,7 +162,7 @@ def test_a_full_disk_is_one_line_and_keeps_what_was_there(tmp_path: Path, monkey
     for number in range(4):
         journal.ask("value", [float(number)], dict)
     monkeypatch.setattr(Path, "open", _opens_a_full_disk)
-    with pytest.raises(InputError, match=r"cannot be written \(No space left.*make room.*--resume"):
+    with pytest.raises(InputError, match=r"cannot be written \(No space left.*free disk space.*--resume"):
         journal.ask("value", [9.0], dict)
     monkeypatch.undo()
     assert path.read_bytes() == b"".join(lines) and _known(path) == 4

@@ -74,9 +74,9 @@ BAD = [
     ([FIELD + "smoothness = -0.1"], TARGET, "", "variable[0].smoothness"),
     ([FIELD + "smothness = 0.1"], TARGET, "", "did you mean smoothness"),
     (['kind = "pressure"\nbounds = [0.0, 4e4]\nend_time = [0.1, 0.5]'], TARGET, "", "longer than the simulation"),
-    (['kind = "scale"\nof = "material.a01"\nbounds = [0.5, 2.0]'], TARGET, "", "no such number"),
+    (['kind = "scale"\nof = "material.a01"\nbounds = [0.5, 2.0]'], TARGET, "", "no such parameter"),
     (['kind = "scale"\nof = "colour"\nbounds = [0.5, 2.0]'], TARGET, "", "choose one of"),
-    (['kind = "scale"\nof = "material.c"\nbounds = [0.5, 2.0]'] * 2, TARGET, "", "there twice"),
+    (['kind = "scale"\nof = "material.c"\nbounds = [0.5, 2.0]'] * 2, TARGET, "", "given twice"),
     ([PROFILE], '[objective]\nkind = "least-mas"\n', "", "did you mean least-mass"),
     ([PROFILE], '[objective]\nkind = "least-mass"\n', "", "objective.minimum"),
     ([PROFILE], '[[objective]]\nkind = "uniform"\nweight = 0.0\n', "", "objective[0].weight"),
@@ -107,8 +107,10 @@ def test_the_command_goes_on_after_a_kill(
     # There is nothing to go on with yet.
     assert command.main(["optimize", str(path), "--out", str(out), "--resume"]) == 0
     told = capfd.readouterr().err
-    assert "--resume" in told and "begins anew" in told and told.count("warning") == 1
-    assert any("begins anew" in sentence for sentence in json.loads((out / "summary.json").read_text())["warnings"])
+    assert "--resume" in told and "a new one is started" in told and told.count("warning") == 1
+    assert any(
+        "a new one is started" in sentence for sentence in json.loads((out / "summary.json").read_text())["warnings"]
+    )
     whole = np.genfromtxt(out / "history.csv", delimiter=",", names=True)
     notes = out / "search.jsonl"
     lines = notes.read_text().splitlines(keepends=True)

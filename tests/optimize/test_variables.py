@@ -181,7 +181,7 @@ def test_a_scale_multiplies_a_number_of_the_scene() -> None:
             variable.document(free)[path], factor * present if name == "value" else factor * present.flat[0]
         )
     for path, words in (
-        ("material.alpha", "no such number"),
+        ("material.alpha", "no such parameter"),
         ("mold", "choose one of"),
         ("pressure.time", "is a time"),
     ):

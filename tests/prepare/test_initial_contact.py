@@ -65,7 +65,7 @@ def test_what_is_on_the_flange_lies_there_on_the_side_that_is_pushed(gap: float)
 
 
 def test_a_sheet_that_is_through_the_flange_is_refused() -> None:
-    with pytest.raises(jaxform.InputError, match="starts through the mold"):
+    with pytest.raises(jaxform.InputError, match="initially penetrates the mold"):
         flanged(-2e-3)
 
 

@@ -61,7 +61,7 @@ def test_a_fifth_of_the_depth_left_open_is_a_status(
     assert (summary["status"] != "ok") == unfilled
     if unfilled:
         words = re.search(
-            r"not filled: (\S+) m are left at \(.*\) m, (\S+) % of the opening's depth of 0.5 m; raise",
+            r"not filled: (\S+) m remain at \(.*\) m, (\S+) % of the opening's depth of 0.5 m; raise",
             summary["status"],
         )
         assert words and float(words[1]) == pytest.approx((1.0 - share) * DEPTH, rel=0.02)
@@ -89,7 +89,7 @@ def test_a_gap_wider_than_an_element_is_warned_of_unless_the_mold_need_not_be_fi
     for share, warned in ((0.84, True), (0.92, False)):
         part = _lower(first, scene, share * DEPTH)
         summary = summarize(part, scene)
-        sentences = [words for words in summary["warnings"] if "not filled everywhere" in words]
+        sentences = [words for words in summary["warnings"] if "the mold is not filled: " in words]
         assert summary["status"] == "ok" and bool(sentences) == warned
         if warned:
             assert "% of the opening's depth; raise pressure.value" in sentences[0]
@@ -101,7 +101,7 @@ def test_a_gap_wider_than_an_element_is_warned_of_unless_the_mold_need_not_be_fi
 def test_a_run_says_it_and_simulate_stays_pure() -> None:
     scene = jaxform.replace(scenes.cup(), {"pressure.value": np.array([0.0, 1e-3])})
     ran = jaxform.run(dataclasses.replace(scene, fill=True))
-    assert int(ran.status) == Status.UNFILLED and "the mold is not filled: 0.384 m are left at" in jaxform.explain(ran)
+    assert int(ran.status) == Status.UNFILLED and "the mold is not filled: 0.384 m remain at" in jaxform.explain(ran)
     assert int(jaxform.run(scene).status) == 0
     assert int(jaxform.simulate(dataclasses.replace(scene, fill=True)).status) == 0
 

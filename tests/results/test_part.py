@@ -151,10 +151,10 @@ def test_a_part_that_holds_nothing_is_warned_of_and_a_search_of_it_refused(
     [
         ({}, "part: says nothing"),
         ({"box": [[0, 0, 0], [1, 1, 0]]}, "part.box .* has no inside"),
-        ({"box": [0, 1]}, "part.box .* is no box"),
-        ({"trim": ("w", 0.0, "above")}, "part.trim.axis .* is no axis"),
+        ({"box": [0, 1]}, "part.box .* is not a box"),
+        ({"trim": ("w", 0.0, "above")}, "part.trim.axis .* is not an axis"),
         ({"trim": ("z", np.nan, "above")}, "part.trim.at .* is not finite"),
-        ({"trim": ("z", 0.0, "over")}, "part.trim.keep .* is no side"),
+        ({"trim": ("z", 0.0, "over")}, "part.trim.keep .* is not a side"),
     ],
 )
 def test_parts_that_make_no_sense_are_refused(given: dict[str, Any], words: str) -> None:
@@ -239,7 +239,7 @@ def test_the_command_writes_and_exports_what_touches_the_molds_that_are_named(
     np.testing.assert_array_equal(again.part.walls, walls)
     text = scene_file.read_text()
     scenes.assert_refused(
-        tmp_path, text.replace('["cup.stl"]', '["mug.stl"]'), r"part\.molds.*no file of the mold.*cup\.stl"
+        tmp_path, text.replace('["cup.stl"]', '["mug.stl"]'), r"part\.molds.*not a file of the mold.*cup\.stl"
     )
     scenes.assert_refused(tmp_path, text.replace('molds = ["cup.stl"]', ""), "part.*says nothing")
 

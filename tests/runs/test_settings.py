@@ -53,7 +53,7 @@ def test_a_scene_of_another_precision_is_refused_in_one_line(name: str, double: 
         warnings.simplefilter("ignore")
         scene = _small()
     own, now = ("float64", "float32") if double else ("float32", "float64")
-    words = f"^scene: was built in {own}, and JAX computes in {now}.*; load or build the scene anew"
+    words = f"^scene: was built in {own}, and JAX computes in {now}.*; load or build the scene again"
     with jax.enable_x64(not double), pytest.raises(jaxform.InputError, match=words):
         _WORK[name](scene)
 

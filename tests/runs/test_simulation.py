@@ -335,7 +335,7 @@ def test_one_compilation_serves_all_numbers() -> None:
         ("parison.thickness", np.ones(3), "shape"),
         ("pressure.values", 1.0, "pressure.value"),
         ("parison.positions", 1.0, "build a new scene"),
-        ("material.a01", 1.0, "no such number"),
+        ("material.a01", 1.0, "no such parameter"),
         ("solver.end_time", 0.0, "positive"),
     ],
 )
@@ -388,7 +388,7 @@ def test_the_end_time_has_no_derivative_and_what_is_no_scene_is_told() -> None:
         with pytest.raises(jaxform.InputError, match=r"solver\.end_time: has no derivative"):
             derivative(scene.solver.end_time)
     for call in (jaxform.simulate, jaxform.run, lambda scene: jaxform.replace(scene, {})):
-        with pytest.raises(jaxform.InputError, match=r"is no scene; use jaxform\.load"):
+        with pytest.raises(jaxform.InputError, match=r"is not a scene; use jaxform\.load"):
             call("dish")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(jaxform.InputError, match="is no schedule"):
+    with pytest.raises(jaxform.InputError, match="is not a schedule"):
         jaxform.simulate(scene, schedule=3)  # pyright: ignore[reportArgumentType]

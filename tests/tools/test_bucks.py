@@ -213,5 +213,5 @@ def test_directions(text, direction):
 
 @pytest.mark.parametrize("text", ["", "up", "0,0,0", "1,2", "1,nan,0", "+w"])
 def test_what_is_no_direction(text):
-    with pytest.raises(InputError, match="is no direction; give"):
+    with pytest.raises(InputError, match="is not a direction; give"):
         buck.parse_direction(text)

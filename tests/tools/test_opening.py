@@ -114,7 +114,7 @@ def test_a_plug_is_formed_over_within_walls():
     np.testing.assert_allclose(walls.gaps, 0.72, rtol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.min(0), [0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(walls.mesh.positions.max(0), [0.2, 0.16, 0.04], atol=1e-6)
-    with pytest.raises(InputError, match=r"mold_rim.*a plug stands out"):
+    with pytest.raises(InputError, match=r"mold_rim.*a plug protrudes"):
         footprint.sheet_over_opening(mold.positions, mold.triangles, elements=100)
 
 

@@ -49,9 +49,9 @@ class Coverage(NamedTuple):
     def __str__(self) -> str:
         """The coverage as a sentence."""
         return (
-            f"{100 * self.mesh:.4g} % of the mesh lies on the part, its farthest place about "
-            f"{1e3 * self.farthest:.3g} mm away, and {100 * self.part:.4g} % of the part's volume has a place on it; "
-            f"the thickness was scaled by {self.scaled:.5g} to keep {self.volume:.6g} m3"
+            f"{100 * self.mesh:.4g} % of the mesh lies on the part, its farthest place about {1e3 * self.farthest:.3g} "
+            f"mm away, and {100 * self.part:.4g} % of the part's volume has a place on it; the thickness was scaled by "
+            f"{self.scaled:.5g} to keep {self.volume:.6g} m3"
         )
 
 
@@ -81,8 +81,8 @@ def read_target(path: Path, scale: float) -> Mesh:
     if not len(mesh.triangles):
         raise InputError("has no triangle with an area", "export its surface again", "--onto", str(path))
     if dropped:
-        remedy = "the exported mesh has the others"
-        warn_of(f"{dropped} triangles have no area, or are there twice", remedy, key="--onto", value=str(path))
+        remedy = "they are left out of the exported mesh"
+        warn_of(f"{dropped} triangles have no area or are duplicates", remedy, key="--onto", value=str(path))
     return mesh
 
 
@@ -130,7 +130,7 @@ def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Cov
         mapped,
         thickness=coverage.scaled * mapped.thickness,
         element_thickness=coverage.scaled * mapped.element_thickness,
-        words=(*wall.words, f"carried over to the mesh {Path(name).name}: {coverage}"),
+        words=(*wall.words, f"mapped onto the mesh {Path(name).name}: {coverage}"),
     )
     return mapped, coverage
 
@@ -187,14 +187,14 @@ def _check_size(size: float, mesh: Mesh, name: str) -> None:
 def _no_overlap_message(wall: WallSurface, mesh: Mesh, reach: float) -> str:
     ends = [format_extent(positions.min(0), positions.max(0)) for positions in (mesh.positions, wall.positions)]
     boxes = f"mesh {ends[0]}, part {ends[1]}"
-    return f"nearly nothing of the mesh lies within {1e3 * reach:.3g} mm of the part ({boxes})"
+    return f"almost no part of the mesh lies within {1e3 * reach:.3g} mm of the part ({boxes})"
 
 
 def _warn_of_coverage(coverage: Coverage, ratio: float, wall: WallSurface, reach: float, name: str) -> None:
     if ratio > 1 + _TWO_SIDED or ratio < 1 - _TWO_SIDED:
-        problem = f"where it lies on the part its area is {ratio:.3g} times the part's"
-        less = "give a surface that follows all of the part: this one leaves out ribs, folds or a side"
-        remedy = "give one side of the wall alone, not both of a solid" if ratio > 1 else less
+        problem = f"within the part, its area is {ratio:.3g} times the part's"
+        less = "give a surface that follows the whole part: this one omits ribs, folds or a side"
+        remedy = "give one side of the wall only, not both sides of a solid" if ratio > 1 else less
         raise InputError(problem, remedy, "--onto", name)
     if coverage.mesh < 1 - _MISSING_SHARE:
         cut_at = " ".join(f"{'xyz'[axis]}={level:g}" for axis, level in wall.planes.items())

@@ -101,7 +101,7 @@ def read_wall(folder: Path, whole: bool = False) -> WallSurface:
         raise error.with_context(file=str(path)) from None
     status = summary.get("status", "ok")
     if status != "ok":
-        warn_of(f"the run did not end well: {status}", "the wall is that of the moment", file=str(folder))
+        warn_of(f"the run did not complete: {status}", "the wall is the one at that time", file=str(folder))
     return WallSurface(
         mesh.positions,
         mesh.triangles,
@@ -137,7 +137,7 @@ def _positive(fields: Mapping[str, Array], name: str) -> Array:
         raise InputError(f"has no field {name} (its fields: {known})", _NO_RESULTS)
     values = fields[name]
     if not (np.isfinite(values) & (values > 0)).all():
-        raise InputError(f"has a {name} that is no positive number", "run the scene again")
+        raise InputError(f"has a {name} that is not a positive number", "run the scene again")
     return values
 
 

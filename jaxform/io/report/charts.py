@@ -56,10 +56,10 @@ def measuring_points(part: StoredPart, summary: Mapping[str, Any]) -> list[Measu
     thickest = int(formed[np.argmax(walls[formed])])
     points = [
         MeasuringPoint("thinnest", "the thinnest element", thin["thickness"], thin["formed"], thin["initial"]),
-        _point("thickest", "the thickest element of those that were formed", part, thickest),
+        _point("thickest", "the thickest of the formed elements", part, thickest),
     ]
     if mean:
-        words = f"of the formed elements within {100 * _ALIKE:.0f} % of the mean wall, that where the wall varies least"
+        words = f"the formed element within {100 * _ALIKE:.0f} % of the mean wall around which the wall varies least"
         points.append(_point("representative", words, part, _representative(part, formed, mean)))
     return points
 
@@ -180,7 +180,7 @@ def _initial(start: StoredPart, best: StoredPart, disc: bool, parcel: Parcel) ->
         points = _pack(parcel, f"initial.{role}", 1e3 * place[kept], factor * part.nodal[name][kept])
         series.append({"label": label, "role": role, "dots": True, **points})
     where = "initial radius" if disc else f"initial {'xyz'[along]}"
-    return [_chart("The sheet before it is formed", f"{where} [mm]", words, series, zero=factor > 1.0)]
+    return [_chart("The initial sheet", f"{where} [mm]", words, series, zero=factor > 1.0)]
 
 
 def _same(one: Array | None, other: Array) -> bool:
@@ -203,7 +203,7 @@ def _history(rows: Sequence[dict[str, str]], parcel: Parcel) -> list[Chart]:
     cost = "cost in simulations"
     return [
         _chart("History of the search", cost, words, search, log=True),
-        _chart("The wall on the way", cost, "wall thickness [mm]", walls, zero=True),
+        _chart("Wall thickness during the search", cost, "wall thickness [mm]", walls, zero=True),
     ]
 
 

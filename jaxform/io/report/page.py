@@ -15,9 +15,9 @@ _ENERGY = {
     "strain": "strain energy at the end",
     "kinetic": "kinetic energy at the end",
     "damping_loss": "damping",
-    "contact_loss": "contact: kinetic energy of nodes that stuck",
-    "refinement_loss": "refinement: taken away by new nodes",
-    "viscous_loss": "viscous modes",
+    "contact_loss": "contact: kinetic energy of nodes at first contact",
+    "refinement_loss": "refinement: kinetic energy lost to new nodes",
+    "viscous_loss": "viscous dissipation",
     "friction_loss": "friction",
     "tool_work": "work of tools",
 }
@@ -44,7 +44,7 @@ def heading(results: Results) -> str:
     badge = f'<span class="status {"good" if good else "bad"}">{"ok" if good else "problem"}</span>'
     lines = [
         f"<h1>{escape(str(summary['scene']))} {badge}</h1>",
-        f'<p class="quiet">{kind}, {counts}, {number(summary.get("time"))} s of the process</p>',
+        f'<p class="quiet">{kind}, {counts}, {number(summary.get("time"))} s of process time</p>',
         "" if good else f'<p class="alert" role="alert">{escape(status)}</p>',
         _warnings(summary["warnings"]),
         f'<div class="tiles">{"".join(_tiles(results))}</div>',
@@ -66,11 +66,11 @@ def _tiles(results: Results) -> Iterable[str]:
     first = summary["design"]["before"] if results.start is not None else {}
     yield _tile("thinnest wall", number(wall["min"], 1e3), "mm", first.get("wall_min"), 1e3)
     yield _tile("mean wall", number(wall["mean"], 1e3), "mm", first.get("wall_mean"), 1e3)
-    yield _tile("spread of the wall", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
+    yield _tile("variation of the wall", number(wall["cv"], 100, 3), "%", first.get("wall_cv"), 100)
     yield _tile("mass", number(_whole_mass(results), 1e3), "g", _times(first.get("mass"), results), 1e3)
     if results.mold is not None:
-        yield _tile("touches the mold", number(summary["contact_fraction"], 100, 3), "%")
-    yield _tile("energy missed", _small(summary["energy"].get("balance_error")), "%")
+        yield _tile("in contact with the mold", number(summary["contact_fraction"], 100, 3), "%")
+    yield _tile("energy balance error", _small(summary["energy"].get("balance_error")), "%")
 
 
 def _tile(label: str, value: str, unit: str, before: Any = None, factor: float = 1.0) -> str:
@@ -88,8 +88,8 @@ def _recovered_rows(thin: Mapping[str, Any]) -> list[tuple[str, str]]:
     around = "around its ring" if thin.get("scatter_of") == "ring" else "among the elements there"
     return [
         ("thinnest wall, recovered from the elements", f"{number(thin['recovered'], 1e3)} mm"),
-        ("&emsp;where, in the part", _place(thin.get("recovered_place") or [])),
-        (f"&emsp;its scatter {around}", f"{number(thin.get('scatter'), 100, 2)} %"),
+        ("&emsp;position in the part", _place(thin.get("recovered_place") or [])),
+        (f"&emsp;scatter {around}", f"{number(thin.get('scatter'), 100, 2)} %"),
     ]
 
 
@@ -103,27 +103,32 @@ def quality(results: Results) -> str:
         mass += f" ({_WHOLE[planes]} of it is modelled: {number(summary['mass'], 1e3)} g)"
     rows = [
         ("thinnest element", f"{number(thin['thickness'], 1e3)} mm"),
-        ("&emsp;where, in the part", _place(thin["formed"])),
-        ("&emsp;where it came from, in the sheet", _place(thin["initial"])),
+        ("&emsp;position in the part", _place(thin["formed"])),
+        ("&emsp;position in the initial sheet", _place(thin["initial"])),
         *_recovered_rows(thin),
-        ("mean wall, by formed area", f"{number(wall['mean'], 1e3)} mm"),
-        ("spread (coefficient of variation)", f"{number(wall['cv'], 100)} %"),
+        ("mean wall, weighted by formed area", f"{number(wall['mean'], 1e3)} mm"),
+        ("coefficient of variation", f"{number(wall['cv'], 100)} %"),
         ("thickest wall", f"{number(wall['max'], 1e3)} mm"),
         ("mass", mass),
     ]
     if summary.get("sheet_mass") is not None:
         whole = 2**planes * summary["sheet_mass"]
-        rows.append(("&emsp;of the whole sheet, of which this is the part", f"{number(whole, 1e3)} g"))
+        rows.append(("&emsp;of the whole sheet", f"{number(whole, 1e3)} g"))
     if results.mold is not None:
-        rows.append(("formed area that touches the mold", f"{number(summary['contact_fraction'], 100)} %"))
+        rows.append(
+            ("share of the formed area in contact with the mold", f"{number(summary['contact_fraction'], 100)} %")
+        )
     if summary.get("penetration_max"):
         where = _place(summary.get("penetration_place") or [])
         rows.append(
-            ("deepest cut of an element into the mold", f"{number(summary['penetration_max'], 1e3, 3)} mm, {where}")
+            (
+                "largest penetration of an element into the mold",
+                f"{number(summary['penetration_max'], 1e3, 3)} mm, {where}",
+            )
         )
     if summary.get("gap_max"):
         where = _place(summary.get("gap_place") or [])
-        rows.append(("widest gap before the mold", f"{number(summary['gap_max'], 1e3, 3)} mm, {where}"))
+        rows.append(("largest gap to the mold", f"{number(summary['gap_max'], 1e3, 3)} mm, {where}"))
     body = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in rows)
     return f"<h2>The part</h2><table>{body}</table>"
 
@@ -140,7 +145,7 @@ def to_measure(points: Sequence[MeasuringPoint]) -> str:
     head = "".join(f'<th scope="col">{text}</th>' for text in words)
     chosen = "".join(f"<li>{escape(point.chosen)}</li>" for point in points)
     return (
-        f"<h2>To measure on the first part</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        f"<h2>Where to measure the first part</h2><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
         f'<p class="quiet">How they were chosen:</p><ol class="quiet">{chosen}</ol>'
     )
 
@@ -155,12 +160,12 @@ def energy(summary: Mapping[str, Any]) -> str:
     rows = "".join(_energy_row(words, value, total) for words, value in terms)
     missed, slow = _small(account.get("balance_error")), _small(account.get("quasi_static_error"))
     note = (
-        f"The account misses {missed} % of the work. The wall is about {slow} % away "
-        "from that of the same process done slowly."
+        f"The energy balance error is {missed} % of the work. The wall deviates by about {slow} % "
+        "from that of the quasi-static process."
     )
     head = '<tr><th scope="col">term</th><th scope="col">energy [J]</th><th scope="col">share of the work</th></tr>'
     return (
-        f"<h2>Energy account</h2><table class=energy><thead>{head}</thead><tbody>{rows}</tbody></table>"
+        f"<h2>Energy balance</h2><table class=energy><thead>{head}</thead><tbody>{rows}</tbody></table>"
         f'<p class="quiet">{note} Of the modelled part.</p>'
     )
 
@@ -183,7 +188,7 @@ def design(summary: Mapping[str, Any]) -> str:
         ("objective", "objective", 1),
         ("thinnest wall [mm]", "wall_min", 1e3),
         ("mean wall [mm]", "wall_mean", 1e3),
-        ("spread of the wall [%]", "wall_cv", 100),
+        ("variation of the wall [%]", "wall_cv", 100),
         ("mass [g], of the modelled part", "mass", 1e3),
     )
     body = "".join(

@@ -237,7 +237,7 @@ def _frames(folder: Path, last: StoredPart, end: float) -> tuple[list[tuple[floa
     except (ElementTree.ParseError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError("is no list of frames", AGAIN, file=str(listed)) from None
+        raise InputError("is not a list of frames", AGAIN, file=str(listed)) from None
     earlier = [(time, name) for time, name in named if time < end]
     room = min(_MOST_FRAMES, max(_MOST_FRAME_ELEMENTS // len(last.triangles), 1))
     chosen = np.unique(np.linspace(0, len(earlier) - 1, min(room, len(earlier))).round().astype(int))

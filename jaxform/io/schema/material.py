@@ -46,8 +46,8 @@ class Viscous(Table):
     @model_validator(mode="after")
     def _check(self) -> Viscous:
         if len(self.time) != len(self.modulus):
-            problem = f"has {len(self.time)} numbers, modulus has {len(self.modulus)}"
-            raise validation_error(problem, "give one for each mode", "time", self.time)
+            problem = f"has {len(self.time)} entries, modulus has {len(self.modulus)}"
+            raise validation_error(problem, "give one for each Prony term", "time", self.time)
         return self
 
 

@@ -14,7 +14,7 @@ from jaxform.mesh.shapes import parse_plane
 
 def _given_elsewhere(given: Any) -> Any:
     if isinstance(given, str):
-        problem = "only a parison from a file has fields of its own"
+        problem = "only a parison from a file has fields"
         raise validation_error(problem, "give {file, field}, a number or a profile", value=given)
     return given
 
@@ -145,7 +145,7 @@ class Outline(Table):
     @model_validator(mode="after")
     def _one_of_both(self) -> Outline:
         if (self.polygon is not None) == self.mold_rim:
-            problem = "is given together with mold_rim" if self.mold_rim else "nothing says what the planform is"
+            problem = "is given together with mold_rim" if self.mold_rim else "no planform is given"
             raise validation_error(problem, "give polygon = [[x, y], ...] or mold_rim = true, one of them", "polygon")
         if self.mold_rim and self.planes:
             raise validation_error(

@@ -164,7 +164,9 @@ def _target_form(value: Any) -> str:
 def check_bounds(bounds: list[float]) -> list[float]:
     """The bounds; raises unless the lower one is below the upper one."""
     if bounds[0] >= bounds[1]:
-        raise validation_error("leaves no room", "give the lower bound first, then the upper one", value=bounds)
+        raise validation_error(
+            "leaves no range to search", "give the lower bound first, then the upper one", value=bounds
+        )
     return bounds
 
 

@@ -47,13 +47,15 @@ class ThicknessProfileTable(Table):
         if (self.knots is None) == (self.at is None):
             problem = "is missing" if self.at is None else "is given together with at"
             raise validation_error(
-                problem, "give the number of knots or their places (at), one of them", "knots", self.knots
+                problem, "give either the number of knots or their positions (at)", "knots", self.knots
             )
         check_increasing(self.at or [])
         if self.interpolation == "cubic" and (self.knots or 0) < 4:
-            raise validation_error("needs 4 evenly placed knots or more", "give knots, not at", "knots", self.knots)
+            raise validation_error("needs 4 or more evenly spaced knots", "give knots, not at", "knots", self.knots)
         if self.interpolation == "zones" and self.slope is not None:
-            raise validation_error("does not go with zones, which jump", "leave it out", "slope", self.slope)
+            raise validation_error(
+                "cannot be combined with zones, which are discontinuous", "leave it out", "slope", self.slope
+            )
         return self
 
 
@@ -327,5 +329,5 @@ class StudyFile(Table):
         kinds = [getattr(variable, "of", variable.kind) for variable in variables]
         for index, kind in enumerate(kinds):
             if kind in kinds[:index]:
-                raise validation_error("is there twice", "keep one of them", f"[{index}].kind", kind)
+                raise validation_error("is given twice", "keep one of them", f"[{index}].kind", kind)
         return variables
