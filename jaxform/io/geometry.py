@@ -19,9 +19,8 @@ from jaxform.mesh import meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import footprint, molds, motion
-from jaxform.tools.distances import TriangleSurface
 from jaxform.tools.mold import Mold, make_mold
-from jaxform.tools.slivers import Merged, has_slivers, merge_slivers
+from jaxform.tools.slivers import has_slivers, merge_slivers
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
@@ -30,7 +29,7 @@ from dataclasses import replace
 from numpy.typing import NDArray
 
 from jaxform.mesh.meshes import Mesh
-from jaxform.tools.distances import Distances, Triangulation, interpolate, weights
+from jaxform.tools.distances import Distances, interpolate, weights
 
 _SAME = 1e-6  # of the mold's size: middles of triangles that are as near are those of one triangle
 
@@ -166,30 +165,31 @@ def _triangles_of_files(
     """Mask of the mold's triangles (n_triangle,) that belong to files of these names."""
     chosen = _shape_of_files(document, table, names)
     whole = _shape_of_files(document, table, _paths(table))
-    merged = _merge_slivers(whole, store)
+    merged, source = _merge_slivers(whole, store)
     # Triangles are identified by their centroids, which do not depend on welding or on triangles left out.
     middles, near = _centroids(whole), _SAME * meshes.size(whole.vertices)
     from scipy.spatial import KDTree  # takes a tenth of a second to import
 
     own = KDTree(_centroids(chosen)).query(middles, distance_upper_bound=near)[0] <= near
     # The mold's triangles are the merged ones, without degenerate ones.
-    return own[merged.source[KDTree(_centroids(merged)).query(_centroids(mold))[1]]]
+    return own[source[KDTree(_centroids(merged)).query(_centroids(mold))[1]]]
 
 
-def _centroids(surface: TriangleSurface) -> Any:
+def _centroids(surface: molds.MoldShape | Mold) -> Any:
     """The centroids of the triangles (n, 3) [m]."""
     return np.asarray(surface.vertices, float)[np.asarray(surface.triangles)].mean(1)
 
 
-def _merge_slivers(shape: molds.MoldShape, store: Store | None) -> Merged:
-    """The mold's surface with its slivers merged, which is kept; unchanged where it has few."""
+def _merge_slivers(shape: molds.MoldShape, store: Store | None) -> tuple[molds.MoldShape, Any]:
+    """The surface with its slivers merged, which is kept, and the number (m,) that each triangle had before."""
 
-    def merge() -> Merged:
-        return merge_slivers(shape.vertices, shape.triangles)
+    def merge() -> dict[str, Any]:
+        vertices, triangles, source = merge_slivers(shape.vertices, shape.triangles)
+        return {"vertices": vertices, "triangles": triangles, "source": source}
 
-    if not has_slivers(shape.vertices, shape.triangles):
-        return merge()
-    return Merged(**(store or Store()).arrays("merged", (shape.vertices, shape.triangles), lambda: merge()._asdict()))
+    many = has_slivers(shape.vertices, shape.triangles)
+    found = (store or Store()).arrays("merged", (shape.vertices, shape.triangles), merge) if many else merge()
+    return molds.MoldShape(found["vertices"], found["triangles"], shape.dropped), found["source"]
 
 
 def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | None:
@@ -208,8 +208,7 @@ def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | No
     else:
         shape = _shape_of_files(document, table, _paths(table))
     if isinstance(table, schema.FileMold | schema.RevolvedMold):
-        merged = _merge_slivers(shape, store)
-        shape = molds.MoldShape(merged.vertices, merged.triangles, shape.dropped)
+        shape, _ = _merge_slivers(shape, store)
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())
     return make_mold(shape.vertices, shape.triangles, shape.dropped, moves)
 
@@ -283,7 +282,7 @@ def transfer_values(mesh: Mesh, values: Array, positions: Array) -> Array:
         triangles = mesh.triangles[~meshes.find_degenerate(mesh.positions, mesh.triangles)]
         if not len(triangles):
             raise InputError("has no triangle with an area", "give a mesh of the initial sheet, in metres")
-        found = Distances(Triangulation(mesh.positions, triangles), FARTHEST * size).nearest(positions[elsewhere])
+        found = Distances(mesh.positions, triangles, FARTHEST * size).nearest(positions[elsewhere])
         worst = int(np.argmax(found.distance))
         if found.distance[worst] > FARTHEST * size:
             place = ", ".join(f"{x:.4g}" for x in positions[elsewhere[worst]])

@@ -21,7 +21,7 @@ from jaxform.tools.cells import cells_behind
 from jaxform.tools.distances import Distances
 from jaxform.tools.opening import rotation_to_z
 from jaxform.tools.patches import find_side_holes
-from jaxform.tools.ribs import SlenderFeature, slender_feature
+from jaxform.tools.ribs import Ribs, slender_feature
 
 # Distance of a moving mold from the sheet. On the host.
 
@@ -54,7 +54,7 @@ def measure_approach(scene: Scene) -> Approach | None:
     sheet = np.asarray(scene.parison.positions, float)[np.unique(np.asarray(scene.parison.triangles))]
     size = float(np.ptp(np.concatenate([sheet, scene.mold.where_it_turns()]), axis=0).max())
     end = min(float(scene.solver.end_time), float(np.asarray(scene.motion.time)[-1]))
-    distances = Distances(scene.mold, size)
+    distances = Distances(scene.mold.vertices, scene.mold.triangles, size)
     away = [
         float(distances.upper_bounds(sheet - np.asarray(scene.motion.offset(as_real(time)), float)).min())
         for time in np.linspace(0.0, end, _TIMES)
@@ -444,7 +444,8 @@ def warn_of_side_holes(scene: Scene, file: str = "") -> None:
     if not holes:
         return
     what = "a hole in a side wall" if len(holes) == 1 else f"{len(holes)} holes in side walls"
-    where = f"{holes[0].size:.2g} m wide at {format_place(holes[0].place @ turn)}"
+    width, place = holes[0]
+    where = f"{width:.2g} m wide at {format_place(place @ turn)}"
     largest = "" if len(holes) == 1 else "the largest "
     remedy = "close it in the file, or let `jaxform new` cover it: it writes covers.stl"
     warn_of(f"has {what}, {largest}{where}: the sheet would be blown through it", remedy, key="mold", file=file)
@@ -497,7 +498,7 @@ def finest_side(scene: Scene) -> float:
     return float(np.median(longest)) * 0.5 ** (0.5 * levels)
 
 
-def _thin_feature(scene: Scene, side: float) -> SlenderFeature | None:
+def _thin_feature(scene: Scene, side: float) -> Ribs | None:
     seen = survey(scene)
     if scene.mold is None or not seen.faces:
         return None

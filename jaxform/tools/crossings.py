@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,33 +28,9 @@ _TOUCH = 1e-9  # of the mold's size, for rounding in heights above planes
 _STEEP = 1e-9  # of the mold's size: a path that changes its height over a triangle by less touches it
 
 
-class PiecePairs(NamedTuple):
-    """Pairs of a given piece (n,) and a triangle of the mold (n,) that may meet."""
-
-    piece: NDArray[np.int64]
-    triangle: Integers
-
-
-class _GridArrays(NamedTuple):
-    """A search grid in NumPy's arrays."""
-
-    corner: Array
-    width: float
-    reach: float
-    bound: Array
-    start: Integers
-    ends: Integers
-    listed: Integers
-    number: Integers
-    shape: Integers
-
-
-def _cells(grid: SearchGrid) -> _GridArrays:
-    arrays = {name: np.asarray(getattr(grid, name)) for name in ("bound", "start", "ends", "listed", "number", "shape")}
-    return _GridArrays(np.asarray(grid.corner, float), float(grid.width), float(grid.reach), **arrays)
-
-
-def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: float = 0.0) -> Iterator[PiecePairs]:
+def near_pairs(
+    corners: Array, mold_corners: Array, grid: SearchGrid, margin: float = 0.0
+) -> Iterator[tuple[NDArray[np.int64], Integers]]:
     """Pairs of pieces, with k corners (n, k, 3) [m], and mold triangles whose boxes overlap, part by part.
 
     Args:
@@ -61,8 +38,11 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
         grid: The mold's search structure.
         margin: Margin [m] by which the boxes are widened.
+
+    Yields:
+        Numbers of pieces (m,), and of the triangles (m,) that they may meet.
     """
-    cells = _cells(grid)
+    cells, reach = jax.device_get(grid), float(grid.reach)
     mold_low, mold_high = bounding_boxes(mold_corners)
     box = mold_low.min(0) - margin, mold_high.max(0) + margin
 
@@ -70,14 +50,14 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         middle, radius = _spheres(pieces, margin)
         return cells.bound[_cell_index(middle, cells)] * (1 - _SLACK) <= radius
 
-    pieces, owner = short_pieces(corners, cells.reach, *box, may_be_near)
+    pieces, owner = short_pieces(corners, reach, *box, may_be_near)
     low, high = bounding_boxes(pieces)
     low, high = low - margin, high + margin
     middle, radius = _spheres(pieces, margin)
     normal, level = _planes(mold_corners)
     touch = _TOUCH * float(np.max(box[1] - box[0], initial=0.0))
     cell = _cell_index(middle, cells)
-    kind = np.ceil(CLASSES * radius * (1 + _SLACK) / cells.reach).astype(np.int64) - 1
+    kind = np.ceil(CLASSES * radius * (1 + _SLACK) / reach).astype(np.int64) - 1
     begin, end = cells.start[cell], cells.ends[CLASSES * cell + np.clip(kind, 0, CLASSES - 1)]
     for row, place in expand_ranges(begin, end):
         piece, triangle = row, cells.number[cells.listed[place]]
@@ -88,7 +68,7 @@ def near_pairs(corners: Array, mold_corners: Array, grid: SearchGrid, margin: fl
         # Slivers as long as the mold have large boxes; a piece that its plane does not cut is not near.
         height = np.einsum("ij,ij->i", normal[triangle], middle[piece]) - level[triangle]
         cut = np.abs(height) <= radius[piece] + touch
-        yield PiecePairs(owner[piece[cut]], triangle[cut])
+        yield owner[piece[cut]], triangle[cut]
 
 
 def _spheres(pieces: Array, margin: float) -> tuple[Array, Array]:
@@ -99,7 +79,7 @@ def _spheres(pieces: Array, margin: float) -> tuple[Array, Array]:
     return middle, np.sqrt(square) * (1 + _SLACK) + 2 * margin
 
 
-def _cell_index(places: Array, cells: _GridArrays) -> NDArray[np.int64]:
+def _cell_index(places: Array, cells: Any) -> NDArray[np.int64]:
     """The cells (n,) of places (n, 3) [m], or the nearest cells, where they are outside of the grid.
 
     The mold is inside it: no triangle is farther from the nearest place of the grid than from the place itself.
@@ -230,29 +210,27 @@ def proper_crossings(
     """
     mold_corners = np.asarray(mold.vertices, float)[np.asarray(mold.triangles)]
     found = [np.zeros((2, 0), np.int64)]
-    for pairs in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):
-        inside = _crosses_inside(begin, end, mold_corners, pairs, margin, _STEEP * float(grid.size))
-        found.append(np.stack([pairs.piece[inside], np.asarray(pairs.triangle[inside], np.int64)]))
+    steep = _STEEP * float(grid.size)
+    for piece, triangle in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):
+        inside = _crosses_inside(begin[piece], end[piece], mold_corners[triangle], margin, steep)
+        found.append(np.stack([piece[inside], np.asarray(triangle[inside], np.int64)]))
     segment, triangle = np.concatenate(found, axis=1)
     segment, first = np.unique(segment, return_index=True)
     return segment, triangle[first]
 
 
-def _crosses_inside(
-    begin: Array, end: Array, mold_corners: Array, pairs: PiecePairs, margin: float, steep: float
-) -> NDArray[np.bool_]:
+def _crosses_inside(begin: Array, end: Array, corners: Array, margin: float, steep: float) -> NDArray[np.bool_]:
     """True where segments cross triangles, pair by pair, inside both by the relative margin, more than `steep`."""
-    corners = mold_corners[pairs.triangle]
-    b, path = begin[pairs.piece], (end - begin)[pairs.piece]
+    path = end - begin
     d, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge1, edge2)
     square = np.einsum("ij,ij->i", normal, normal)
-    height = np.einsum("ij,ij->i", b - d, normal)
+    height = np.einsum("ij,ij->i", begin - d, normal)
     slope = np.einsum("ij,ij->i", path, normal)
     # A path that hardly leaves the triangle's plane is a touch.
     leaves = np.abs(slope) > steep * np.sqrt(square)
     beta = -height / np.where(leaves, slope, 1.0)
-    meet = b + beta[:, None] * path - d
+    meet = begin + beta[:, None] * path - d
     gamma = np.einsum("ij,ij->i", np.cross(meet, edge2), normal) / square
     delta = np.einsum("ij,ij->i", np.cross(edge1, meet), normal) / square
     # Strictly inside, for a sheet may rest on the rim of an open mold.

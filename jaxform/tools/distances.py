@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jaxform.mesh import topology
 from jaxform.mesh.rows import unique_ascending
@@ -22,25 +22,6 @@ _ASKED, _MORE = 32, 2  # points, the farthest by their bounds, that are measured
 _POINTS = 4096  # that are looked up together
 _THREADED = 1024  # points whose query is spread over the cores
 _CHUNK = 50_000  # pairs of point and triangle processed together
-
-
-class TriangleSurface(Protocol):
-    """Triangles with an area: `vertices` (n, 3) [m] and `triangles`, their numbers (m, 3), as molds have them."""
-
-    @property
-    def vertices(self) -> Any:
-        """Places [m]."""
-
-    @property
-    def triangles(self) -> Any:
-        """Numbers of vertices."""
-
-
-class Triangulation(NamedTuple):
-    """A surface of `vertices` (n, 3) [m] and `triangles` with an area, their numbers (m, 3)."""
-
-    vertices: Array
-    triangles: NDArray[np.integer]
 
 
 class NearestPlaces(NamedTuple):
@@ -103,14 +84,21 @@ def _groups(pieces: Array, owner: NDArray[np.int64]) -> list[_TriangleGroup]:
 
 
 class Distances:
-    """Distances from a mold, where they are no more than `farthest` [m]."""
+    """Distances from a mold or another surface, where they are no more than `farthest` [m].
 
-    def __init__(self, mold: TriangleSurface, farthest: float) -> None:
-        triangles = np.asarray(mold.triangles)
-        self.corners = np.asarray(mold.vertices, float)[triangles]
+    Args:
+        vertices: Its vertices (n_vertex, 3) [m].
+        triangles: Vertex numbers (n_triangle, 3); every triangle has an area.
+        farthest: The largest distance [m].
+    """
+
+    def __init__(self, vertices: ArrayLike, triangles: ArrayLike, farthest: float) -> None:
+        """See the class."""
+        places, triangles = np.asarray(vertices, float), np.asarray(triangles)
+        self.corners = places[triangles]
         self.size = float(np.ptp(self.corners, axis=(0, 1)).max())
         self.farthest = farthest
-        self.open_side, self.open_corner = _rims(triangles, len(mold.vertices))
+        self.open_side, self.open_corner = _rims(triangles, len(places))
         longest = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2).max()
         shortest = max(min(longest, 0.5 * farthest), self.size / _FINEST)
         self._known: list[tuple[Array, NDArray[np.int64]]] = []

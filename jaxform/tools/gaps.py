@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.tools.crossings import contact_normals, nodal_normals, proper_crossings
-from jaxform.tools.distances import Distances, Triangulation
+from jaxform.tools.distances import Distances
 from jaxform.tools.mold import Mold
 from jaxform.tools.search import SearchGrid, build_grid
 
@@ -82,7 +82,7 @@ def widest_gap(
     walls, corners = np.asarray(mold.triangles), np.asarray(mold.vertices, float)
     sheet = positions[triangles]
     usual = float(np.linalg.norm(sheet - np.roll(sheet, 1, axis=1), axis=2).mean())
-    distances = Distances(Triangulation(positions, triangles), _REACH * usual)
+    distances = Distances(positions, triangles, _REACH * usual)
     back = _back_directions(positions, triangles, wall, push, corners[walls])
     sight = _ViewedSheet(sheet, back[triangles], held, distances, mold, grid, counts)
     best = NO_GAP
@@ -240,7 +240,7 @@ def find_facing(positions: Array, triangles: Integers, push: float, mold: Mold, 
     if not size >= _FLAT * area > 0:
         return None
     direction = total / size
-    flat = Distances(Triangulation(_project(positions, direction), triangles), float(np.ptp(positions, axis=0).max()))
+    flat = Distances(_project(positions, direction), triangles, float(np.ptp(positions, axis=0).max()))
     return Facing(positions, triangles, direction, mold, grid, flat)
 
 

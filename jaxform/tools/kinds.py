@@ -15,6 +15,8 @@ from jaxform.tools.buck import Buck
 from jaxform.tools.halves import MoldCompletion
 from jaxform.tools.opening import MoldSides
 
+Array = NDArray[np.float64]
+
 _RECESS, _CAVITY = 0.01, 0.1  # of a solid's volume, that a hollow is at most on a buck, and at least in a cavity
 _PLATEN, _WIDE = 1.0, 0.6  # of the body's area and height, that a flange around is at least, to be a platen
 _LOWER = 0.01  # of the visible area, that may lie lower than a platen
@@ -125,30 +127,18 @@ def _is_platen(stands: Buck) -> bool:
 
 # Tubes: bodies that are open from end to end. On the host.
 
-Array = NDArray[np.float64]
-
 _SHARE = 0.3  # of what a body covers and surrounds, seen along a tube, that one sees through at least
 _DEEP = 1.0  # times the width of that opening: what is shorter is a frame, over whose opening a sheet is drawn
 _TUBES_PIXELS = 120
 _ALONG = np.cos(np.radians(3.0))  # to another direction, within which it is the same
 
 
-class Tube(NamedTuple):
-    """The widest way through a body.
+def widest_tube(mold: Mesh) -> tuple[float, float, Array] | None:
+    """The widest way through a mold [m] that is longer than it is wide; None where there is none.
 
-    Attributes:
-        direction: Unit vector (3,) along it.
-        width: Width of the opening that one sees through [m].
-        length: Length of the body along it [m].
+    Returns:
+        The width of the opening that one sees through [m], and length [m] and unit vector (3,) along it.
     """
-
-    direction: Array
-    width: float
-    length: float
-
-
-def widest_tube(mold: Mesh) -> Tube | None:
-    """The widest way through a mold [m] that is longer than it is wide; None where there is none."""
     surface = heights.make_viewed_surface(mold.positions, mold.triangles)
     used = mold.positions[np.unique(mold.triangles)]
     found = []
@@ -157,8 +147,8 @@ def widest_tube(mold: Mesh) -> Tube | None:
         through = view.inside & ~np.isfinite(view.height)
         width, length = 2 * view.pixel * float(masks.distance(through).max()), float(np.ptp(used @ direction))
         if through.sum() >= _SHARE * view.inside.sum() and length >= _DEEP * width:
-            found.append(Tube(direction, width, length))
-    return max(found, key=lambda tube: tube.width, default=None)
+            found.append((width, length, direction))
+    return max(found, key=lambda tube: tube[0], default=None)
 
 
 def refuse_tubes(mold: Mesh) -> None:
@@ -166,8 +156,9 @@ def refuse_tubes(mold: Mesh) -> None:
     tube = widest_tube(mold)
     if tube is None:
         return
-    across = "xyz"[int(np.argmin(np.round(np.abs(tube.direction), 6)))]
-    size = f"{1e3 * tube.width:.3g} mm wide and {1e3 * tube.length:.3g} mm long"
+    width, length, direction = tube
+    across = "xyz"[int(np.argmin(np.round(np.abs(direction), 6)))]
+    size = f"{1e3 * width:.3g} mm wide and {1e3 * length:.3g} mm long"
     problem = f"is open from end to end: a tube, {size} inside"
     remedy = f"close one end, or give --drape --direction=+{across} for a sheet over its side"
     raise InputError(problem, remedy)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.rows import distinct_rows
 from jaxform.tools import cells
 from jaxform.tools.cells import CellGrid, label_cells
-from jaxform.tools.distances import Distances, Triangulation
+from jaxform.tools.distances import Distances
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,7 +41,7 @@ def close_sides(found: CellGrid, mold: Mesh) -> list[Mesh]:
     leaks = found.leaks
     if not leaks.any():
         return []
-    walls = Distances(Triangulation(mold.positions, mold.triangles), _REACH * found.width)
+    walls = Distances(mold.positions, mold.triangles, _REACH * found.width)
     part, _ = label_cells(leaks, corners=True)
     made = []
     for one, box in enumerate(ndimage.find_objects(part), start=1):
@@ -137,22 +137,13 @@ def _merge_points(points: Array, quads: Integers, size: float) -> Mesh:
 _ALL_ROUND = 0.5  # of the air beside the sheet's edge, from which an opening there is no notch but a gap all round
 
 
-class SideHole(NamedTuple):
-    """A hole in a side wall.
-
-    Attributes:
-        place: Middle of the hole (3,) [m].
-        size: Length of the longest side of its box [m].
-    """
-
-    place: Array
-    size: float
-
-
-def find_side_holes(found: CellGrid) -> list[SideHole]:
+def find_side_holes(found: CellGrid) -> list[tuple[float, Array]]:
     """Holes through which the space behind a sheet is open to the outside of the mold, the largest first.
 
     A sheet at a distance before the mold is open all round: that is no hole.
+
+    Returns:
+        Of each hole the length of the longest side of its box [m], and its middle (3,) [m].
     """
     leaks = found.leaks
     part, count = label_cells(leaks, corners=True)
@@ -165,8 +156,8 @@ def find_side_holes(found: CellGrid) -> list[SideHole]:
         if one:
             cell = np.argwhere(part == one)
             place = found.low + found.width * (cell.mean(0) + 0.5)
-            made.append(SideHole(place, found.width * float(np.ptp(cell, axis=0).max() + 1)))
-    return sorted(made, key=lambda hole: -hole.size)
+            made.append((found.width * float(np.ptp(cell, axis=0).max() + 1), place))
+    return sorted(made, key=lambda hole: -hole[0])
 
 
 def _open_sides(found: CellGrid, part: NDArray[np.int64], count: int) -> NDArray[np.int64]:
@@ -197,26 +188,13 @@ _SHARE = 0.1  # of the mold's box, that such a hollow is at least
 _CHAMBERS_LEAST, _STEPS = 1.5, 16  # cells: half the narrowest way that is resolved; and how many are checked
 
 
-class Chamber(NamedTuple):
-    """A hollow behind a neck.
-
-    Attributes:
-        width: Width of the hollow [m].
-        neck: Width of the widest way into it [m].
-        cells: In which all other air around the mold is seen, and the hollow is what is outside.
-    """
-
-    width: float
-    neck: float
-    cells: CellGrid
-
-
 def refuse_bottles(mold: Mesh) -> None:
     """Raises an InputError where a mold [m] is a bottle, which is blown from a parison, not formed from a sheet."""
     found = widest_chamber(mold)
     if found is None:
         return
-    widths = f"about {1e3 * found.width:.2g} mm wide behind a neck of about {1e3 * found.neck:.2g} mm"
+    width, neck, _ = found
+    widths = f"about {1e3 * width:.2g} mm wide behind a neck of about {1e3 * neck:.2g} mm"
     problem = f"is a bottle: its cavity is {widths}"
     remedy = (
         f"`new` writes no scene for blow moulding; give --drape --direction=+{_flattest_axis(mold)} for a sheet over "
@@ -234,11 +212,16 @@ def _flattest_axis(mold: Mesh) -> str:
 def close_necks(mold: Mesh) -> list[Mesh]:
     """Covers on the ways into the hollow of a bottle, for a sheet that is formed over its outside; none of others."""
     found = widest_chamber(mold)
-    return [] if found is None else close_sides(found.cells, mold)
+    return [] if found is None else close_sides(found[2], mold)
 
 
-def widest_chamber(mold: Mesh) -> Chamber | None:
-    """The hollow behind a neck of a mold [m], or None where a ball that fits a hollow can be brought into it."""
+def widest_chamber(mold: Mesh) -> tuple[float, float, CellGrid] | None:
+    """The hollow behind a neck of a mold [m], or None where a ball that fits a hollow can be brought into it.
+
+    Returns:
+        The width of the hollow [m], the width of the widest way into it [m], and cells in which all other air around
+        the mold is seen, and the hollow is what is outside.
+    """
     from scipy import ndimage
 
     corners = mold.positions[mold.triangles]
@@ -261,7 +244,7 @@ def widest_chamber(mold: Mesh) -> Chamber | None:
         hollow = np.isin(part, np.unique(part[inner])) & (part > 0)
         if hollow.sum() >= _SHARE * np.prod(extent) / width**3:
             parted = CellGrid(low, width, wall, air & ~hollow, hollow)
-            return Chamber(2 * deepest * width, 2 * float(half) * width, parted)
+            return 2 * deepest * width, 2 * float(half) * width, parted
     return None
 
 

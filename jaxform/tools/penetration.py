@@ -99,7 +99,8 @@ def penetration(
     trust = np.where(rests, _TRUST_IN_RESTING, 1.0)
     beyond = penetrating_nodes(triangles, ways, landed, trust)
     corners = positions[triangles]
-    distances = Distances(mold, float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max()))
+    farthest = float(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=2).max())
+    distances = Distances(mold.vertices, mold.triangles, farthest)
     deepest, _ = distances.largest(positions[beyond & ~rests])
     deepest_element = _deepest(corners[measured[ways.element]], ways, np.where(beyond, -trust, trust), distances)
     away = resting + lift / (_LIFT * size)

@@ -7,7 +7,7 @@ way, but less than it is wide: of a rib the mold stands higher above the sheet t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,13 +33,13 @@ _LOW = 0.1  # of an element's side: what is lower, as a scan's noise, makes its 
 
 
 class Ribs(NamedTuple):
-    """Ribs and pins that a sheet passed through.
+    """Ribs and pins that a sheet passed through, or may pass through.
 
     Attributes:
-        count: Number of places, which are sides of elements or elements.
-        height: Height of the highest above the sheet [m].
-        width: Width of that one where it is crossed [m].
-        place: Place of that crossing (3,) [m].
+        count: Number of places, which are sides of elements or elements; 1 before a run.
+        height: Height of the highest above the sheet, or above what is around it [m].
+        width: Width of that one where it is crossed, or at most half way up [m].
+        place: Place of that crossing, or of its top (3,) [m].
     """
 
     count: int
@@ -108,8 +108,8 @@ def find_ribs(
     spots = spots.select(slice(None, None, step))
     reach = 2 * float(np.ptp(mold_corners, axis=(0, 1)).max())
     length = np.full(len(spots.place), reach)
-    for find_ways in _ways_out(pull):
-        length = _distances_out(spots, length, find_ways(spots), mold_corners, grid)
+    for find_ways, by_top in _ways_out(pull):
+        length = _distances_out(spots, length, find_ways(spots), by_top, mold_corners, grid)
         height = length * spots.rise
         slender = (height > _SLENDER * spots.width) & (height > _LOW * spots.side) & (length < reach)
         spots, length = spots.select(slender), length[slender]
@@ -209,21 +209,17 @@ def _escaping_spots(
     return _Spots(place, width, up, along, rise, side).select(kept)
 
 
-class _Out(NamedTuple):
-    """Unit vectors (n, 3) out of the mold, and whether they count only where they leave it by the top of a rib."""
+def _ways_out(pull: Array | None) -> Iterator[tuple[Callable[[_Spots], Array], bool]]:
+    """Ways out of ribs, straight up first; an element may be tilted, and a rib that meets a wall is as long as that.
 
-    way: Array
-    by_top: bool = False
-
-
-def _ways_out(pull: Array | None) -> list[Callable[[_Spots], _Out]]:
-    """Ways out of ribs, straight up first; an element may be tilted, and a rib that meets a wall is as long as that."""
-
-    def lean(angle: float) -> Callable[[_Spots], _Out]:
-        return lambda spots: _Out(np.cos(angle) * spots.way + np.sin(angle) * spots.along, by_top=True)
-
-    found: list[Callable[[_Spots], _Out]] = [lambda spots: _Out(spots.way), *map(lean, _LEAN)]
-    return found if pull is None else [*found, lambda spots: _Out(_directions_of_pull(spots, pull))]
+    Each is a function that returns unit vectors (n, 3); whether they count only where they leave the mold by the top
+    of a rib stands beside it.
+    """
+    yield lambda spots: spots.way, False
+    for angle in _LEAN:
+        yield lambda spots, angle=angle: np.cos(angle) * spots.way + np.sin(angle) * spots.along, True
+    if pull is not None:
+        yield lambda spots: _directions_of_pull(spots, pull), False
 
 
 def _directions_of_pull(spots: _Spots, pull: Array) -> Array:
@@ -235,9 +231,20 @@ def _directions_of_pull(spots: _Spots, pull: Array) -> Array:
     return np.where(upright[:, None], _unit(flat), spots.way)
 
 
-def _distances_out(spots: _Spots, length: Array, out: _Out, mold_corners: Array, grid: SearchGrid) -> Array:
-    """The distances (n,) [m] from places in the mold to its surface, at most the length (n,) [m]."""
-    begin, end = spots.place, spots.place + length[:, None] * out.way
+def _distances_out(
+    spots: _Spots, length: Array, way: Array, by_top: bool, mold_corners: Array, grid: SearchGrid
+) -> Array:
+    """The distances (n,) [m] from places in the mold to its surface, at most the length (n,) [m].
+
+    Args:
+        spots: The places.
+        length: The longest distances that are looked for (n,) [m].
+        way: Unit vectors (n, 3) along which the surface is looked for.
+        by_top: Whether only tops of ribs count.
+        mold_corners: Corners of the mold's triangles (n_triangle, 3, 3) [m].
+        grid: The mold's search structure.
+    """
+    begin, end = spots.place, spots.place + length[:, None] * way
     found = np.full(len(begin), np.inf)
     for piece, triangle in near_pairs(np.stack([begin, end], axis=1), mold_corners, grid):
         met = crosses(begin[piece], end[piece], mold_corners[triangle])
@@ -246,7 +253,7 @@ def _distances_out(spots: _Spots, length: Array, out: _Out, mold_corners: Array,
         slope = np.einsum("ij,ij->i", end[piece] - begin[piece], normal)
         height = np.einsum("ij,ij->i", mold_corners[triangle, 0] - begin[piece], normal)
         share = height / np.where(slope == 0, np.inf, slope)
-        if out.by_top:
+        if by_top:
             share[np.abs(np.einsum("ij,ij->i", normal, spots.way[piece])) < _TOP] = np.inf
         np.minimum.at(found, piece, share)
     return length * np.minimum(found, 1.0)
@@ -299,21 +306,7 @@ _PARTS = 20  # places that stand up, of which each is looked at, the highest fir
 _POINTS = 2_000_000  # on the edges of the mold's triangles: a rib may be thinner than a pixel
 
 
-class SlenderFeature(NamedTuple):
-    """The highest rib or pin of a mold that is thinner than an element.
-
-    Attributes:
-        width: Its width half way up, at most [m].
-        height: How far it stands up from what is around it [m].
-        place: Where its top is (3,) [m].
-    """
-
-    width: float
-    height: float
-    place: Array
-
-
-def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: Array) -> SlenderFeature | None:
+def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: Array) -> Ribs | None:
     """The highest rib or pin that an element of the sheet may pass over or through; None where there is none.
 
     Args:
@@ -345,7 +338,7 @@ def slender_feature(sheet: Array, mold: Array, push: Array, side: float, held: A
     height, width = float(above[top]), 2 * pixel * half_width
     row, column = top
     middle = (low + (np.array([column, row]) + 0.5) * pixel) @ across
-    return SlenderFeature(width, height, middle + float(way[top]) * push) if height > _TALL * width else None
+    return Ribs(1, height, width, middle + float(way[top]) * push) if height > _TALL * width else None
 
 
 def _highest(

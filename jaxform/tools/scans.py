@@ -40,13 +40,6 @@ class Rims(NamedTuple):
         return int(np.argmax(np.linalg.norm(self.spanned, axis=1)))
 
 
-class Closing(NamedTuple):
-    """Walls from outer rims down to the base, and covers on holes."""
-
-    walls: list[Mesh]
-    fans: list[Mesh]
-
-
 def find_rims(mold: Mesh) -> Rims | None:
     """The open rims of a mold, seams left out; None where it is closed, but for cracks."""
     edges, rim = topology.open_rims(_curved_triangles(mold), len(mold.positions))
@@ -122,7 +115,7 @@ def faces_outward(mold: Mesh, direction: Array) -> bool | None:
     return None if abs(share) < _FACES else share > 0
 
 
-def close_rims(mold: Mesh, rims: Rims, turn: Array, base: float) -> Closing:
+def close_rims(mold: Mesh, rims: Rims, turn: Array, base: float) -> tuple[list[Mesh], list[Mesh]]:
     """Walls from the outer rims of a mold down to a base, and covers on its holes, after turning.
 
     Args:
@@ -139,7 +132,7 @@ def close_rims(mold: Mesh, rims: Rims, turn: Array, base: float) -> Closing:
             fans.append(covers.fan(turned[line]))
         elif (turned[line][..., 2] < base - tolerance).any():
             walls.append(_walls(turned[line], base))
-    return Closing(walls, fans)
+    return walls, fans
 
 
 def _lines(rims: Rims) -> list[Integers]:

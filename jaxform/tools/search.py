@@ -23,13 +23,14 @@ from jaxform.kernels.blocks import materialize
 from jaxform.mechanics.membrane import dot
 from jaxform.mesh.rows import positions_in_rows
 
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
 # Pairs of a uniform grid's cells and the triangles in their reach. On the host, in NumPy, vectorized.
 #
 # A triangle is taken apart into lines of cells: layer by layer along one axis, line by line along another, and along
 # the third its plane says between which cells it is in reach. So a long sliver, an oblique plane and a small triangle
 # are all compared with little more than the cells that do list them.
-
-Integers = NDArray[np.int64]
 
 HALF_DIAGONAL = np.sqrt(0.75)  # of a cell of width 1
 _CHUNK = 40_000  # pairs of cell and triangle processed together: what a core's cache holds
@@ -44,20 +45,6 @@ class CellFrame(NamedTuple):
     width: float
     reach: float
     shape: Integers
-
-
-class CellTrianglePairs(NamedTuple):
-    """Pairs of a cell and a triangle that is in its reach.
-
-    Attributes:
-        cell: Numbers (n,).
-        triangle: Numbers (n,), ascending.
-        distance: Distance of the cell's middle from the triangle (n,) [m].
-    """
-
-    cell: Integers
-    triangle: Integers
-    distance: Array
 
 
 class _Local(NamedTuple):
@@ -78,22 +65,30 @@ class _Local(NamedTuple):
     strides: list[Integers]
 
 
-def pairs_in_reach(corners: Array, frame: CellFrame) -> CellTrianglePairs:
-    """All pairs of a cell and a triangle (n, 3, 3) [m] that is no farther from any place in the cell than the reach."""
+def pairs_in_reach(corners: Array, frame: CellFrame) -> tuple[Integers, Integers, Array]:
+    """All pairs of a cell and a triangle (n, 3, 3) [m] that is no farther from any place in the cell than the reach.
+
+    Returns:
+        Numbers of cells (m,) and triangles (m,), which ascend, and the distance of each cell's middle (m,) [m].
+    """
     far = (frame.reach / frame.width) + HALF_DIAGONAL + _ROUNDING
     parts = np.array_split(np.arange(len(corners)), 1 + len(corners) // 20_000 + (os.cpu_count() or 1))
 
-    def pairs(part: Integers) -> CellTrianglePairs:
+    def pairs(part: Integers) -> tuple[Integers, Integers, Array]:
         local = _local(corners[part], frame)
-        found = [_pairs_of(local, *lines, far) for lines in _lines(local, far)]
-        found = found or [CellTrianglePairs(part[:0], part[:0], np.zeros(0))]
-        cell, triangle, distance = (np.concatenate(values) for values in zip(*found, strict=True))
-        return CellTrianglePairs(cell, part[triangle], distance * frame.width)
+        cell, triangle, distance = _join_pairs([_pairs_of(local, *lines, far) for lines in _lines(local, far)])
+        return cell, part[triangle], distance * frame.width
 
     # NumPy lets go of the interpreter's lock in long operations.
     with ThreadPoolExecutor(os.cpu_count()) as workers:
-        found = list(workers.map(pairs, [part for part in parts if len(part)]))
-    return CellTrianglePairs(*(np.concatenate(values) for values in zip(*found, strict=True)))
+        return _join_pairs(list(workers.map(pairs, [part for part in parts if len(part)])))
+
+
+def _join_pairs(found: list[tuple[Integers, Integers, Array]]) -> tuple[Integers, Integers, Array]:
+    """Cells, triangles and distances of several lists of pairs, one after the other."""
+    none = np.zeros(0, np.int64)
+    cell, triangle, distance = zip((none, none, np.zeros(0)), *found, strict=True)
+    return np.concatenate(cell), np.concatenate(triangle), np.concatenate(distance)
 
 
 def _local(corners: Array, frame: CellFrame) -> _Local:
@@ -158,7 +153,9 @@ def _cells_between(low: Array, high: Array, far: float, shape: Integers) -> tupl
     return first, np.where(some, np.maximum(last - first + 1, 0), 0)
 
 
-def _pairs_of(local: _Local, triangle: Integers, layer: Integers, line: Integers, far: float) -> CellTrianglePairs:
+def _pairs_of(
+    local: _Local, triangle: Integers, layer: Integers, line: Integers, far: float
+) -> tuple[Integers, Integers, Array]:
     """The cells of lines (n,) that are in reach; distances are in cells."""
     one, two, three, level = (values[triangle] for values in local.plane)
     middle, wide = (level - one * layer - two * line) / three, far / np.abs(three)
@@ -175,13 +172,8 @@ def _pairs_of(local: _Local, triangle: Integers, layer: Integers, line: Integers
         owner, row = owner[near], row[near]
         strides = [stride[owner] for stride in local.strides]
         number = layer[row] * strides[0] + line[row] * strides[1] + cell[near] * strides[2]
-        found.append(CellTrianglePairs(number, owner, distance[near]))
-    none = np.zeros(0, np.int64)
-    return (
-        CellTrianglePairs(*map(np.concatenate, zip(*found, strict=True)))
-        if found
-        else CellTrianglePairs(none, none, np.zeros(0))
-    )
+        found.append((number, owner, distance[near]))
+    return _join_pairs(found)
 
 
 def _parts(count: Integers, most: int) -> list[Integers]:
@@ -216,8 +208,6 @@ def _dot(one: list[Array], other: list[Array]) -> Array:
 def _cross(one: list[Array], other: list[Array]) -> list[Array]:
     return [one[(k + 1) % 3] * other[(k + 2) % 3] - one[(k + 2) % 3] * other[(k + 1) % 3] for k in range(3)]
 
-
-Array = NDArray[np.float64]
 
 _MOST_CELLS = 2_000_000
 _MOST_LISTED = 5_000_000, 60  # entries of all cells' lists, in all or for each triangle, whichever are more

@@ -29,20 +29,6 @@ _TURN = 0.5  # cosine of the angle by which a triangle may turn
 _FLATTEST = 1e-6  # height over length of a triangle that is made
 
 
-class Merged(NamedTuple):
-    """A surface whose slivers are merged.
-
-    Attributes:
-        vertices: (n, 3) [m].
-        triangles: Vertex numbers (m, 3).
-        source: The number (m,) that each triangle had before a corner of it was moved.
-    """
-
-    vertices: Array
-    triangles: NDArray[np.int32]
-    source: Integers
-
-
 class _Edges(NamedTuple):
     """The edges of a mesh: ends (k, 2), the lower first; keys (k,), ascending; of how many triangles each is."""
 
@@ -63,17 +49,20 @@ class _Collapses(NamedTuple):
         return _Collapses(self.vertex[chosen], self.target[chosen], self.length[chosen])
 
 
-def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> Merged:
+def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> tuple[Array, NDArray[np.int32], Integers]:
     """The surface with its slivers merged where that leaves it as it is; one of few slivers is not changed at all.
 
     Args:
         vertices: (n, 3) [m], of a welded mesh without degenerate triangles.
         triangles: Vertex numbers (m, 3).
+
+    Returns:
+        Vertices and triangles of the merged surface, and the number (m,) that each triangle had before.
     """
     places, left = np.asarray(vertices, float), np.asarray(triangles, np.int64)
     source, error = np.arange(len(left)), np.zeros(len(left))
     if not has_slivers(places, left):
-        return Merged(places, left.astype(np.int32), source)
+        return places, left.astype(np.int32), source
     tolerance = _TOLERANCE * float(np.ptp(places[left], axis=(0, 1)).max())
     random, refused = np.random.default_rng(0), np.zeros(0, np.int64)
     for _ in range(_MOST_ROUNDS):
@@ -90,7 +79,7 @@ def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> Merged:
         error = np.maximum(error, own[left].max(1))[kept]
         left, source = moved[kept], source[kept]
     used, renumbered = np.unique(left, return_inverse=True)
-    return Merged(places[used], renumbered.reshape(-1, 3).astype(np.int32), source)
+    return places[used], renumbered.reshape(-1, 3).astype(np.int32), source
 
 
 def has_slivers(vertices: Array, triangles: NDArray[np.integer]) -> bool:

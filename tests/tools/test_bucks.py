@@ -186,11 +186,11 @@ def test_a_scan_is_closed_by_walls_and_its_holes_by_covers():
     assert made.holes == 1 and made.site.platen is not None and made.added is not None
     found = scans.find_rims(footprint.weld_mold(mold.positions, mold.triangles))
     assert found is not None and len(found.spanned) == 1
-    closing = scans.close_rims(mold, found, made.buck.view.turn, made.buck.base)
-    assert len(closing.walls) == 1 and not closing.fans
+    walls, fans = scans.close_rims(mold, found, made.buck.view.turn, made.buck.base)
+    assert len(walls) == 1 and not fans
     # The walls go down to the platen from every edge of the rim.
-    assert np.isclose(closing.walls[0].positions[:, 2].max(), made.buck.base)
-    assert 2 * len(found.edges) - 6 <= len(closing.walls[0].triangles) <= 2 * len(found.edges)
+    assert np.isclose(walls[0].positions[:, 2].max(), made.buck.base)
+    assert 2 * len(found.edges) - 6 <= len(walls[0].triangles) <= 2 * len(found.edges)
 
 
 def test_a_ball_has_no_base_and_is_cut_at_its_equator():

@@ -30,7 +30,7 @@ def _bowl() -> _Surface:
 def test_the_nearest_place_is_that_of_all_triangles() -> None:
     surface, random = _bowl(), np.random.default_rng(0)
     points = random.uniform([-1.5, -1.5, -0.5], [3.0, 1.5, 1.5], (400, 3))
-    found = Distances(surface, 2.0).nearest(points)
+    found = Distances(surface.vertices, surface.triangles, 2.0).nearest(points)
     corners = surface.vertices[surface.triangles]
     every = np.stack([point_triangle_distance(points, np.broadcast_to(one, (400, 3, 3))) for one in corners], axis=1)
     np.testing.assert_allclose(found.distance, every.min(1), rtol=1e-12)
@@ -41,9 +41,9 @@ def test_the_nearest_place_is_that_of_all_triangles() -> None:
 def test_what_lies_beyond_an_open_rim_is_told() -> None:
     surface, angle = _bowl(), np.linspace(0.1, 6.1, 50)
     around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    found = Distances(surface, 0.5).nearest(1.2 * around + [0, 0, 1.2])
+    found = Distances(surface.vertices, surface.triangles, 0.5).nearest(1.2 * around + [0, 0, 1.2])
     assert found.at_rim.all()
-    inner = Distances(surface, 0.5).nearest(0.5 * around + [0, 0, 0.3])
+    inner = Distances(surface.vertices, surface.triangles, 0.5).nearest(0.5 * around + [0, 0, 0.3])
     assert not inner.at_rim.any()
 
 
@@ -51,7 +51,7 @@ def test_far_away_it_is_near_the_nearest_all_the_same() -> None:
     """Farther than was asked for: no nearer than the nearest, and not farther by more than a triangle is large."""
     surface = _bowl()
     points = np.array([[0.0, 0.0, 9.0], [-7.0, 2.0, 0.0], [5.0, -5.0, 5.0]])
-    found = Distances(surface, 0.1).nearest(points)
+    found = Distances(surface.vertices, surface.triangles, 0.1).nearest(points)
     corners = surface.vertices[surface.triangles]
     every = np.stack([point_triangle_distance(points, np.broadcast_to(one, (3, 3, 3))) for one in corners], axis=1)
     assert (found.distance >= every.min(1) - 1e-12).all() and (found.distance <= every.min(1) + 0.4).all()
@@ -73,15 +73,15 @@ def test_the_largest_distance_is_that_of_all_points(seed: int, farthest: float) 
     """Points about slivers and beyond rims, at which a distance is none; too far ones as well."""
     surface, random = _fan_and_bowl(), np.random.default_rng(seed)
     points = random.uniform([-2.5, -2.5, -1.0], [3.0, 2.5, 1.5], (600, 3))
-    every = Distances(surface, farthest).exact(points)
+    every = Distances(surface.vertices, surface.triangles, farthest).exact(points)
     corners = surface.vertices[surface.triangles]
     least = np.min([point_triangle_distance(points, np.broadcast_to(one, (600, 3, 3))) for one in corners], axis=0)
     within = every > 0
     assert within.any() and not within.all()
     np.testing.assert_allclose(every[within], least[within], rtol=1e-12)
-    value, found = Distances(surface, farthest).largest(points)
+    value, found = Distances(surface.vertices, surface.triangles, farthest).largest(points)
     assert value == every.max() and every[found] == value
-    assert Distances(surface, farthest).largest(points, value) == (value, -1)
+    assert Distances(surface.vertices, surface.triangles, farthest).largest(points, value) == (value, -1)
 
 
 def test_few_points_are_measured_for_the_largest_distance(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,6 +101,6 @@ def test_few_points_are_measured_for_the_largest_distance(monkeypatch: pytest.Mo
     surface = _Surface(np.concatenate([np.zeros((1, 3)), around]), fan)
     where = np.random.default_rng(0).uniform(-0.6, 0.6, (20_000, 2))
     height = 0.02 + 0.01 * np.cos(4 * where[:, 0]) * np.cos(4 * where[:, 1])
-    value, found = Distances(surface, 0.5).largest(np.column_stack([where, height]))
+    value, found = Distances(surface.vertices, surface.triangles, 0.5).largest(np.column_stack([where, height]))
     assert value == pytest.approx(height.max(), rel=1e-12) and found == np.argmax(height)
     assert sum(asked) < 1000

@@ -141,7 +141,7 @@ def test_elements_are_compared_with_few_triangles_however_many_there_are(stretch
         sheet = shapes.disc(radius=0.1, element_size=size)
         nodes = sheet.positions + np.array([0.0, 0.0, 0.12])
         nodes[:, 2] -= np.hypot(nodes[:, 0], nodes[:, 1])
-        pairs = sum(len(pairs.piece) for pairs in near_pairs(nodes[sheet.triangles], corners, grid))
+        pairs = sum(len(piece) for piece, _ in near_pairs(nodes[sheet.triangles], corners, grid))
         counts.append(pairs / len(sheet.triangles))
     assert counts[0] > counts[1] > counts[2]
     assert counts[2] < 6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxform.tools.ribs import SlenderFeature, slender_feature
+from jaxform.tools.ribs import Ribs, slender_feature
 
 PUSH = np.array([0.0, 0.0, -1.0])
 SIDE = 0.008
@@ -22,7 +22,7 @@ def _sheet() -> tuple[np.ndarray, np.ndarray]:
     return corners, corners.reshape(-1, 3)[rim]
 
 
-def _found(*bodies: trimesh.Trimesh, side: float = SIDE) -> SlenderFeature | None:
+def _found(*bodies: trimesh.Trimesh, side: float = SIDE) -> Ribs | None:
     """What is found of bodies that stand on a floor of 120 mm, 30 mm below the sheet."""
     floor = trimesh.creation.box(extents=(0.12, 0.12, 0.01))
     floor.apply_translation((0.0, 0.0, -0.005))

@@ -14,7 +14,7 @@ from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas, conserve_volume
-from jaxform.tools.distances import Distances, NearestPlaces, Triangulation, interpolate, weights
+from jaxform.tools.distances import Distances, NearestPlaces, interpolate, weights
 from jaxform.tools.search import split_long_triangles
 
 Array = NDArray[np.float64]
@@ -106,8 +106,8 @@ def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Cov
     size = meshes.size(wall.positions)
     _check_size(size, mesh, name)
     reach = FARTHEST * size
-    part, target = Triangulation(wall.positions, wall.triangles), Triangulation(mesh.positions, mesh.triangles)
-    here, there = _sample_surface(target, part, reach, size), _sample_surface(part, target, reach, size)
+    part = Mesh(wall.positions, wall.triangles.astype(np.int32))
+    here, there = _sample_surface(mesh, part, reach, size), _sample_surface(part, mesh, reach, size)
     on, used = here.is_covered(reach, size), there.is_covered(reach, size)
     share = float(here.area[on].sum() / here.area.sum())
     if share < _LEAST_SHARE or not used.any():
@@ -135,20 +135,20 @@ def map_wall(wall: WallSurface, mesh: Mesh, name: str) -> tuple[WallSurface, Cov
     return mapped, coverage
 
 
-def _sample_surface(surface: Triangulation, other: Triangulation, reach: float, size: float) -> _Samples:
+def _sample_surface(surface: Mesh, other: Mesh, reach: float, size: float) -> _Samples:
     """Places all over a surface, as close as the elements of the finer one, and where they are on the other."""
-    area = float(areas(surface.vertices, surface.triangles).sum())
-    sides = [np.linalg.norm(np.diff(one.vertices[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
+    area = float(areas(surface.positions, surface.triangles).sum())
+    sides = [np.linalg.norm(np.diff(one.positions[one.triangles[:, :2]], axis=1), axis=2) for one in (surface, other)]
     longest = max(0.5 * min(float(np.median(side)) for side in sides), size / _FINEST, (area / _MOST) ** 0.5)
-    pieces, owner = split_long_triangles(surface.vertices[surface.triangles], longest)
+    pieces, owner = split_long_triangles(surface.positions[surface.triangles], longest)
     middle = pieces.mean(1)
     doubled = np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
-    weight = weights(middle, surface.vertices[surface.triangles[owner]])
+    weight = weights(middle, surface.positions[surface.triangles[owner]])
     return _Samples(owner, weight, 0.5 * doubled, _nearest(other, middle, reach))
 
 
-def _nearest(surface: Triangulation, points: Array, reach: float) -> NearestPlaces:
-    distances = Distances(surface, reach)
+def _nearest(surface: Mesh, points: Array, reach: float) -> NearestPlaces:
+    distances = Distances(surface.positions, surface.triangles, reach)
     parts = np.array_split(points, 1 + len(points) // _CHUNK)
     found = [distances.nearest(part) for part in parts]
     return NearestPlaces(*(np.concatenate(values) for values in zip(*found, strict=True)))
@@ -156,8 +156,7 @@ def _nearest(surface: Triangulation, points: Array, reach: float) -> NearestPlac
 
 def _transfer_wall(wall: WallSurface, mesh: Mesh, samples: _Samples, reach: float) -> WallSurface:
     """The wall with the mesh's nodes, each triangle as thick as its samples are on average."""
-    part = Triangulation(wall.positions, wall.triangles)
-    nodes = _nearest(part, mesh.positions, reach)
+    nodes = _nearest(Mesh(wall.positions, wall.triangles.astype(np.int32)), mesh.positions, reach)
     weight = weights(nodes.place, wall.positions[wall.triangles[nodes.triangle]])
     nodal = interpolate(wall.thickness, wall.triangles, nodes.triangle, weight)
     found = samples.found

@@ -16,7 +16,7 @@ from jaxform.io.export.wall import WallSurface
 from jaxform.mesh import meshes, topology
 from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.volumes import areas
-from jaxform.tools.distances import Distances, Triangulation
+from jaxform.tools.distances import Distances
 from jaxform.tools.molds import rotation
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ def read_pose(folder: Path) -> Pose | None:
 def match_fraction(wall: WallSurface, positions: Array, triangles: NDArray[np.integer]) -> float:
     """Share of the part's nodes that a surface is near to."""
     near = _NEAR * meshes.size(wall.positions)
-    distance = Distances(Triangulation(positions, triangles), near).upper_bounds(wall.positions)
+    distance = Distances(positions, triangles, near).upper_bounds(wall.positions)
     return float((distance <= near).mean())
 
 
@@ -109,7 +109,7 @@ def contact_side(
     if whole and not closed:
         return mesh, every, 1.0
     corners, part = mesh.positions[mesh.triangles], wall.positions[wall.triangles]
-    near = Distances(Triangulation(wall.positions, wall.triangles), reach).nearest(corners.mean(1))
+    near = Distances(wall.positions, wall.triangles, reach).nearest(corners.mean(1))
     cosine = np.einsum("ij,ij->i", _normals(corners), _normals(part)[near.triangle])
     size = areas(mesh.positions, mesh.triangles)
     covered = (near.distance <= reach) & ~(near.at_rim & (near.distance > _ON_RIM * meshes.size(wall.positions)))
