@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from jaxform.cli import export_command, fit_command, new_command, session
+from jaxform.cli import export_command, fit_command, new_command, session, sweep_command
 from jaxform.core import disk, errors, release
 from jaxform.core.errors import InputError, collect_warnings
 from jaxform.io import catalog
@@ -96,6 +96,10 @@ def _parser() -> argparse.ArgumentParser:
             words = "resume the search in DIR after an interruption, or with more iterations"
             sub.add_argument("--resume", action="store_true", help=words)
         sub.set_defaults(command=command)
+    words = "compute many designs of a scene: a row of results for each, pictures and a report"
+    swept = commands.add_parser("sweep", help=words, description=words)
+    sweep_command.add_arguments(swept)
+    swept.set_defaults(command=sweep_command.sweep)
     words = "write report.html again from the files in a folder of results"
     report = commands.add_parser("report", help=words, description=words)
     report.add_argument("folder", metavar="DIR", type=Path, help="folder of results of simulate or optimize")

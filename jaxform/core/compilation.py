@@ -87,6 +87,11 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
 def keep_programs_in(folder: Path, guard: contextlib.ExitStack) -> None:
     """Keeps compiled programs between processes in a folder, which is looked over now and when the guard is closed."""
     guard.enter_context(disk.guard_folder(folder))
+    share_programs_in(folder)
+
+
+def share_programs_in(folder: Path) -> None:
+    """Keeps compiled programs in a folder that another process looks over, while several use it."""
     jax.config.update("jax_compilation_cache_dir", str(folder))
     # Else what was compiled before would have settled for this process that nothing is kept.
     compilation_cache.reset_cache()

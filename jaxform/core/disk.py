@@ -148,7 +148,7 @@ def write_error(path: str | Path, error: OSError, remedy: str) -> InputError:
 
 # The cache folder of the command between runs: a folder that only the user can write to.
 
-COMPILED, MADE = "compiled", "made"
+COMPILED, MADE, LOCKS = "compiled", "made", "locks"
 _RECORD = "record.json"
 
 
@@ -207,6 +207,23 @@ def guard_folder(folder: Path) -> Iterator[None]:
             facts = _facts(folder)
             fresh.write_text(json.dumps({"seal": _checksum(facts), "facts": facts}), encoding="utf-8")
             fresh.replace(record)
+
+
+@contextlib.contextmanager
+def exclusive(folder: Path | None, name: str = "all") -> Iterator[None]:
+    """One process at a time is inside, of those that use a cache folder on this machine.
+
+    A process that ends leaves it. Where files cannot be locked (on Windows, say) all of them are inside.
+    """
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            if folder is not None:
+                (folder / LOCKS).mkdir(mode=0o700, exist_ok=True)
+                file = stack.enter_context((folder / LOCKS / name).open("wb"))
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _read(record: Path) -> dict[str, Any] | None:

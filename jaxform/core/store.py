@@ -66,12 +66,17 @@ class PendingProgram(NamedTuple):
 class Store:
     """A folder of things kept; without a folder compiled programs alone are, in memory.
 
+    Args:
+        folder: Where.
+        shared: Whether other processes use it at the same time: of those that want a program, one compiles it.
+
     Attributes:
         folder: Where; made when the first thing is written.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self, folder: Path | None = None, *, shared: bool = False) -> None:
         self.folder = folder
+        self._shared = shared
         self._programs: dict[_ProgramKey, PendingProgram] = {}
         self._taken: dict[str, None] = {}
         self._ahead: Future[dict[str, _PendingLoad]] | None = None
@@ -206,13 +211,26 @@ class Store:
         """A program that is being compiled, and then written into its file where it has one."""
         if path is None:
             return PendingProgram(*start_compiling(function, *arguments))
+        lock = contextlib.ExitStack()
+        if self._shared:
+            lock.enter_context(disk.exclusive(path.parents[1], path.name))
+            found = self._start_loading(path, function, arguments)  # what another has compiled meanwhile
+            if found is not None:
+                lock.close()
+                return found
 
         def store_program(shapes: Any, program: Any) -> None:
             content = serialize_program(shapes, program)
             if content is not None:
                 self._write(path, content)
 
-        return PendingProgram(*start_compiling(jit_under_new_name(function), *arguments, done=store_program))
+        try:
+            begun = start_compiling(jit_under_new_name(function), *arguments, done=store_program)
+        except BaseException:
+            lock.close()
+            raise
+        begun[1].add_done_callback(lambda _: lock.close())
+        return PendingProgram(*begun)
 
     def _path(self, name: str, key: tuple[Any, ...]) -> Path | None:
         if self.folder is None:

@@ -76,6 +76,11 @@ def keep_scene(document: SceneDocument, folder: str | Path, name: str = "simulat
     return Path(folder) / name
 
 
+def referenced_files(document: SceneDocument) -> list[Path]:
+    """The paths of all files that a scene names, whether they exist or not."""
+    return [Path(path) for path in _relocate_paths(document)[1].values()]
+
+
 def _has_tables(text: str, data: Mapping[str, Any]) -> bool:
     """True if a text is TOML with exactly these tables."""
     try:

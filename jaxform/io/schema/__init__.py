@@ -35,12 +35,14 @@ from jaxform.io.schema.study import (
     PressureKnotsTable,
     ScaleTable,
     StudyFile,
+    SweepFile,
     TargetTable,
     ThicknessFieldTable,
     ThicknessProfileTable,
     UniformTable,
     Variable,
 )
+from jaxform.io.schema.sweep import SweepTable, SweepVariableTable
 
 __all__ = [
     "Adam",
@@ -83,6 +85,9 @@ __all__ = [
     "SolverTable",
     "Sphere",
     "StudyFile",
+    "SweepFile",
+    "SweepTable",
+    "SweepVariableTable",
     "TargetProfile",
     "TargetTable",
     "TargetThickness",

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, Tag, field_validator, model_validator
 
 from jaxform.io.schema.quantities import Count, Limits, Pair, Place, TargetThickness, check_bounds
+from jaxform.io.schema.sweep import SweepTable
 from jaxform.io.validation import (
     Coordinate,
     NotNegative,
@@ -315,6 +316,7 @@ class StudyFile(Table):
         variable: Design variables: one table or more.
         objective: The objective: one table, or several that add up by weight.
         solver: The search method.
+        sweep: Designs of the scene that `jaxform sweep` computes; a search passes over it.
     """
 
     description: str = ""
@@ -322,6 +324,7 @@ class StudyFile(Table):
     variable: Annotated[list[Variable], Field(min_length=1)]
     objective: Objectives
     solver: Method
+    sweep: SweepTable | None = None
 
     @field_validator("variable")
     @classmethod
@@ -331,3 +334,23 @@ class StudyFile(Table):
             if kind in kinds[:index]:
                 raise validation_error("is given twice", "keep one of them", f"[{index}].kind", kind)
         return variables
+
+
+class SweepFile(Table):
+    """A study file of a sweep: without a search, its variables, objective and solver may be missing.
+
+    Attributes:
+        description: One line for the list of studies.
+        scene: A built-in scene, or a scene file relative to this one.
+        variable: Design variables of a search for each design of the sweep (`--optimize`).
+        objective: The objective of that search.
+        solver: The method of that search.
+        sweep: The designs.
+    """
+
+    description: str = ""
+    scene: str | None = None
+    variable: list[Any] | None = None
+    objective: Any = None
+    solver: Any = None
+    sweep: SweepTable

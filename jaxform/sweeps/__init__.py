@@ -1,0 +1,1 @@
+"""Many designs on many processes or machines: tables of designs, their evaluation, records and pictures."""

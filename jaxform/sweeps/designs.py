@@ -1,0 +1,350 @@
+"""Tables of designs: rows of values at paths of a scene file, each made a scene document of its own."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import dataclasses
+import hashlib
+import io
+import json
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jaxform.core import disk
+from jaxform.core.errors import InputError, truncate_text
+from jaxform.core.ranges import RANGES
+from jaxform.io import catalog, files, scene_rewriting, schema
+from jaxform.io.files import SceneDocument
+from jaxform.io.schema.sweep import MOST_DESIGNS
+from jaxform.io.validation import validate
+from jaxform.sweeps.sampling import sample
+
+SCENE = "scene"
+"""Column of a table that names the scene of each row."""
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_WHOLE = re.compile(r"[-+]?\d{1,18}")
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_-]*)((?:\[-?\d+\])*)")
+_ALTERNATIVES = (("parison.elements", "parison.element_size"),)
+_NO_KEY = "is no key here"
+_UNITS = {allowed.unit for allowed in RANGES.values()} | {"Pa", "K", "degrees", "m^2"}
+Step = str | int
+
+
+@dataclasses.dataclass(frozen=True)
+class Design:
+    """A row of a sweep.
+
+    Attributes:
+        number: Its place in the sweep, from 1.
+        values: Its values by path; what is not there is as in the scene.
+        document: Its scene; None where it is none that can be simulated.
+        error: What is wrong with it, in one line; empty where nothing is.
+        digest: Hash of all that determines its result: values, scene, and contents of the files that it names.
+    """
+
+    number: int
+    values: dict[str, Any]
+    document: SceneDocument | None
+    error: str
+    digest: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """A table of designs as it was read or sampled.
+
+    Attributes:
+        file: Its name in messages.
+        folder: Base of relative paths in it.
+        paths: Its columns.
+        rows: Values by path.
+    """
+
+    file: str
+    folder: Path
+    paths: list[str]
+    rows: list[dict[str, Any]]
+
+
+def read_table(path: str | Path, folder: Path | None = None) -> Rows:
+    """The rows of a table of designs in CSV; an empty cell leaves what the scene has.
+
+    The columns are separated by commas, semicolons or tabs. A cell is a number, true, false, a list or table as in a
+    scene file, or else a text.
+
+    Raises:
+        InputError: It cannot be read, or it is no table with a header of paths and rows below it.
+    """
+    place = disk.expand_path(path, folder)
+    text, file = disk.read_text(place), str(path)
+    first = text.partition("\n")[0]
+    mark = next((mark for mark in (",", ";", "\t") if mark in first), ",")
+    try:
+        lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True))
+    except csv.Error as error:
+        raise InputError(f"is not a table: {error}", "separate its cells by commas", file=file) from None
+    numbered = [(number, line) for number, line in enumerate(lines, 1) if any(cell.strip() for cell in line)]
+    if not numbered:
+        raise InputError("is empty", "give a header of paths, such as mold.depth, and a row per design", file=file)
+    paths = _header([cell.strip() for cell in numbered[0][1]], file)
+    rows = [_row(paths, line, number, file) for number, line in numbered[1:]]
+    if not rows:
+        raise InputError("has no designs", "add a row per design below the header", file=file)
+    if len(rows) > MOST_DESIGNS:
+        raise InputError(f"has {len(rows)} designs", f"give at most {MOST_DESIGNS}", file=file)
+    return Rows(file, place.resolve().parent, paths, rows)
+
+
+def _header(cells: list[str], file: str) -> list[str]:
+    for number, cell in enumerate(cells, 1):
+        if not cell:
+            raise InputError(f"has no name for column {number}", "give the path of a number of the scene", file=file)
+        if cell in cells[: number - 1]:
+            raise InputError("is there twice", "keep one of the columns", key=cell, file=file)
+        with files.error_context(file):
+            parse_path(cell)
+    return cells
+
+
+def _row(paths: list[str], line: list[str], number: int, file: str) -> dict[str, Any]:
+    if len(line) != len(paths):
+        problem = f"has {len(line)} cells in line {number}, and {len(paths)} columns in its header"
+        raise InputError(problem, "give a cell for each column; put a list in quotes", file=file)
+    return {path: parse_cell(cell) for path, cell in zip(paths, line, strict=True) if cell.strip()}
+
+
+def parse_cell(text: str) -> Any:
+    """The value of a cell: a number, true, false, a list or table as in a scene file, or else the text itself."""
+    text = text.strip()
+    if _WHOLE.fullmatch(text):
+        return int(text)
+    if _NUMBER.fullmatch(text):
+        return float(text)
+    if text in ("true", "false"):
+        return text == "true"
+    if text[:1] in "[{\"'" and "\n" not in text:
+        try:
+            return tomllib.loads(f"value = {text}")["value"]
+        except (ValueError, RecursionError):
+            return text
+    return text
+
+
+def parse_path(path: str) -> list[Step]:
+    """The steps of a path: names of tables and keys, and numbers of list elements, from 0 (-1 is the last).
+
+    Raises:
+        InputError: It is no path.
+    """
+    steps: list[Step] = []
+    for part in path.split("."):
+        found = _STEP.fullmatch(part)
+        if found is None:
+            remedy = "write it as mold.depth, or pressure.value[1] for an element of a list"
+            raise InputError("is no path of a scene file", remedy, key=path)
+        steps += [found[1], *map(int, re.findall(r"-?\d+", found[2]))]
+    return steps
+
+
+def set_value(data: dict[str, Any], path: str, value: Any) -> None:
+    """Puts a value at a path of the tables of a scene file; tables that are missing are made.
+
+    Raises:
+        InputError: What is there on the way is no table, or no list with such an element.
+    """
+    steps = parse_path(path)
+    place: Any = data
+    for step, following in zip(steps, [*steps[1:], None], strict=True):
+        if isinstance(step, int):
+            if not isinstance(place, list):
+                raise InputError("is no list in the scene", "name the key alone, or give the scene a list there", path)
+            if not -len(place) <= step < len(place):
+                problem = f"is not there: the scene's list has {len(place)} elements"
+                raise InputError(problem, "count from 0, or -1 for the last", path)
+        elif not isinstance(place, dict):
+            raise InputError("is in no table of the scene", "name the key alone, or give the scene a table there", path)
+        if following is None:
+            place[step] = value
+        elif isinstance(place, dict):
+            if isinstance(following, int) and step not in place:
+                raise InputError("is no list in the scene", "name the key alone, or give the scene a list there", path)
+            place = place.setdefault(step, {})
+        else:
+            place = place[step]
+
+
+def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None, about: str = "") -> list[Design]:
+    """The designs of a table, each with its scene, validated.
+
+    Args:
+        table: Their values.
+        scene: Scene of those that name none in the column `scene`: a built-in name or a path; None without one.
+        base: Base of a relative path of that scene; by default the working directory.
+        about: What else determines the results, for the digest.
+
+    Raises:
+        InputError: The scene is wrong whatever the row, or a column is no key in any row.
+    """
+    read = cache(lambda name, folder: catalog.read(name, "scene", folder))
+    hashed = cache(_file_digest)
+    found = []
+    errors: list[tuple[str, InputError]] = []
+    for number, values in enumerate(table.rows, 1):
+        document: SceneDocument | None = None
+        name, folder = (values[SCENE], table.folder) if SCENE in values else (scene, base)
+        if name is None:
+            remedy = "name one with --scene, or in a column scene"
+            raise InputError(f"has no scene for design {number}", remedy, file=table.file)
+        source = ""
+        try:
+            source, document = _document(table, values, read, str(name), folder)
+            error = ""
+        except InputError as caught:
+            errors.append((source, caught))
+            error = truncate_text(str(dataclasses.replace(caught, file="")))
+        found.append(Design(number, values, document, error, _digest(document, name, values, about, hashed)))
+    if len(errors) == len(found):
+        _refuse(table, [error for _, error in errors])
+    return found
+
+
+def _document(
+    table: Rows, values: Mapping[str, Any], read: Callable[..., Any], name: str, folder: Path | None
+) -> tuple[str, SceneDocument]:
+    """The scene of a row; its name in messages, and the validated document."""
+    source = read(name, folder)
+    data = copy.deepcopy(source.data)
+    for one, other in [pair for given in _ALTERNATIVES for pair in (given, given[::-1])]:
+        if one in values and other not in values and isinstance(data.get("parison"), dict):
+            data["parison"].pop(other.rpartition(".")[2], None)
+    places = [table.folder, source.path.resolve().parent]
+    for path, value in values.items():
+        if path != SCENE:
+            set_value(data, path, _relocate(path, value, places))
+    model = validate(schema.SceneFile, data, source.file)
+    return source.file, SceneDocument(source.file, places[1], data, model, source.path)
+
+
+def _relocate(path: str, value: Any, places: Sequence[Path]) -> Any:
+    """A value of a table, its files sought beside the table, then beside the scene."""
+    if isinstance(value, dict):
+        return {key: _relocate(f"{path}.{key}", item, places) for key, item in value.items()}
+    last = [step for step in parse_path(path) if isinstance(step, str)][-1]
+    if last not in ("path", "file", "reference") or path.endswith("shift.reference"):
+        return value
+    if isinstance(value, list):
+        return [_relocate(path, item, places) for item in value]
+    if not isinstance(value, str):
+        return value
+    candidates = [disk.expand_path(value, place) for place in places]
+    return str(next((one for one in candidates if disk.is_file(one)), candidates[0]))
+
+
+def _digest(
+    document: SceneDocument | None, name: Any, values: Mapping[str, Any], about: str, hashed: Callable[[Path], str]
+) -> str:
+    """Hash of all that determines a design's result but the version of the program."""
+    digest = hashlib.sha256(about.encode())
+    if document is None:
+        digest.update(json.dumps([str(name), values], sort_keys=True, default=str).encode())
+        return digest.hexdigest()[:16]
+    data = {key: value for key, value in document.data.items() if key not in ("name", "description")}
+    digest.update(json.dumps(data, sort_keys=True, default=str).encode())
+    for path in scene_rewriting.referenced_files(document):
+        digest.update(hashed(path).encode())
+    return digest.hexdigest()[:16]
+
+
+def _file_digest(path: Path) -> str:
+    """Hash of a file's content; empty where it cannot be read."""
+    try:
+        return hashlib.sha256(disk.read_bytes(path, disk.MOST_MESH)).hexdigest()
+    except InputError:
+        return ""
+
+
+def _refuse(table: Rows, errors: list[InputError]) -> None:
+    """Raises what is wrong with the scene itself or with a column, where that is the same for all rows."""
+    first = errors[0]
+    columns = [re.sub(r"\[-?\d+\]", "", path) for path in table.paths]
+    key = re.sub(r"\[-?\d+\]", "", first.key)
+    in_column = any(key == path or key.startswith(f"{path}.") or path.startswith(f"{key}.") for path in columns)
+    same = all((error.key, error.problem) == (first.key, first.problem) for error in errors)
+    misnamed = first.problem == _NO_KEY or first.problem.startswith(("is no list", "is in no table"))
+    if not same or (in_column and not misnamed):
+        return
+    raise dataclasses.replace(first, file=table.file) if in_column else first
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepStudy:
+    """A study file with a sweep.
+
+    Attributes:
+        file: Its name in messages.
+        folder: Base of relative paths in it.
+        data: Its tables, as they stand in the file.
+        model: The validated tables.
+        rows: The designs that it asks for.
+    """
+
+    file: str
+    folder: Path
+    data: dict[str, Any]
+    model: schema.SweepFile
+    rows: Rows
+
+
+def read_sweep(name_or_path: str | Path) -> SweepStudy:
+    """A study file with the designs that it asks for.
+
+    Raises:
+        InputError: There is no such study, a key or value in it is wrong, or its table cannot be read.
+    """
+    source = catalog.read(name_or_path, "study")
+    model = validate(schema.SweepFile, source.data, source.file)
+    folder, table = source.path.resolve().parent, model.sweep
+    with files.error_context(source.file):
+        if table.table is not None:
+            rows = read_table(table.table, folder)
+        else:
+            paths = [variable.path for variable in table.variable]
+            for path in paths:
+                parse_path(path)
+            rows = Rows(source.file, folder, paths, sample(table))
+    return SweepStudy(source.file, folder, source.data, model, rows)
+
+
+def name_scene(design: Design) -> SceneDocument:
+    """The scene of a design, with the design's number in its name."""
+    document = design.document
+    assert document is not None
+    name = document.name if "name" in design.values else f"{document.name}, design {design.number}"
+    model = document.model.model_copy(update={"name": name})
+    return dataclasses.replace(document, data={**document.data, "name": name}, model=model)
+
+
+def unit_of(model: Any, path: str) -> str:
+    """The unit of the quantity at a path of a validated scene file, as its description gives it; empty without one."""
+    unit, place = "", model
+    for step in parse_path(path):
+        if isinstance(step, int):
+            place = place[step] if isinstance(place, list) and -len(place) <= step < len(place) else None
+            continue
+        line = re.search(rf"^ +{step}: .*$", _description(type(place), step), re.MULTILINE)
+        found = [words for words in re.findall(r"\[([^][]+)\]", line[0] if line else "") if words in _UNITS]
+        unit = found[0] if found else unit
+        place = getattr(place, step, None)
+    return unit
+
+
+def _description(table: type, key: str) -> str:
+    """The lines on a key in the docstrings of a table's class and of those that it derives from."""
+    texts = [one.__doc__ or "" for one in table.__mro__]
+    joined = [re.sub(r"\n {12,}(?=\S)", " ", text) for text in texts]
+    return next((text for text in joined if re.search(rf"^ +{key}: ", text, re.MULTILINE)), "")

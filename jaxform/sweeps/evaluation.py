@@ -1,0 +1,210 @@
+"""What a worker does for a design: its scene is built, simulated and measured, and its files are packed.
+
+A worker need not see the folder of the results: the files come back with the numbers, and whoever started the sweep
+writes both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import json
+import math
+import os
+import tempfile
+import time
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxform.core import disk
+from jaxform.core.compilation import keep_programs, share_programs_in
+from jaxform.core.errors import InputWarning, redirect_warnings
+from jaxform.core.store import Store
+from jaxform.io import files, output, scene_rewriting
+from jaxform.io.files import SceneDocument
+from jaxform.io.report import write_report
+from jaxform.model.scene import Scene
+from jaxform.results.explanation import explain
+from jaxform.results.result import Result
+from jaxform.results.summary import summarize
+from jaxform.runs.host import run
+from jaxform.runs.loop import compile_for, is_compiled
+from jaxform.sweeps.engine import Outcome
+
+_MISS = "/jax/compilation_cache/cache_misses"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How workers compute.
+
+    Attributes:
+        dtype: Precision, "float64" or "float32".
+        cache: Folder for programs and search grids; None for the user's cache folder on the worker's machine.
+    """
+
+    dtype: str = "float64"
+    cache: str | None = None
+
+
+class Evaluated(NamedTuple):
+    """What a worker gives for a design.
+
+    Attributes:
+        measures: Columns of its row.
+        archive: Its files as a ZIP archive.
+        compiled: Number of programs that were compiled for it.
+    """
+
+    measures: dict[str, Any]
+    archive: bytes
+    compiled: int
+
+
+class Worker(NamedTuple):
+    """The set-up of a worker process.
+
+    Attributes:
+        store: Search grids and programs that its machine's workers share.
+        folder: Folder of what they share; None where there is none.
+    """
+
+    store: Store
+    folder: Path | None
+
+
+@functools.cache
+def set_up(setting: Setting) -> Worker:
+    """Sets the precision and the cache of a worker process, once."""
+    warnings.filterwarnings("ignore", message="jaxform computes in float32")
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
+    jax.config.update("jax_enable_x64", setting.dtype == "float64")
+    jax.config.update("jax_traceback_in_locations_limit", 0)
+    jax.monitoring.register_event_listener(_count)
+    folder = disk.user_cache_folder() if setting.cache is None else Path(setting.cache)
+    if os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        keep_programs()
+    elif folder is not None:
+        (folder / disk.COMPILED).mkdir(parents=True, exist_ok=True)
+        share_programs_in(folder / disk.COMPILED)
+    return Worker(Store(None if folder is None else folder / disk.MADE, shared=True), folder)
+
+
+_compiled = [0]
+
+
+def _count(event: str, **_: Any) -> None:
+    _compiled[0] += event == _MISS
+
+
+_known: set[str] = set()  # kinds of scenes that this process has simulated
+_OF_KIND = {"parison": ("thickness", "temperature", "radius", "size"), "refinement": ()}
+
+
+def _kind(document: SceneDocument) -> str:
+    """What the small programs depend on that a scene of a document is built and measured with."""
+    data = document.data
+    tables = {
+        name: {key: value for key, value in data.get(name, {}).items() if key not in left}
+        for name, left in _OF_KIND.items()
+    }
+    return json.dumps([tables, sorted(data), data["material"].get("model")], sort_keys=True, default=str)
+
+
+@contextlib.contextmanager
+def compile_once(worker: Worker, kind: str) -> Iterator[Callable[[Scene], float]]:
+    """What is missing for a kind of scenes is compiled by one of a machine's workers, for which the others wait.
+
+    Yields a function that makes sure of the programs of a scene, of its own bucket sizes: those of larger ones give the
+    same to rounding only, and rows must not depend on which worker was first. It returns how long that took [s].
+    """
+    with contextlib.ExitStack() as lock:
+        if kind not in _known:
+            lock.enter_context(disk.exclusive(worker.folder))
+
+        def prepare(scene: Scene) -> float:
+            began = time.perf_counter()
+            known = is_compiled(scene, worker.store, 0)
+            compile_for(scene, worker.store)
+            if known:
+                lock.close()  # whoever compiled them has made all the small ones, too
+            return time.perf_counter() - began
+
+        yield prepare
+        _known.add(kind)
+
+
+def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
+    """The part of a scene document: its numbers and files, and its status in words.
+
+    Raises:
+        InputError: The scene cannot be simulated.
+    """
+    document, setting = task
+    worker, before = set_up(setting), _compiled[0]
+    warned: list[str] = []
+    with compile_once(worker, _kind(document)) as prepare, _tell(warned.append):
+        began = time.perf_counter()
+        scene = files.build(document, worker.store)
+        began += prepare(scene)
+        with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
+            folder = Path(name)
+            frames = output.Frames(folder, document.model.output.frames)
+            frames.begin(scene)
+            offer = (lambda moment: frames.offer(scene, moment)) if frames.count else None
+            result = run(scene, on_window=offer, store=worker.store)
+            summary = output.write_result(scene, result, folder, list(dict.fromkeys(warned)))
+            frames.finish(scene, result)
+            scene_rewriting.keep_scene(document, folder)
+            archive = pack(folder)
+    measures = measures_of(summary) | {"seconds": time.perf_counter() - began}
+    return Outcome(summary["status"], Evaluated(measures, archive, _compiled[0] - before))
+
+
+@contextlib.contextmanager
+def _tell(tell: Callable[[str], object]) -> Iterator[None]:
+    """Warnings about a scene are told to a function; those of its run, which its summary has, are not shown."""
+    with warnings.catch_warnings(), redirect_warnings(tell):
+        warnings.simplefilter("ignore", InputWarning)
+        yield
+
+
+def pack(folder: Path) -> bytes:
+    """The files of a folder as a ZIP archive, with a report of them where one can be made."""
+    with contextlib.suppress(ValueError):
+        write_report(folder)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                archive.write(path, path.relative_to(folder).as_posix())
+    return content.getvalue()
+
+
+def measures_of(summary: dict[str, Any]) -> dict[str, Any]:
+    """The columns of a row from the contents of summary.json; None for what is not known."""
+    wall, sheet = summary["thickness"], summary.get("sheet_mass")
+    found = {
+        "wall_min": wall["min"],
+        "wall_mean": wall["mean"],
+        "wall_cv": wall["cv"],
+        "mass": summary["mass"],
+        "flash_mass": None if sheet is None else sheet - summary["mass"],
+        "contact_fraction": summary["contact_fraction"],
+        "gap_max": summary["gap_max"],
+        "warnings": len(summary["warnings"]),
+    }
+    return {name: value if value is None or math.isfinite(value) else None for name, value in found.items()}
+
+
+def measure(scene: Scene) -> Outcome:
+    """The numbers of a row of results, of a scene that is simulated by `jaxform.run`; what `jaxform.sweep` computes."""
+    result: Result = run(scene)
+    return Outcome(explain(result), measures_of(summarize(result, scene)))

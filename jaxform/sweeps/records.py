@@ -1,0 +1,191 @@
+"""Records of a sweep: results.csv, which gains a row the moment a design is done, and results.parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxform.core import disk
+from jaxform.core.disk import atomic_path, write_error
+from jaxform.core.errors import InputError
+from jaxform.io.scene_rewriting import inline
+
+NAME, PARQUET, EARLIER = "results.csv", "results.parquet", "earlier.csv"
+MEASURES = {
+    "wall_min": "m",
+    "wall_mean": "m",
+    "wall_cv": "",
+    "mass": "kg",
+    "flash_mass": "kg",
+    "contact_fraction": "",
+    "gap_max": "m",
+    "warnings": "",
+    "seconds": "s",
+}
+"""Columns of what a simulation gives, and their units; `seconds` is the wall-clock time of a design on its worker."""
+_FIRST, _STATUS, _LAST = "design", "status", ("folder", "digest")
+_GO_ON = "make room, then go on with --resume"
+Row = dict[str, str]
+
+
+class Records:
+    """The file results.csv of a sweep.
+
+    A row is written at its end in one piece and brought to the disk before the next. What was being written when the
+    process or the machine ended is cut off.
+
+    Args:
+        folder: Folder of the results.
+        paths: Columns of the variables.
+        measures: Columns of what is computed.
+        resume: Whether rows that are there are kept.
+
+    Attributes:
+        path: The file.
+        rows: Recorded rows, by digest of the design.
+
+    Raises:
+        InputError: The file is of another sweep, damaged, or cannot be read or written.
+    """
+
+    def __init__(self, folder: Path, paths: Sequence[str], measures: Iterable[str], resume: bool = False) -> None:
+        """See the class."""
+        self.path = folder / NAME
+        self.columns = [_FIRST, *paths, _STATUS, *measures, *_LAST]
+        self.rows: dict[str, Row] = {}
+        if resume and os.path.exists(self.path):
+            self.rows = {row["digest"]: row for row in _read(self.path)}
+        self._write(self.rows.values())
+
+    def keep_only(self, heads: Mapping[str, Mapping[str, Any]]) -> None:
+        """Moves rows of designs that are no longer asked for to earlier.csv, so that nothing computed is lost.
+
+        Args:
+            heads: Number and values of the designs that are, by digest; the rows take them over.
+        """
+        gone = [row for digest, row in self.rows.items() if digest not in heads]
+        if gone:
+            earlier = self.path.with_name(EARLIER)
+            rows = [*(_read(earlier) if os.path.exists(earlier) else []), *gone]
+            _write_table(earlier, list(dict.fromkeys(key for row in rows for key in row)), rows)
+        kept = {digest: row for digest, row in self.rows.items() if digest in heads}
+        self.rows = {digest: row | _texts(heads[digest]) for digest, row in kept.items()}
+        self._write(self.rows.values())
+
+    def append(self, row: Mapping[str, Any]) -> Row:
+        """Writes a row at the end of the file, and returns it as text.
+
+        Raises:
+            InputError: It cannot be written; the file is as before.
+        """
+        texts = {column: _text(row.get(column)) for column in self.columns}
+        line = _lines([[texts[column] for column in self.columns]])
+        try:
+            with self.path.open("r+b", buffering=0) as file:
+                end = file.seek(0, os.SEEK_END)
+                try:
+                    if file.write(line) != len(line):
+                        raise OSError(None, "the disk is full")
+                    os.fsync(file.fileno())
+                except OSError:
+                    file.truncate(end)
+                    raise
+        except OSError as error:
+            raise write_error(self.path, error, _GO_ON) from None
+        self.rows[texts["digest"]] = texts
+        return texts
+
+    def finish(self, heads: Iterable[tuple[str, Mapping[str, Any]]]) -> list[Row]:
+        """Writes a row per design in their order, and returns them.
+
+        Args:
+            heads: Digest, and number and values, of each; two of the same digest have the same results.
+        """
+        rows = [self.rows[digest] | _texts(head) for digest, head in heads]
+        self._write(rows)
+        return rows
+
+    def _write(self, rows: Iterable[Row]) -> None:
+        _write_table(self.path, self.columns, rows)
+
+
+def _texts(values: Mapping[str, Any]) -> Row:
+    return {column: _text(value) for column, value in values.items()}
+
+
+def _write_table(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    with atomic_path(path, _GO_ON) as fresh, fresh.open("wb") as file:
+        file.write(_lines([list(columns), *([row.get(column, "") for column in columns] for row in rows)]))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _lines(rows: Iterable[Sequence[str]]) -> bytes:
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
+
+
+def _text(value: Any) -> str:
+    """A value as the cell of a table: numbers to the last bit, lists as in a scene file; empty for None."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, str):
+        return " ".join(value.split()) if "\n" in value or "\r" in value else value
+    return inline(value.item() if isinstance(value, np.generic) else value)
+
+
+def _read(path: Path) -> list[Row]:
+    """The rows of a table that was written before; a last line that was not written to its end is left out."""
+    text = disk.read_text(path, disk.MOST_MESH)
+    whole = text[: text.rfind("\n") + 1]
+    remedy = "begin anew with --force, or choose another folder"
+    try:
+        rows = list(csv.DictReader(io.StringIO(whole, newline=""), strict=True))
+    except csv.Error as error:
+        raise InputError(f"is damaged: {error}", remedy, file=str(path)) from None
+    for number, row in enumerate(rows, 2):
+        if None in row or None in row.values() or not row.get("digest") or not row.get(_STATUS):
+            raise InputError(f"is damaged in line {number}", remedy, file=str(path))
+    return rows
+
+
+def number(text: str | None) -> float | None:
+    """The number of a cell; None where it is none."""
+    try:
+        return float(text) if text else None
+    except ValueError:
+        return None
+
+
+def write_parquet(folder: Path, columns: Sequence[str], rows: Sequence[Row], units: Mapping[str, str]) -> bool:
+    """Writes results.parquet: numbers as such, units as metadata of the columns; False without the library for it."""
+    try:
+        import pyarrow  # pyright: ignore[reportMissingImports]
+        from pyarrow import parquet  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return False
+    fields, arrays = [], []
+    for column in columns:
+        values: list[Any] = [row[column] or None for row in rows]
+        numbers = [number(value) for value in values]
+        kind = pyarrow.string()
+        if column not in (_STATUS, *_LAST) and all(
+            (a is None) == (b is None) for a, b in zip(values, numbers, strict=True)
+        ):
+            whole = column in (_FIRST, "warnings")
+            kind = pyarrow.int64() if whole else pyarrow.float64()
+            values = [None if value is None else int(value) if whole else value for value in numbers]
+        unit = units.get(column, "")
+        fields.append(pyarrow.field(column, kind, metadata={"unit": unit} if unit else None))
+        arrays.append(pyarrow.array(values, kind))
+    with atomic_path(folder / PARQUET, _GO_ON) as fresh:
+        parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields)), fresh)
+    return True

@@ -1,0 +1,166 @@
+"""Executors of a sweep: spawned processes of this machine, or the workers of a Dask cluster.
+
+Imports nothing heavy: a process that is spawned reads this module before its threads are limited.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import queue
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from threading import Thread
+from typing import Any
+
+from jaxform.core.errors import InputError
+
+_THREADS = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Environment variables by which XLA (the first) and libraries of linear algebra learn how many threads to start."""
+
+
+def usable_cores() -> int:
+    """Number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class LocalWorkers(Executor):
+    """Spawned processes, one design at a time in each, that share the cores.
+
+    Each is a `ProcessPoolExecutor` of one process: one that ends breaks its own pool alone, which is replaced, and the
+    design that it was at is known. They end with this process, however that ends.
+
+    Args:
+        count: Number of processes.
+        environment: Environment variables of the processes, besides those that limit their threads.
+    """
+
+    def __init__(self, count: int, environment: Mapping[str, str] | None = None) -> None:
+        """See the class."""
+        self.width = count
+        threads = str(max(1, usable_cores() // count))
+        self._environment = {**dict.fromkeys(_THREADS, threads), **(environment or {})}
+        self._context = multiprocessing.get_context("spawn")
+        self._alive, self._alive_here = self._context.Pipe(duplex=False)
+        self._idle: queue.SimpleQueue[ProcessPoolExecutor] = queue.SimpleQueue()
+        self._pools = [self._make_pool() for _ in range(count)]
+        for pool in self._pools:
+            self._idle.put(pool)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """The future of a call in an idle process; waits for one."""
+        pool = self._idle.get()
+        with _environment(self._environment):
+            future = pool.submit(fn, *args, **kwargs)
+        future.add_done_callback(lambda done: self._release(pool, done))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes, whatever they do."""
+        self._alive_here.close()
+        for pool in self._pools:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def _make_pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, self._context, _begin_process, (self._alive,))
+
+    def _release(self, pool: ProcessPoolExecutor, done: Future[Any]) -> None:
+        """Marks a process as idle; one that ended is replaced first."""
+        if not done.cancelled() and isinstance(done.exception(), BrokenExecutor):
+            fresh = self._make_pool()
+            # The broken one is not shut down: this is called while it holds its lock, and it has no process any more.
+            self._pools = [fresh if one is pool else one for one in self._pools]
+            pool = fresh
+        self._idle.put(pool)
+
+
+def _begin_process(alive: Any) -> None:
+    """Sets up a spawned process: Ctrl-C is for its parent alone, and it ends when that does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        with contextlib.suppress(OSError, EOFError):
+            alive.recv()  # nothing is sent: it returns when the other end is closed
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Environment variables that processes started inside inherit; those of this process are put back."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+class DaskWorkers(Executor):
+    """The workers of a Dask cluster.
+
+    A result is brought to this process the moment it is there, and then let go on the cluster: Dask computes a result
+    that is still wanted again where the worker that holds it ends.
+
+    Args:
+        client: A `distributed.Client`.
+    """
+
+    width = 1000
+    """Designs that are submitted at a time: more than a cluster has workers."""
+
+    def __init__(self, client: Any) -> None:
+        """See the class."""
+        self._client = client
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """The future of a call on a worker."""
+        result: Future[Any] = Future()
+        result.set_running_or_notify_cancel()
+        # Two designs of one scene are two tasks, whatever Dask thinks of their arguments.
+        remote = self._client.submit(fn, *args, **kwargs, pure=False)
+
+        def gather(done: Any) -> None:
+            try:
+                result.set_result(done.result())
+            except BaseException as error:  # for whoever waits
+                result.set_exception(error)
+            finally:
+                done.release()
+
+        remote.add_done_callback(gather)
+        return result
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Closes the connection; the cluster goes on."""
+        self._client.close()
+
+
+def connect(address: str) -> DaskWorkers:
+    """The workers of the Dask scheduler at an address, such as tcp://host:8786.
+
+    Raises:
+        InputError: Dask is not installed, or there is no such scheduler.
+    """
+    try:
+        from distributed import Client  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        remedy = "install it: pip install 'jaxform[cluster]'"
+        raise InputError("needs Dask, which is not installed", remedy, "--scheduler", address) from None
+    try:
+        return DaskWorkers(Client(address, timeout="20s"))
+    except (OSError, ValueError, TimeoutError) as error:
+        problem = f"cannot be reached ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+        raise InputError(problem, "start `dask scheduler`, and give its address", "--scheduler", address) from None
+
+
+def is_lost_worker(error: BaseException | None) -> bool:
+    """True if a call has no result because its process ended."""
+    return isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker"
