@@ -44,6 +44,8 @@ from .runs.host import Moment, run
 from .runs.padding import padded
 from .runs.simulation import simulate, simulate_batch
 from .sheet.state import Schedule, Status
+from .sweeps.engine import Outcome
+from .sweeps.sweep import sweep
 from .tools.mold import Mold, make_mold
 from .tools.motion import Motion, make_motion
 
@@ -70,6 +72,7 @@ __all__ = [
     "Motion",
     "NeoHookean",
     "Ogden",
+    "Outcome",
     "Parison",
     "Part",
     "PlaneLaw",
@@ -116,4 +119,5 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "summarize",
+    "sweep",
 ]

@@ -10,7 +10,7 @@ from optimize.pressures import PressureKnots
 from optimize.search import Search
 from optimize.sheets import ThicknessField, ThicknessProfile
 from optimize.solvers import Design, check, solve
-from optimize.study import load_study, write_history
+from optimize.study import build_study, load_study, write_history
 from optimize.variables import Scale
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "ThicknessProfile",
     "Uniform",
     "Weighted",
+    "build_study",
     "check",
     "doubts",
     "fitting",

@@ -42,7 +42,19 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
     Raises:
         InputError: There is no such study or scene, or something in one of them is wrong.
     """
-    document = files.read_study(name_or_path)
+    return build_study(files.read_study(name_or_path), store)
+
+
+def build_study(document: files.StudyDocument, store: Store | None = None) -> Study:
+    """The study of a document, with its scene.
+
+    Args:
+        document: The study.
+        store: Store for expensive host work between runs; none by default.
+
+    Raises:
+        InputError: Something in the study or its scene does not fit.
+    """
     scene = files.build(document.scene, store)
     solver = document.model.solver
     options = {name: value for name, value in solver.model_dump().items() if value is not None}
@@ -62,7 +74,7 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
 
 def _digest(document: files.StudyDocument, scene: Scene) -> str:
     """Hash of all that determines a search except its length, so that one that has ended can be continued."""
-    data = {key: value for key, value in document.data.items() if key != "description"}
+    data = {key: value for key, value in document.data.items() if key not in ("description", "sweep")}
     data["solver"] = {key: value for key, value in data["solver"].items() if key not in _HOW_LONG}
     digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode())
     for leaf in jax.tree.leaves(scene):

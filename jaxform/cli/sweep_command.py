@@ -18,6 +18,8 @@ from jaxform.core import disk
 from jaxform.core.errors import warn_of
 from jaxform.io import catalog
 
+_MOST_NAMED = 20  # failed designs
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments of the command."""
@@ -51,7 +53,7 @@ def sweep(arguments: argparse.Namespace) -> int:
         InputError: The study, table or scene is wrong, or rows can no longer be written to disk.
     """
     from jaxform.sweeps import records
-    from jaxform.sweeps.folder import DESIGNS, Progress, head, record_designs
+    from jaxform.sweeps.folder import DESIGNS, head, record_designs
 
     began, say = time.perf_counter(), (lambda _: None) if arguments.quiet else session.say
     task = _task(arguments)
@@ -64,16 +66,9 @@ def sweep(arguments: argparse.Namespace) -> int:
     (folder / DESIGNS).mkdir(exist_ok=True)
     kept = records.Records(folder, task.paths, task.measures, arguments.resume)
     with _executor(arguments, len(found)) as (executor, setting), _bar(not arguments.quiet, len(found)) as show:
-
-        def on_row(progress: Progress) -> None:
-            if progress.row is not None and progress.computed and progress.row["status"] != "ok" and show is None:
-                say(f"design {progress.row['design']} failed: {progress.row['status']}")
-            if show is not None:
-                show(progress)
-
         try:
             progress = record_designs(
-                found, task.function, lambda design: task.argument(design, setting), executor, kept, on_row
+                found, task.function, lambda design: task.argument(design, setting), executor, kept, show
             )
         except KeyboardInterrupt:
             words = f"interrupted; {len(kept.rows)} rows are recorded: go on with --resume"
@@ -81,6 +76,8 @@ def sweep(arguments: argparse.Namespace) -> int:
             return session.INTERRUPTED
     rows = kept.finish((design.digest, head(design)) for design in found)
     _finish(arguments, task, kept.columns, rows, progress, time.perf_counter() - began)
+    for row in [row for row in rows if row["status"] != "ok"][:_MOST_NAMED]:
+        say(f"design {row['design']} failed: {row['status']}")
     good = progress.total - progress.failed
     say(f"{good} of {progress.total} designs ok, {progress.failed} failed; {progress.computed} computed now")
     say(f"results in {folder}: results.csv, report.html and pictures")
@@ -158,7 +155,7 @@ def _executor(arguments: argparse.Namespace, count: int) -> Iterator[tuple[Execu
 
 
 def _cache_folder() -> Path:
-    """The folder of programs that the workers share, guarded until the command ends; a temporary one without a cache."""
+    """The folder of programs that workers share, guarded until the command ends; without a cache a temporary one."""
     folder = session.cache_folder()
     if folder is None:
         folder = Path(session.guard.enter_context(tempfile.TemporaryDirectory(prefix="jaxform-")))
@@ -168,10 +165,10 @@ def _cache_folder() -> Path:
 
 
 @contextlib.contextmanager
-def _bar(show: bool, total: int) -> Iterator[Callable[[Any], None] | None]:
+def _bar(show: bool, total: int) -> Iterator[Callable[[Any], None]]:
     """A bar on a terminal, with the time left and the failures so far; none in a pipe."""
     if not (show and sys.stderr.isatty()):
-        yield None
+        yield lambda _: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -215,6 +212,5 @@ def _finish(
     write_json(folder / "sweep.json", facts)
     drawn = pictures.draw_all(folder, task.paths, rows, units)
     report.write_report(folder, facts, columns, rows, drawn)
-    if not parquet:
-        words = "is not written: it needs pyarrow"
-        warn_of(words, "install it with pip install 'jaxform[sweep]'; results.csv has the same", value=records.PARQUET)
+    if not parquet and not arguments.quiet:
+        session.say(f"{records.PARQUET} needs pyarrow, which is not installed: pip install 'jaxform[sweep]'")

@@ -68,15 +68,17 @@ class Store:
 
     Args:
         folder: Where.
-        shared: Whether other processes use it at the same time: of those that want a program, one compiles it.
+        shared: Whether other processes use it at the same time: of those that want a program, one compiles it, and
+            runs take those of their own bucket sizes alone, so that no sum depends on what was compiled before.
 
     Attributes:
         folder: Where; made when the first thing is written.
+        shared: As above.
     """
 
     def __init__(self, folder: Path | None = None, *, shared: bool = False) -> None:
         self.folder = folder
-        self._shared = shared
+        self.shared = shared
         self._programs: dict[_ProgramKey, PendingProgram] = {}
         self._taken: dict[str, None] = {}
         self._ahead: Future[dict[str, _PendingLoad]] | None = None
@@ -100,6 +102,17 @@ class Store:
         np.savez(file, allow_pickle=False, **arrays)
         self._write(path, file.getbuffer())
         return arrays
+
+    def is_noted(self, name: str, key: tuple[Any, ...]) -> bool:
+        """True if `note` was called with the same, by whatever process."""
+        path = self._path(name, key)
+        return path is not None and _read_verified(path) is not None
+
+    def note(self, name: str, key: tuple[Any, ...]) -> None:
+        """Notes that something was done, for other processes."""
+        path = self._path(name, key)
+        if path is not None:
+            self._write(path, b"")
 
     def program(self, function: Any, *arguments: Any) -> Callable[..., Any]:
         """A function compiled for arguments like these: once; where it is kept in a file, it need not be traced.
@@ -212,7 +225,7 @@ class Store:
         if path is None:
             return PendingProgram(*start_compiling(function, *arguments))
         lock = contextlib.ExitStack()
-        if self._shared:
+        if self.shared:
             lock.enter_context(disk.exclusive(path.parents[1], path.name))
             found = self._start_loading(path, function, arguments)  # what another has compiled meanwhile
             if found is not None:

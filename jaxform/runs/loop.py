@@ -159,7 +159,7 @@ def select_bucket(scene: Scene, store: Store) -> Padded:
     """
     own = room = pad_to_bucket(scene, recorded=True)
     kept = room.order is None or scene.refinement is not None or len(scene.parison.triangles) > _LARGE
-    if kept or store.has_program(begin, room.scene):
+    if kept or store.shared or store.has_program(begin, room.scene):
         return own
     for _ in range(_ABOVE):
         room = pad_to_bucket(scene, len(room.scene.parison.triangles), recorded=True)

@@ -159,6 +159,8 @@ def set_value(data: dict[str, Any], path: str, value: Any) -> None:
     """
     steps = parse_path(path)
     place: Any = data
+    following: Any
+    step: Any
     for step, following in zip(steps, [*steps[1:], None], strict=True):
         if isinstance(step, int):
             if not isinstance(place, list):
@@ -208,7 +210,7 @@ def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None
             errors.append((source, caught))
             error = truncate_text(str(dataclasses.replace(caught, file="")))
         found.append(Design(number, values, document, error, _digest(document, name, values, about, hashed)))
-    if len(errors) == len(found):
+    if errors and len(errors) == len(found):
         _refuse(table, [error for _, error in errors])
     return found
 

@@ -12,6 +12,7 @@ import io
 import json
 import math
 import os
+import platform
 import tempfile
 import time
 import warnings
@@ -31,11 +32,10 @@ from jaxform.io import files, output, scene_rewriting
 from jaxform.io.files import SceneDocument
 from jaxform.io.report import write_report
 from jaxform.model.scene import Scene
-from jaxform.results.explanation import explain
 from jaxform.results.result import Result
-from jaxform.results.summary import summarize
+from jaxform.results.summary import explain, summarize
 from jaxform.runs.host import run
-from jaxform.runs.loop import compile_for, is_compiled
+from jaxform.runs.loop import IN_MEMORY, compile_for
 from jaxform.sweeps.engine import Outcome
 
 _MISS = "/jax/compilation_cache/cache_misses"
@@ -48,10 +48,12 @@ class Setting:
     Attributes:
         dtype: Precision, "float64" or "float32".
         cache: Folder for programs and search grids; None for the user's cache folder on the worker's machine.
+        client: The process that began the sweep, as `this_process` names it.
     """
 
     dtype: str = "float64"
     cache: str | None = None
+    client: str = ""
 
 
 class Evaluated(NamedTuple):
@@ -82,7 +84,9 @@ class Worker(NamedTuple):
 
 @functools.cache
 def set_up(setting: Setting) -> Worker:
-    """Sets the precision and the cache of a worker process, once."""
+    """Sets the precision and the cache of a worker process, once; threads of the process that began are left alone."""
+    if setting.client == this_process():
+        return Worker(IN_MEMORY, None)
     warnings.filterwarnings("ignore", message="jaxform computes in float32")
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     jax.config.update("jax_enable_x64", setting.dtype == "float64")
@@ -94,18 +98,30 @@ def set_up(setting: Setting) -> Worker:
     elif folder is not None:
         (folder / disk.COMPILED).mkdir(parents=True, exist_ok=True)
         share_programs_in(folder / disk.COMPILED)
-    return Worker(Store(None if folder is None else folder / disk.MADE, shared=True), folder)
+    # That of `jaxform.run` itself, so that functions of users find its programs, too.
+    IN_MEMORY.folder, IN_MEMORY.shared = None if folder is None else folder / disk.MADE, True
+    return Worker(IN_MEMORY, folder)
 
 
+def this_process() -> str:
+    """A name of this process, other than that of any other of a cluster."""
+    return f"{platform.node()} {os.getpid()} {_BEGAN}"
+
+
+_BEGAN = time.time_ns()
 _compiled = [0]
+
+
+def compiled() -> int:
+    """Number of programs that this process has compiled, and found nowhere."""
+    return _compiled[0]
 
 
 def _count(event: str, **_: Any) -> None:
     _compiled[0] += event == _MISS
 
 
-_known: set[str] = set()  # kinds of scenes that this process has simulated
-_OF_KIND = {"parison": ("thickness", "temperature", "radius", "size"), "refinement": ()}
+_LEFT_OUT = {"parison": ("thickness", "temperature", "radius", "size"), "refinement": ()}
 
 
 def _kind(document: SceneDocument) -> str:
@@ -113,32 +129,30 @@ def _kind(document: SceneDocument) -> str:
     data = document.data
     tables = {
         name: {key: value for key, value in data.get(name, {}).items() if key not in left}
-        for name, left in _OF_KIND.items()
+        for name, left in _LEFT_OUT.items()
     }
     return json.dumps([tables, sorted(data), data["material"].get("model")], sort_keys=True, default=str)
 
 
 @contextlib.contextmanager
-def compile_once(worker: Worker, kind: str) -> Iterator[Callable[[Scene], float]]:
-    """What is missing for a kind of scenes is compiled by one of a machine's workers, for which the others wait.
-
-    Yields a function that makes sure of the programs of a scene, of its own bucket sizes: those of larger ones give the
-    same to rounding only, and rows must not depend on which worker was first. It returns how long that took [s].
-    """
+def compile_once(worker: Worker, *kind: str) -> Iterator[None]:
+    """The first design of a kind is computed by one of a machine's workers alone: the others find its programs."""
+    known = functools.partial(worker.store.is_noted, "first design", kind)
     with contextlib.ExitStack() as lock:
-        if kind not in _known:
+        if not known():
             lock.enter_context(disk.exclusive(worker.folder))
+            if known():
+                lock.close()
+        yield
+        if not known():
+            worker.store.note("first design", kind)
 
-        def prepare(scene: Scene) -> float:
-            began = time.perf_counter()
-            known = is_compiled(scene, worker.store, 0)
-            compile_for(scene, worker.store)
-            if known:
-                lock.close()  # whoever compiled them has made all the small ones, too
-            return time.perf_counter() - began
 
-        yield prepare
-        _known.add(kind)
+def _make_programs(scene: Scene, store: Store) -> float:
+    """Compiles or loads the programs of a scene; returns how long that took [s]."""
+    began = time.perf_counter()
+    compile_for(scene, store)
+    return time.perf_counter() - began
 
 
 def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
@@ -148,12 +162,12 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
         InputError: The scene cannot be simulated.
     """
     document, setting = task
-    worker, before = set_up(setting), _compiled[0]
+    worker, before = set_up(setting), compiled()
     warned: list[str] = []
-    with compile_once(worker, _kind(document)) as prepare, _tell(warned.append):
+    with compile_once(worker, _kind(document)), tell_warnings(warned.append):
         began = time.perf_counter()
         scene = files.build(document, worker.store)
-        began += prepare(scene)
+        began += _make_programs(scene, worker.store)
         with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
             folder = Path(name)
             frames = output.Frames(folder, document.model.output.frames)
@@ -165,11 +179,11 @@ def simulate_design(task: tuple[SceneDocument, Setting]) -> Outcome:
             scene_rewriting.keep_scene(document, folder)
             archive = pack(folder)
     measures = measures_of(summary) | {"seconds": time.perf_counter() - began}
-    return Outcome(summary["status"], Evaluated(measures, archive, _compiled[0] - before))
+    return Outcome(summary["status"], Evaluated(measures, archive, compiled() - before))
 
 
 @contextlib.contextmanager
-def _tell(tell: Callable[[str], object]) -> Iterator[None]:
+def tell_warnings(tell: Callable[[str], object]) -> Iterator[None]:
     """Warnings about a scene are told to a function; those of its run, which its summary has, are not shown."""
     with warnings.catch_warnings(), redirect_warnings(tell):
         warnings.simplefilter("ignore", InputWarning)
@@ -202,6 +216,16 @@ def measures_of(summary: dict[str, Any]) -> dict[str, Any]:
         "warnings": len(summary["warnings"]),
     }
     return {name: value if value is None or math.isfinite(value) else None for name, value in found.items()}
+
+
+def call_function(task: tuple[Callable[[Scene], Any], Scene | SceneDocument, Setting]) -> Any:
+    """What a function of a user's own gives for a scene, which is built here where it comes as a document."""
+    function, given, setting = task
+    worker = set_up(setting)
+    name = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', repr(function))}"
+    kind = _kind(given) if isinstance(given, SceneDocument) else ""
+    with compile_once(worker, name, kind):
+        return function(files.build(given, worker.store) if isinstance(given, SceneDocument) else given)
 
 
 def measure(scene: Scene) -> Outcome:

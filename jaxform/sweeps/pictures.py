@@ -15,6 +15,7 @@ from jaxform.io import canvas
 from jaxform.sweeps.records import Row, number
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 RESPONSES = ("wall_min", "wall_mean", "wall_cv", "mass")
 _WORDS = {
@@ -97,7 +98,7 @@ def _short(name: str) -> str:
     return (name if len(name) <= 18 else f"{name[:8]}...{name[-8:]}") or "as in the scene"
 
 
-def _strongest(variables: list[Axis], response: Array, good: Array) -> tuple[list[Axis], int]:
+def _strongest(variables: list[Axis], response: Array, good: Mask) -> tuple[list[Axis], int]:
     """The variables to draw, in their order, and how many are left out: those with the least effect."""
     if len(variables) <= _MOST_VARIABLES:
         return variables, 0
@@ -106,7 +107,7 @@ def _strongest(variables: list[Axis], response: Array, good: Array) -> tuple[lis
     return [variables[k] for k in chosen], len(variables) - _MOST_VARIABLES
 
 
-def _means(variable: Axis, response: Array, good: Array) -> tuple[Array, Array]:
+def _means(variable: Axis, response: Array, good: Mask) -> tuple[Array, Array]:
     """Values of a variable, or of groups of neighbouring ones, and the mean response of each."""
     known = good & np.isfinite(variable.values) & np.isfinite(response)
     values, found = variable.values[known], response[known]
@@ -125,7 +126,7 @@ def _name_ticks(axes: Any, variable: Axis, *, up: bool = False) -> None:
         (axes.set_yticks if up else axes.set_xticks)(range(len(variable.names)), variable.names, fontsize=8, **ticks)
 
 
-def _draw_thinnest(path: Path, variables: Sequence[Axis], wall: Axis, good: Array, note: str) -> None:
+def _draw_thinnest(path: Path, variables: Sequence[Axis], wall: Axis, good: Mask, note: str) -> None:
     """The thinnest wall of each design over each variable; designs that failed are marked at the bottom."""
     across = min(len(variables), 4)
     down = -(-len(variables) // across)
@@ -151,7 +152,7 @@ def _draw_thinnest(path: Path, variables: Sequence[Axis], wall: Axis, good: Arra
     canvas.save(figure, path)
 
 
-def _draw_effects(path: Path, variables: Sequence[Axis], responses: Sequence[Axis], good: Array, note: str) -> None:
+def _draw_effects(path: Path, variables: Sequence[Axis], responses: Sequence[Axis], good: Mask, note: str) -> None:
     """The mean of each result over each variable, on one scale per result: a steep line is a strong effect."""
     title = f"Main effects: mean over all other variables{note}"
     figure = canvas.new_figure(max(3.0 * len(variables), 6.0), 2.4 * len(responses) + 0.9, title)
@@ -172,7 +173,7 @@ def _draw_effects(path: Path, variables: Sequence[Axis], responses: Sequence[Axi
     _save(figure, path)
 
 
-def _draw_matrix(path: Path, variables: Sequence[Axis], responses: Sequence[Axis], good: Array) -> None:
+def _draw_matrix(path: Path, variables: Sequence[Axis], responses: Sequence[Axis], good: Mask) -> None:
     """Every variable and result over every other; on the diagonal how they are distributed."""
     every = [*variables, *responses]
     figure = canvas.new_figure(1.9 * len(every) + 0.6, 1.9 * len(every) + 0.6, "")

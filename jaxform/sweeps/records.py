@@ -59,10 +59,15 @@ class Records:
         """See the class."""
         self.path = folder / NAME
         self.columns = [_FIRST, *paths, _STATUS, *measures, *_LAST]
+        self._given = {_FIRST, *paths, _STATUS, *_LAST}
         self.rows: dict[str, Row] = {}
         if resume and os.path.exists(self.path):
             self.rows = {row["digest"]: row for row in _read(self.path)}
         self._write(self.rows.values())
+
+    def measures(self, digest: str) -> Row:
+        """What was computed for a recorded design, by column."""
+        return {name: text for name, text in self.rows[digest].items() if name not in self._given}
 
     def keep_only(self, heads: Mapping[str, Mapping[str, Any]]) -> None:
         """Moves rows of designs that are no longer asked for to earlier.csv, so that nothing computed is lost.
@@ -80,11 +85,16 @@ class Records:
         self._write(self.rows.values())
 
     def append(self, row: Mapping[str, Any]) -> Row:
-        """Writes a row at the end of the file, and returns it as text.
+        """Writes a row at the end of the file, and returns it as text; what has no column gets one.
 
         Raises:
             InputError: It cannot be written; the file is as before.
         """
+        new = [name for name in row if name not in self.columns]
+        if new:
+            place = len(self.columns) - len(_LAST)
+            self.columns[place:place] = new
+            self._write(self.rows.values())
         texts = {column: _text(row.get(column)) for column in self.columns}
         line = _lines([[texts[column] for column in self.columns]])
         try:

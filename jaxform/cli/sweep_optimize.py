@@ -1,0 +1,95 @@
+"""What a worker of `jaxform sweep --optimize` does for a design: a search, whose best design is the row."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import optimize
+from jaxform.core.errors import InputError
+from jaxform.io import output, schema, scene_rewriting
+from jaxform.io.files import SceneDocument, StudyDocument
+from jaxform.io.validation import validate
+from jaxform.sweeps import evaluation
+from jaxform.sweeps.designs import SweepStudy
+from jaxform.sweeps.engine import OK, Outcome
+from jaxform.sweeps.evaluation import Evaluated, Setting
+
+MEASURES = {"objective": "", "thickness_rms_error": "", "violation": "", "simulations": ""}
+"""Columns of what a search gives, besides those of the simulated best design, and their units."""
+_SEARCH = ("variable", "objective", "solver")
+
+
+@dataclass(frozen=True)
+class SearchTables:
+    """The search that a study describes, for scenes of a sweep.
+
+    Attributes:
+        file: Name of the study in messages.
+        folder: Base of its relative paths.
+        data: Its tables but the sweep.
+        digest: Hash of those that determine the result.
+    """
+
+    file: str
+    folder: Path
+    data: dict[str, Any]
+    digest: str
+
+
+def search_of(study: SweepStudy | None, source: str) -> SearchTables:
+    """The search that a study describes.
+
+    Raises:
+        InputError: It is a table of designs alone, or a table of the search is missing or wrong.
+    """
+    if study is None:
+        remedy = "name the table in a study (sweep.table), with variables, an objective and a solver"
+        raise InputError("is a table, which has no objective for --optimize", remedy, value=source)
+    data = {key: value for key, value in study.data.items() if key != "sweep"}
+    validate(schema.StudyFile, {"scene": "any", **data}, study.file)
+    determining = json.dumps([data.get(key) for key in _SEARCH], sort_keys=True, default=str)
+    return SearchTables(study.file, study.folder, data, hashlib.sha256(determining.encode()).hexdigest())
+
+
+def optimize_design(task: tuple[SceneDocument, Setting, SearchTables]) -> Outcome:
+    """The best design that a search finds for a scene document: its numbers and files, and its status in words.
+
+    Raises:
+        InputError: The scene cannot be simulated, or the search does not fit it.
+    """
+    document, setting, search = task
+    worker = evaluation.set_up(setting)
+    before, warned = evaluation.compiled(), []
+    model = validate(schema.StudyFile, {"scene": document.name, **search.data}, search.file)
+    with evaluation.compile_once(worker, search.digest), evaluation.tell_warnings(warned.append):
+        began = time.perf_counter()
+        study = optimize.build_study(
+            StudyDocument(search.file, search.folder, search.data, model, document), worker.store
+        )
+        with tempfile.TemporaryDirectory(prefix="jaxform-") as name:
+            folder = Path(name)
+            design = optimize.solve(study, on_warning=warned.append)
+            summary = _write_files(folder, document, design, warned)
+            archive = evaluation.pack(folder)
+    found = design.summary()
+    measures = evaluation.measures_of(summary) | {"seconds": time.perf_counter() - began}
+    measures |= {name: found["after"][name] for name in ("objective", "thickness_rms_error")}
+    measures |= {"violation": found["violation"], "simulations": found["simulations"]}
+    status = summary["status"] if int(design.result.status) or design.broken else OK
+    return Outcome(status, Evaluated(measures, archive, evaluation.compiled() - before))
+
+
+def _write_files(folder: Path, document: SceneDocument, design: Any, warned: list[str]) -> dict[str, Any]:
+    """Writes what `jaxform optimize` writes, but for its pictures; returns the summary."""
+    scene_rewriting.write_scene(document, design.changes, folder)
+    summary = output.write_result(design.scene, design.result, folder, list(dict.fromkeys(warned)), design.amended)
+    output.write_part(design.first_scene, design.first_result, folder / "start.vtu")
+    optimize.write_history(folder / "history.csv", design.history)
+    output.write_json(folder / "design.json", design.summary())
+    return summary
