@@ -15,6 +15,7 @@ from typing import Any
 
 from jaxform.cli import session
 from jaxform.core import disk
+from jaxform.core.cores import usable_cores
 from jaxform.core.errors import warn_of
 from jaxform.io import catalog
 
@@ -146,7 +147,7 @@ def _executor(arguments: argparse.Namespace, count: int) -> Iterator[tuple[Execu
         executor: Executor = workers.connect(arguments.scheduler)
         setting = Setting(arguments.dtype)
     else:
-        executor = workers.LocalWorkers(arguments.workers or max(1, min(workers.usable_cores(), count)))
+        executor = workers.LocalWorkers(arguments.workers or max(1, min(usable_cores(), count)))
         setting = Setting(arguments.dtype, str(_cache_folder()))
     try:
         yield executor, setting

@@ -12,7 +12,7 @@ from typing import Any
 
 import optimize
 from jaxform.core.errors import InputError
-from jaxform.io import output, schema, scene_rewriting
+from jaxform.io import output, scene_rewriting, schema
 from jaxform.io.files import SceneDocument, StudyDocument
 from jaxform.io.validation import validate
 from jaxform.sweeps import evaluation

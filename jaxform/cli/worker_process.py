@@ -9,12 +9,13 @@ import contextlib
 import gc
 import importlib
 import multiprocessing
-import os
 import pickle
 import signal
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
+
+from jaxform.core.cores import usable_cores
 
 _NO_ANSWER = (OSError, EOFError)  # where the other process is no more
 
@@ -80,7 +81,7 @@ class WorkerCaller(DirectCaller):
 def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]:
     """Yields a caller of a module's functions: in another process, where one is wanted and available."""
     other = None
-    if wanted and _cores() > 1:
+    if wanted and usable_cores() > 1:
         with contextlib.suppress(OSError):
             other = WorkerCaller(module, ready)
     try:
@@ -88,11 +89,6 @@ def make_caller(module: str, ready: str, wanted: bool) -> Iterator[DirectCaller]
     finally:
         if other is not None:
             other.end()
-
-
-def _cores() -> int:
-    """Number of CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextlib.contextmanager

@@ -17,6 +17,7 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 from jaxform.core import disk
+from jaxform.core.cores import usable_cores
 from jaxform.core.errors import InputError
 from jaxform.core.promotion import with_standard_promotion
 
@@ -151,7 +152,7 @@ def submit_compilation[T](work: Callable[[], T]) -> Future[T]:
 
 @functools.cache
 def _compilers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count())
+    return ThreadPoolExecutor(usable_cores())
 
 
 @contextlib.contextmanager

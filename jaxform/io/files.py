@@ -58,6 +58,10 @@ class SceneDocument:
         """The scene's name; that of the file where it gives none."""
         return self.model.name or Path(self.file).stem
 
+    def __reduce__(self) -> Any:
+        """A copy for another process: its tables, which are validated again there."""
+        return validate_scene, (self.data, self.file, self.folder, self.path)
+
 
 @dataclass(frozen=True)
 class StudyDocument:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from jaxform.adapt.refinement import drop_sides, refine
 from jaxform.adjoint.strategies import Adjoint, choose_adjoint
+from jaxform.core.cores import usable_cores
 from jaxform.core.errors import InputError
 from jaxform.core.promotion import device_context, with_standard_promotion
 from jaxform.core.pytree import cast_to_precision
@@ -197,7 +197,7 @@ def _results(scene: Scene, rows: dict[str, np.ndarray], workers: int | None) -> 
         return _simulate_designs(scene, {path: jnp.asarray(values) for path, values in rows.items()})
     rooms = [pad_to_bucket(design, recorded=True) for design in designs]
     whole = IN_MEMORY.program(whole_run, rooms[0].scene)
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+    with ThreadPoolExecutor(workers or usable_cores()) as pool:
         results = list(pool.map(lambda room: room.result(whole(room.scene)), rooms))
     return jax.tree.map(lambda *values: jnp.asarray(np.stack(values)), *results)
 

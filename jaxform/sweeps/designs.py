@@ -195,30 +195,29 @@ def make_designs(table: Rows, scene: str | Path | None, base: Path | None = None
     read = cache(lambda name, folder: catalog.read(name, "scene", folder))
     hashed = cache(_file_digest)
     found = []
-    errors: list[tuple[str, InputError]] = []
+    errors: list[InputError] = []
     for number, values in enumerate(table.rows, 1):
         document: SceneDocument | None = None
         name, folder = (values[SCENE], table.folder) if SCENE in values else (scene, base)
         if name is None:
             remedy = "name one with --scene, or in a column scene"
             raise InputError(f"has no scene for design {number}", remedy, file=table.file)
-        source = ""
         try:
-            source, document = _document(table, values, read, str(name), folder)
+            document = _document(table, values, read, str(name), folder)
             error = ""
         except InputError as caught:
-            errors.append((source, caught))
+            errors.append(caught)
             error = truncate_text(str(dataclasses.replace(caught, file="")))
         found.append(Design(number, values, document, error, _digest(document, name, values, about, hashed)))
     if errors and len(errors) == len(found):
-        _refuse(table, [error for _, error in errors])
+        _refuse(table, errors)
     return found
 
 
 def _document(
     table: Rows, values: Mapping[str, Any], read: Callable[..., Any], name: str, folder: Path | None
-) -> tuple[str, SceneDocument]:
-    """The scene of a row; its name in messages, and the validated document."""
+) -> SceneDocument:
+    """The scene of a row, validated."""
     source = read(name, folder)
     data = copy.deepcopy(source.data)
     for one, other in [pair for given in _ALTERNATIVES for pair in (given, given[::-1])]:
@@ -228,8 +227,7 @@ def _document(
     for path, value in values.items():
         if path != SCENE:
             set_value(data, path, _relocate(path, value, places))
-    model = validate(schema.SceneFile, data, source.file)
-    return source.file, SceneDocument(source.file, places[1], data, model, source.path)
+    return files.validate_scene(data, source.file, places[1], source.path)
 
 
 def _relocate(path: str, value: Any, places: Sequence[Path]) -> Any:

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxform.core import disk
+from jaxform.core.cores import usable_cores
 from jaxform.core.errors import InputError
 from jaxform.model.scene import Scene
 from jaxform.sweeps.designs import SCENE, Design, Rows, make_designs, parse_path
@@ -22,7 +23,7 @@ from jaxform.sweeps.engine import Outcome, evaluate
 from jaxform.sweeps.evaluation import Setting, call_function, measure, this_process
 from jaxform.sweeps.folder import head
 from jaxform.sweeps.records import MEASURES, Records, number
-from jaxform.sweeps.workers import DaskWorkers, LocalWorkers, usable_cores
+from jaxform.sweeps.workers import DaskWorkers, LocalWorkers
 
 _DESIGNS = "designs"
 

@@ -15,15 +15,11 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from threading import Thread
 from typing import Any
 
+from jaxform.core.cores import SHARE, usable_cores
 from jaxform.core.errors import InputError
 
-_THREADS = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_THREADS = (SHARE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Environment variables by which XLA (the first) and libraries of linear algebra learn how many threads to start."""
-
-
-def usable_cores() -> int:
-    """Number of processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class LocalWorkers(Executor):

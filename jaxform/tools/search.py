@@ -7,7 +7,6 @@ dismissed by one look-up, and a near one is compared with the few triangles of i
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxform.core.cores import usable_cores
 from jaxform.core.pytree import as_index, as_real, pytree
 from jaxform.core.store import Store
 from jaxform.kernels.blocks import materialize
@@ -72,7 +72,7 @@ def pairs_in_reach(corners: Array, frame: CellFrame) -> tuple[Integers, Integers
         Numbers of cells (m,) and triangles (m,), which ascend, and the distance of each cell's middle (m,) [m].
     """
     far = (frame.reach / frame.width) + HALF_DIAGONAL + _ROUNDING
-    parts = np.array_split(np.arange(len(corners)), 1 + len(corners) // 20_000 + (os.cpu_count() or 1))
+    parts = np.array_split(np.arange(len(corners)), 1 + len(corners) // 20_000 + usable_cores())
 
     def pairs(part: Integers) -> tuple[Integers, Integers, Array]:
         local = _local(corners[part], frame)
@@ -80,7 +80,7 @@ def pairs_in_reach(corners: Array, frame: CellFrame) -> tuple[Integers, Integers
         return cell, part[triangle], distance * frame.width
 
     # NumPy lets go of the interpreter's lock in long operations.
-    with ThreadPoolExecutor(os.cpu_count()) as workers:
+    with ThreadPoolExecutor(usable_cores()) as workers:
         return _join_pairs(list(workers.map(pairs, [part for part in parts if len(part)])))
 
 

@@ -1,0 +1,16 @@
+"""Number of processor cores to use: of the machine, or this process's share of it among the workers of a sweep."""
+
+from __future__ import annotations
+
+import os
+
+SHARE = "NPROC"
+"""Environment variable with the number of cores that a process shall use; XLA reads it, too."""
+
+
+def usable_cores() -> int:
+    """Number of processor cores that this process shall use: its share, or those that it may use."""
+    share = os.environ.get(SHARE, "")
+    if share.isdecimal() and int(share) > 0:
+        return int(share)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
