@@ -58,18 +58,11 @@ def lbfgs(search: Search, study: Study, point: Point) -> tuple[Point, Ending]:
         point = search.refresh(step)
 
 
-class _DescentHistory(NamedTuple):
-    """The last design with its gradient, and the curvature memory: steps, and changes of the gradient by them."""
-
-    point: Point
-    steps: list[np.ndarray]
-    changes: list[np.ndarray]
-
-
 def _direction(search: Search, point: Point) -> np.ndarray:
     """L-BFGS' direction (n,) of the numbers that are not held, 0 for those that are; it brings the memory up to date.
 
-    The curvature from an earlier round holds approximately for other multipliers.
+    The memory is the last design, and the last steps with the changes of the gradient by them. The curvature from an
+    earlier round holds approximately for other multipliers.
     """
     steps: list[np.ndarray] = []
     changes: list[np.ndarray] = []
@@ -78,7 +71,7 @@ def _direction(search: Search, point: Point) -> np.ndarray:
         if not np.array_equal(last.free, point.free):
             steps = [*steps, point.free - last.free][-_MEMORY:]
             changes = [*changes, point.gradient - last.gradient][-_MEMORY:]
-    search.memory = _DescentHistory(point, steps, changes)
+    search.memory = point, steps, changes
     moving = point.slope != 0.0
     pairs = [(step[moving], change[moving]) for step, change in zip(steps, changes, strict=True)]
     pairs = [(step, change) for step, change in pairs if step @ change > _CURVED * (change @ change) > 0.0]

@@ -16,7 +16,7 @@ import stat
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 from jaxform import InputError
 from jaxform.core.disk import atomic_path, write_error
@@ -29,17 +29,6 @@ _GO_ON = "free disk space, then resume with --resume"
 _ANEW = "start a new search with --force"
 _KEYS = {"number", "kind", "at", "answer"}
 _BEGIN = b'{"'  # of every line
-
-
-class _Span(NamedTuple):
-    """Position of a line in the file: its first byte and its length."""
-
-    begin: int
-    length: int
-
-    @property
-    def end(self) -> int:
-        return self.begin + self.length
 
 
 class Journal:
@@ -60,7 +49,7 @@ class Journal:
     def __init__(self, path: Path | None = None, study: str = "", resume: bool = False) -> None:
         """See the class."""
         self._path, self.replayed = path, 0
-        self._known: list[_Span] = []
+        self._known: list[slice] = []  # the bytes of each entry
         self._count = 0
         if path is None:
             return
@@ -88,12 +77,12 @@ class Journal:
         self._count += 1
         return answer, False
 
-    def _entry(self, span: _Span) -> dict[str, Any]:
+    def _entry(self, span: slice) -> dict[str, Any]:
         assert self._path is not None
         try:
             with self._path.open("rb") as file:
-                file.seek(span.begin)
-                entry = _parse_line(file.read(span.length))
+                file.seek(span.start)
+                entry = _parse_line(file.read(span.stop - span.start))
         except OSError as error:
             raise _read_error(self._path, error) from None
         if entry is None:
@@ -105,7 +94,7 @@ class Journal:
         assert self._path is not None
         try:
             shutil.copyfile(self._path, self._path.with_suffix(".old"))
-            os.truncate(self._path, self._known[self.replayed].begin)
+            os.truncate(self._path, self._known[self.replayed].start)
         except OSError as error:
             raise write_error(self._path, error, _GO_ON) from None
         self._known, self._count = self._known[: self.replayed], self.replayed
@@ -147,24 +136,24 @@ def _parse_line(line: bytes) -> dict[str, Any] | None:
     return entry if whole_one else None
 
 
-def _read(path: Path, study: str) -> list[_Span]:
-    """Positions of a journal's entries; cuts off a last line that was not written to its end."""
+def _read(path: Path, study: str) -> list[slice]:
+    """Bytes of a journal's entries; cuts off a last line that was not written to its end."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise InputError("is not a regular file", _ANEW, "--resume", str(path))
         with path.open("rb") as file:
             spans = _spans(path, file, study)
             size = file.seek(0, os.SEEK_END)
-        if spans[-1].end < size:
-            os.truncate(path, spans[-1].end)
+        if spans[-1].stop < size:
+            os.truncate(path, spans[-1].stop)
     except OSError as error:
         raise _read_error(path, error) from None
     return spans[1:]
 
 
-def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
-    """Positions of all complete lines, the first one included."""
-    spans: list[_Span] = []
+def _spans(path: Path, file: BinaryIO, study: str) -> list[slice]:
+    """Bytes of all complete lines, the first one included."""
+    spans: list[slice] = []
     begin = 0
     while line := file.readline(MOST_LINE):
         entry = _parse_line(line)
@@ -178,7 +167,7 @@ def _spans(path: Path, file: BinaryIO, study: str) -> list[_Span]:
             raise InputError("belongs to another study, or to another version of it", remedy, "--resume", str(path))
         if spans and entry.get("number") != len(spans):
             raise _damage_error(path, len(spans) + 1)
-        spans.append(_Span(begin, len(line)))
+        spans.append(slice(begin, begin + len(line)))
         begin += len(line)
     if not spans:
         raise InputError("is empty", _ANEW, "--resume", str(path))

@@ -316,14 +316,16 @@ def colored_line(axes: Any, x: np.ndarray, y: np.ndarray, wall: np.ndarray, colo
 # --- The bottle (4.3) -----------------------------------------------------------------------------------------------
 
 
-def bottle_lines(scene: Scene, part: Result) -> dict[str, sections.Cut]:
+def bottle_lines(scene: Scene, part: Result) -> dict[str, sections.SectionCurve]:
     """A-B-C up the middle, a-b-c through the handle: cuts through the formed part from the bottom up."""
     places = {"A-B-C": 0.0, "a-b-c": bottle_tables.HANDLE_MIDDLE * 0.04}
     found = {}
     for name, x in places.items():
         cut = sections.cuts(scene, part, 0, x, formed=True)[0]
-        turned = cut if cut.place[0, 1] < cut.place[-1, 1] else sections.Cut(cut.place[::-1], cut.thickness[::-1])
-        found[name] = turned
+        if cut.place[0, 1] >= cut.place[-1, 1]:
+            place = cut.place[::-1]
+            cut = sections.SectionCurve(place, cut.thickness[::-1], sections.arc_length(place))
+        found[name] = cut
     return found
 
 

@@ -25,21 +25,22 @@ class Line(NamedTuple):
     style: dict[str, Any]
 
 
-class Diagram(NamedTuple):
-    """Lines in one diagram, and the labels of its axes."""
-
-    lines: list[Line]
-    across: str
-    up: str
-
-
 class PartPicture(NamedTuple):
-    """A formed part in colours of its wall (n_element,) [mm], with a title, beside a diagram of it."""
+    """A formed part in colours of its wall (n_element,) [mm], with a title, beside a diagram of the wall.
+
+    Attributes:
+        title: Title of the picture.
+        view: The part.
+        wall: Thickness of its elements (n_element,) [mm].
+        lines: Lines of the diagram, thickness [mm] over a place.
+        across: What the place is, and its unit.
+    """
 
     title: str
     view: views.View
     wall: Array
-    diagram: Diagram
+    lines: list[Line]
+    across: str
 
 
 def draw_part(path: str | Path, part: PartPicture) -> None:
@@ -48,9 +49,9 @@ def draw_part(path: str | Path, part: PartPicture) -> None:
     colors = views.draw(figure.add_axes((0.0, 0.04, 0.47, 0.84), projection="3d"), part.view)
     draw_bar(figure, colors, figure.add_axes((0.475, 0.2, 0.012, 0.5)), "wall thickness [mm]", [part.wall])
     axes = figure.add_axes((0.58, 0.12, 0.39, 0.74))
-    for line in part.diagram.lines:
+    for line in part.lines:
         axes.plot(line.across, line.up, **line.style)
-    axes.set(xlabel=part.diagram.across, ylabel=part.diagram.up)
+    axes.set(xlabel=part.across, ylabel="wall thickness [mm]")
     if axes.lines:
         axes.legend(frameon=False)
     save(figure, path)

@@ -13,7 +13,7 @@ from jaxform.core.errors import format_coordinate
 from jaxform.core.parameters import parameter_ranges
 from jaxform.core.pytree import as_real
 from jaxform.io import canvas, views
-from jaxform.io.canvas import Diagram, Line, PartPicture, new_figure, save
+from jaxform.io.canvas import Line, PartPicture, new_figure, save
 from jaxform.io.scene_checks import Survey, survey
 from jaxform.io.surfaces import (
     SHEET,
@@ -63,7 +63,7 @@ def part_picture(scene: Scene, result: Result, reference: Mapping[str, Any] | No
     part = restrict_to_part(result, scene)[0]
     thin = thinnest_element(part, scene)
     view = part_view(scene, result, wall_scale([(scene, result)]), mark=thin["formed"])
-    return PartPicture(_title(scene, part), view, _wall(part), _diagram(scene, result, thin, reference))
+    return PartPicture(_title(scene, part), view, _wall(part), *_lines(scene, result, thin, reference))
 
 
 def convergence_picture(path: str | Path, history: Sequence[Mapping[str, Any]]) -> None:
@@ -194,8 +194,10 @@ def _wall(result: Result) -> Array:
     return 1e3 * np.asarray(result.element_thickness, float)[np.asarray(result.used)]
 
 
-def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any] | None) -> Diagram:
-    """Wall thickness over arc length, or over the initial radius with the exact solution in dots.
+def _lines(
+    scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any] | None
+) -> tuple[list[Line], str]:
+    """Wall thickness over arc length, or over the initial radius with the exact solution in dots; the label of that.
 
     With an exact solution the place is that in the initial sheet: flat elements cut a sharp corner short, and beyond
     it the arc lengths of the two would no longer name the same place.
@@ -215,7 +217,7 @@ def _diagram(scene: Scene, result: Result, thin: Mapping[str, Any], reference: M
         if curve.marked is not None:
             lines.append(_mark(1e3 * curve.marked, thin, lines))
     where = "arc length from the axis" if disc else "arc length along the section"
-    return Diagram(lines, f"{where} [mm]", "wall thickness [mm]")
+    return lines, f"{where} [mm]"
 
 
 def curves_of_part(scene: Scene, result: Result, through: ArrayLike | None = None) -> list[sections.SectionCurve]:
@@ -233,7 +235,9 @@ def _mark(arc: float, thin: Mapping[str, Any], lines: Sequence[Line] = ()) -> Li
     return Line(np.array([arc]), np.array([1e3 * thin["thickness"]]), _POINTS | look | {"label": label})
 
 
-def _exact(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any]) -> Diagram:
+def _exact(
+    scene: Scene, result: Result, thin: Mapping[str, Any], reference: Mapping[str, Any]
+) -> tuple[list[Line], str]:
     place, wall = 1e3 * sections.initial_radius(scene), 1e3 * np.asarray(result.thickness, float)
     shown = distinguishable_points(place, wall)
     look = {"color": AFTER, "markersize": 4, "alpha": 0.6, "label": "simulated, all nodes"}
@@ -244,7 +248,7 @@ def _exact(scene: Scene, result: Result, thin: Mapping[str, Any], reference: Map
     radius, ratio = (np.asarray(reference[key], float)[order] for key in ("initial_radius", "thickness_ratio"))
     dotted = {"linestyle": ":", "color": _EXACT, "linewidth": 2.5, "label": "exact solution"}
     lines = [nodes, mark, Line(1e3 * radius, initial * ratio, dotted)]
-    return Diagram(lines, "place along the meridian: radius in the initial sheet [mm]", "wall thickness [mm]")
+    return lines, "place along the meridian: radius in the initial sheet [mm]"
 
 
 def _draw_initial(axes: Any, before: Scene, after: Scene) -> None:

@@ -15,10 +15,12 @@ from jaxform.io.unit_checks import warn_of_units
 from jaxform.mechanics.membrane import equibiaxial_energy
 from jaxform.mesh import masks, raster
 from jaxform.model.mesh_connectivity import warn_of_connectivity
-from jaxform.model.scene import Scene
+from jaxform.model.scene import Parison, Scene
 from jaxform.results import sections
 from jaxform.tools.cells import cells_behind
 from jaxform.tools.distances import Distances
+from jaxform.tools.mold import Mold
+from jaxform.tools.motion import Motion
 from jaxform.tools.opening import rotation_to_z
 from jaxform.tools.patches import find_side_holes
 from jaxform.tools.ribs import Ribs, slender_feature
@@ -31,48 +33,28 @@ _FARTHER = 0.02  # of the sheet's size, that a mold moves off
 _TIMES = 21  # times at which the distance of the mold is measured
 
 
-class Approach(NamedTuple):
-    """Distances of a moving mold from the initial sheet.
-
-    Attributes:
-        first: Distance at the start [m].
-        nearest: Smallest distance [m].
-        last: Distance at the end of the motion [m].
-        end: Time of that end [s].
-    """
-
-    first: float
-    nearest: float
-    last: float
-    end: float
-
-
-def measure_approach(scene: Scene) -> Approach | None:
-    """Distances of a scene's mold from the initial sheet; None where it does not move."""
-    if scene.mold is None or scene.motion is None:
-        return None
-    sheet = np.asarray(scene.parison.positions, float)[np.unique(np.asarray(scene.parison.triangles))]
-    size = float(np.ptp(np.concatenate([sheet, scene.mold.where_it_turns()]), axis=0).max())
-    end = min(float(scene.solver.end_time), float(np.asarray(scene.motion.time)[-1]))
-    distances = Distances(scene.mold.vertices, scene.mold.triangles, size)
-    away = [
-        float(distances.upper_bounds(sheet - np.asarray(scene.motion.offset(as_real(time)), float)).min())
-        for time in np.linspace(0.0, end, _TIMES)
-    ]
-    return Approach(away[0], min(away), away[-1], end)
+def _distances_in_motion(parison: Parison, mold: Mold, motion: Motion, end: float) -> list[float]:
+    """Distances [m] of a moving mold from the initial sheet, at times evenly from 0 to the end [s]."""
+    sheet = np.asarray(parison.positions, float)[np.unique(np.asarray(parison.triangles))]
+    size = float(np.ptp(np.concatenate([sheet, mold.where_it_turns()]), axis=0).max())
+    distances = Distances(mold.vertices, mold.triangles, size)
+    moved = (sheet - np.asarray(motion.offset(as_real(time)), float) for time in np.linspace(0.0, end, _TIMES))
+    return [float(distances.upper_bounds(places).min()) for places in moved]
 
 
 def warn_of_motion(scene: Scene, file: str) -> None:
     """Warns of a mold that moves away from a sheet which it is not near to, and never comes nearer."""
-    found = measure_approach(scene)
-    if found is None or scene.motion is None:
+    if scene.mold is None or scene.motion is None:
         return
+    end = min(float(scene.solver.end_time), float(np.asarray(scene.motion.time)[-1]))
+    away = _distances_in_motion(scene.parison, scene.mold, scene.motion, end)
+    first, last = away[0], away[-1]
     size = float(np.ptp(np.asarray(scene.parison.positions, float), axis=0).max())
-    moves_off = found.nearest >= (1 - _SAME) * found.first and found.last > found.first + _FARTHER * size
-    if found.first <= _NEAR * size or not moves_off:
+    moves_off = min(away) >= (1 - _SAME) * first and last > first + _FARTHER * size
+    if first <= _NEAR * size or not moves_off:
         return
     way = np.asarray(scene.motion.direction, float).tolist()
-    ends = f"{found.first:.3g} m from the sheet at first, {found.last:.3g} m at {found.end:.3g} s"
+    ends = f"{first:.3g} m from the sheet at first, {last:.3g} m at {end:.3g} s"
     warn_of(
         f"the mold moves, but not towards the sheet: {ends}",
         "reverse mold.motion.direction, or move the mold to the other side of the sheet (mold.translate)",
@@ -116,13 +98,6 @@ class BoundingBox(NamedTuple):
         return format_extent(*self)
 
 
-class Spot(NamedTuple):
-    """A round spot of a sheet: its middle (3,) and radius [m]."""
-
-    middle: Array
-    radius: float
-
-
 class Survey(NamedTuple):
     """Survey of a scene before it runs.
 
@@ -137,7 +112,8 @@ class Survey(NamedTuple):
         behind: Share on the other side.
         overlap: Share of the sheet that has mold before it, in the direction of the push; None where it is curved.
         exposed: Share of the sheet that has mold only behind it.
-        bare: The widest round spot of the sheet that has no mold before it; None where the sheet is curved.
+        bare: Radius [m] and middle (3,) [m] of the widest round spot of the sheet that has no mold before it; None
+            where the sheet is curved.
     """
 
     sheet: BoundingBox
@@ -150,7 +126,7 @@ class Survey(NamedTuple):
     behind: float
     overlap: float | None
     exposed: float
-    bare: Spot | None
+    bare: tuple[float, Array] | None
 
     @property
     def faces(self) -> bool:
@@ -242,10 +218,10 @@ def _heights(points: Array, middle: Array, unit: Array) -> Array:
     return np.einsum("ij,ij->i", points - middle[nearest], unit[nearest])
 
 
-def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, Spot]:
+def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, tuple[float, Array]]:
     """Shares of a sheet (n, 3, 3) [m], seen along a direction, that have mold (m, 3, 3) before them, or only behind.
 
-    Also the widest round spot of it that has none before it.
+    Also radius and middle (3,) [m] of the widest round spot of it that has none before it.
     """
     axis = facing / np.linalg.norm(facing)
     across = np.linalg.svd(axis[None])[2][1:]
@@ -269,7 +245,7 @@ def _overlap(sheet: Array, walls: Array, facing: Array) -> tuple[float, float, S
     row, column = divmod(widest, width)
     middle = (low + (np.array([column, row]) + 0.5) * pixel) @ across
     middle += (level[widest] if seen[widest] else 0.0) * axis
-    bare = Spot(middle, max(0.0, float(away[widest]) - 0.5) * pixel)
+    bare = max(0.0, float(away[widest]) - 0.5) * pixel, middle
     return float((seen & before).sum() / whole), float((seen & behind & ~before).sum() / whole), bare
 
 
@@ -365,15 +341,15 @@ def _warn_of_mold(seen: Survey, file: str, table: Any, sheet_table: Any, *, move
         what = f"seen along the pressure ({seen.direction}), the mold does not face the sheet ({boxes})"
         warn_of(what, "move the mold (mold.translate)", key="mold", file=file)
     elif not seen.changes_sign and seen.overlap is not None and seen.bare is not None:
-        _warn_of_bare(seen, seen.overlap, seen.bare, file)
+        _warn_of_bare(seen, seen.overlap, *seen.bare, file)
 
 
-def _warn_of_bare(seen: Survey, overlap: float, bare: Spot, file: str) -> None:
+def _warn_of_bare(seen: Survey, overlap: float, radius: float, middle: Array, file: str) -> None:
     """Warns of sheet that the pressure would blow past the mold, or through it."""
-    if 1 - overlap < _BARE and bare.radius < _HOLE * seen.sheet.size:
+    if 1 - overlap < _BARE and radius < _HOLE * seen.sheet.size:
         return
     share = f"{100 * (1 - overlap):.2g} % of the sheet has no mold in front of it"
-    where = f"within {bare.radius:.2g} m of {format_place(bare.middle)} there is none"
+    where = f"within {radius:.2g} m of {format_place(middle)} there is none"
     remedy = (
         "cover the hole or extend the mold, make the sheet as large as the opening, or, of a half or a quarter of a "
         "mold, give parison.symmetry"

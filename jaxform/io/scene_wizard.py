@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxform.io import scene_choices
 from jaxform.io.scene_choices import Draft, UserChoices, round_digits
-from jaxform.io.unit_checks import Units, guess_units
+from jaxform.io.unit_checks import guess_units
 from jaxform.mesh import masks, meshes, outlines
 from jaxform.mesh.grids import triangle_side
 from jaxform.mesh.meshes import Mesh
@@ -50,20 +49,19 @@ def draft(paths: Sequence[Path], wishes: UserChoices | None = None) -> Draft:
     raw = parts[0] if len(parts) == 1 else meshes.merge(parts)
     extent = np.ptp(raw.positions[np.unique(raw.triangles)], axis=0)
     units = guess_units(extent, wishes.scale)
-    read = _WeldedMold(footprint.weld_mold(raw.positions * units.scale, raw.triangles), extent, units, wishes)
-    verdict = _verdict(read.mold, wishes)
+    mold = footprint.weld_mold(raw.positions * units.scale, raw.triangles)
+    verdict = _verdict(mold, wishes)
+    known: dict[str, Any] = {
+        "scale": units.scale,
+        "units": units,
+        "guessed": wishes.scale is None,
+        "size": extent,
+        "process": wishes.process,
+        "doubt": verdict.doubt,
+    }
     if verdict.drape:
-        return replace(_draft_buck(read), doubt=verdict.doubt)
-    return replace(_draft_cavity(read, verdict.rest), doubt=verdict.doubt)
-
-
-class _WeldedMold(NamedTuple):
-    """A mold, welded [m], its box in the units of the file, and its description."""
-
-    mold: Mesh
-    extent: Array
-    units: Units
-    wishes: UserChoices
+        return _draft_buck(mold, wishes, known)
+    return _draft_cavity(mold, verdict.rest, wishes, known)
 
 
 def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
@@ -75,43 +73,51 @@ def _verdict(mold: Mesh, wishes: UserChoices) -> kinds.Verdict:
     return kinds.classify(mold)
 
 
-def _draft_cavity(read: _WeldedMold, rest: MoldCompletion | None) -> Draft:
-    """A first scene in which a sheet is formed into a cavity."""
-    mold, wishes = read.mold, read.wishes
+def _draft_cavity(mold: Mesh, rest: MoldCompletion | None, wishes: UserChoices, known: dict[str, Any]) -> Draft:
+    """A first scene in which a sheet is formed into a cavity, by what is `known` already of its `Draft`."""
     if rest is not None:
         whole = meshes.merge([mold, rest.mesh])
         mold = footprint.weld_mold(whole.positions, whole.triangles)
     found = opening.find_opening(mold.positions, mold.triangles, male=False, direction=wishes.direction)
     planform = footprint.fit_planform(found, mold.positions, mold.triangles)
-    place = _place(found, planform)
-    area = abs(outlines.area(place.polygon))
-    width = _width(place.polygon, area)
-    pockets = _pockets(found)
-    pocket = min(pockets.half, 0.5 * width)
+    rotate, translate, polygon = _place(found, planform)
+    area = abs(outlines.area(polygon))
+    width = _width(polygon, area)
+    pocket, slit = _pockets(found)
+    pocket = min(pocket, 0.5 * width)
     return Draft(
-        **_sheet_in_place(read, found, planform, place),
+        **known,
+        rotate=rotate,
+        translate=translate,
+        polygon=polygon,
+        found=found,
+        planform=planform,
         rest=rest,
         covers=covers.cover(found, planform.polygon, mold),
         width=width,
         pocket=pocket,
-        slit=pockets.slit,
+        slit=slit,
         thickness=wishes.thickness or round_digits(_THICKNESS * width),
         element_size=_element_size(pocket, area, _ELEMENTS),
     )
 
 
-def _draft_buck(read: _WeldedMold) -> Draft:
-    """A first scene in which a sheet is draped over a buck."""
-    wishes = read.wishes
-    made = scene_choices.drape(read.mold, wishes.direction)
+def _draft_buck(mold: Mesh, wishes: UserChoices, known: dict[str, Any]) -> Draft:
+    """A first scene in which a sheet is draped over a buck, by what is `known` already of its `Draft`."""
+    made = scene_choices.drape(mold, wishes.direction)
     planform = made.site.planform
     area = abs(outlines.area(planform.polygon))
     width = _width(planform.polygon, area)
     thickness = wishes.thickness or round_digits(_THICKNESS * width)
     found = made.opening(thickness)
-    place = _place(found, planform)
+    rotate, translate, polygon = _place(found, planform)
     return Draft(
-        **_sheet_in_place(read, found, planform, place),
+        **known,
+        rotate=rotate,
+        translate=translate,
+        polygon=polygon,
+        found=found,
+        planform=planform,
         rest=None,
         covers=Covers(made.added, made.holes, 0.0),
         width=width,
@@ -129,30 +135,12 @@ def _element_size(pocket: float, area: float, elements: float) -> float:
     return round_digits(min(fine, triangle_side(area, elements)))
 
 
-class _Place(NamedTuple):
-    """The mold's rotation [degrees] and translation [m], and the sheet's polygon (k, 2) [m] where it then is."""
+def _place(found: Opening, planform: Planform) -> tuple[Array, Array, Array]:
+    """Placement of the mold that puts the sheet in the plane of zero height.
 
-    rotate: Array
-    translate: Array
-    polygon: Array
-
-
-def _sheet_in_place(read: _WeldedMold, found: Opening, planform: Planform, place: _Place) -> dict[str, Any]:
-    """The fields of a `Draft` that a cavity and a buck have in common."""
-    return {
-        **place._asdict(),
-        "scale": read.units.scale,
-        "units": read.units,
-        "guessed": read.wishes.scale is None,
-        "size": read.extent,
-        "found": found,
-        "planform": planform,
-        "process": read.wishes.process,
-    }
-
-
-def _place(found: Opening, planform: Planform) -> _Place:
-    """Placement of the mold that puts the sheet in the plane of zero height."""
+    Returns:
+        The mold's rotation [degrees] and translation [m], (3,) each, and the sheet's polygon (k, 2) [m] there.
+    """
     shape = planform.shape
     axes = shape.axes if isinstance(shape, OrientedRectangle) else np.eye(2)
     turn = np.eye(3)
@@ -168,7 +156,7 @@ def _place(found: Opening, planform: Planform) -> _Place:
         origin = 0.5 * (shape.min(0) + shape.max(0))
     at = exact @ found.view.turn.T @ np.append(origin, found.level)
     polygon = (planform.polygon - origin) @ axes.T
-    return _Place(rotate, np.round(-at, 9) + 0.0, polygon)
+    return rotate, np.round(-at, 9) + 0.0, polygon
 
 
 def _width(polygon: Array, area: float) -> float:
@@ -177,15 +165,11 @@ def _width(polygon: Array, area: float) -> float:
     return float(min(sides.min(), area / sides.max() * 1.2))
 
 
-class _Pockets(NamedTuple):
-    """Half the widths [m] of the narrowest pockets, and of the widest slits, None where there are none."""
+def _pockets(found: Opening) -> tuple[float, float | None]:
+    """Half the widths [m] of the narrowest pockets, and of the widest slits, None where there are none.
 
-    half: float
-    slit: float | None
-
-
-def _pockets(found: Opening) -> _Pockets:
-    """At the clamp plane and half way down."""
+    They are measured at the clamp plane and half way down.
+    """
     view = found.view
     halves, slits = [0.5 * view.pixel * min(view.inside.shape)], []
     for share in () if found.male else (0.0, 0.5):
@@ -201,4 +185,4 @@ def _pockets(found: Opening) -> _Pockets:
         slit = (bottom - level > _SLIT * wide) & (area < _SLIT_AREA * found.cavity.sum())
         halves += wide[smallest][seen & ~slit[smallest]].tolist()
         slits += wide[smallest][seen & slit[smallest]].tolist()
-    return _Pockets(min(halves), max(slits, default=None))
+    return min(halves), max(slits, default=None)

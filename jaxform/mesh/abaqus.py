@@ -53,22 +53,13 @@ class _Scope:
 
 
 @dataclass
-class _Instance:
-    """A part in the assembly: its name, what moves it, and what the instance itself has."""
-
-    part: str
-    scope: _Scope = field(default_factory=_Scope)
-    numbers: list[list[float]] = field(default_factory=list)
-
-
-@dataclass
 class _Model:
-    """All that was read."""
+    """All that was read; of each instance the name of its part, its own nodes and faces, and what moves it."""
 
     top: _Scope = field(default_factory=_Scope)
     assembly: _Scope = field(default_factory=_Scope)
     parts: dict[str, _Scope] = field(default_factory=dict)
-    instances: list[_Instance] = field(default_factory=list)
+    instances: list[tuple[str, _Scope, list[list[float]]]] = field(default_factory=list)
 
 
 def read_inp(content: bytes, name: str) -> Faces:
@@ -129,16 +120,14 @@ def _split(line: str) -> tuple[str, dict[str, str]]:
 
 def _model(content: bytes) -> _Model:
     model = _Model()
-    scope, instance = model.top, None
+    scope = model.top
     for word, options, data in _keywords(content):
         _check_plain(word, options)
         if word == "PART":
             scope = model.parts.setdefault(options.get("NAME", "").upper(), _Scope())
         elif word == "INSTANCE":
-            instance = _Instance(options.get("PART", "").upper())
-            instance.numbers = [_numbers(row) for row in data]
-            model.instances.append(instance)
-            scope = instance.scope
+            scope = _Scope()
+            model.instances.append((options.get("PART", "").upper(), scope, [_numbers(row) for row in data]))
         elif word in ("ASSEMBLY", "END INSTANCE"):
             scope = model.assembly
         elif word in ("END PART", "END ASSEMBLY"):
@@ -198,27 +187,25 @@ def _assemble_instances(model: _Model) -> list[_Scope]:
     if not model.instances:
         return list(model.parts.values())
     scopes = []
-    for instance in model.instances:
-        part = model.parts.get(instance.part)
-        if part is None and not instance.scope.nodes:
-            raise InputError(f"has an instance of part {instance.part!r}, which does not exist", "export it again")
+    for name, own, numbers in model.instances:
+        part = model.parts.get(name)
+        if part is None and not own.nodes:
+            raise InputError(f"has an instance of part {name!r}, which does not exist", "export it again")
         part = part or _Scope()
-        scope = _Scope(part.nodes | instance.scope.nodes, part.faces + instance.scope.faces, part.solid, part.curved)
-        scopes.append(_transform(scope, instance))
+        scope = _Scope(part.nodes | own.nodes, part.faces + own.faces, part.solid, part.curved)
+        scopes.append(_transform(scope, name, numbers))
     return scopes
 
 
-def _transform(scope: _Scope, instance: _Instance) -> _Scope:
-    """A scope with its nodes translated, then turned about an axis, as an instance says."""
-    if not instance.numbers or not scope.nodes:
+def _transform(scope: _Scope, name: str, numbers: list[list[float]]) -> _Scope:
+    """A scope with its nodes translated, then turned about an axis, as the numbers of an instance of a part say."""
+    if not numbers or not scope.nodes:
         return scope
     places = np.array(list(scope.nodes.values()))
-    shift = (*instance.numbers[0], 0.0, 0.0, 0.0)[:3] if len(instance.numbers[0]) <= 3 else None
-    turns = [row for row in instance.numbers if len(row) == _PLACED]
-    if shift is None or len(instance.numbers) != 1 + len(turns) or len(turns) > 1:
-        raise InputError(
-            f"has an instance of part {instance.part!r} whose position is not understood", "export it again"
-        )
+    shift = (*numbers[0], 0.0, 0.0, 0.0)[:3] if len(numbers[0]) <= 3 else None
+    turns = [row for row in numbers if len(row) == _PLACED]
+    if shift is None or len(numbers) != 1 + len(turns) or len(turns) > 1:
+        raise InputError(f"has an instance of part {name!r} whose position is not understood", "export it again")
     places = places + np.array(shift)
     for row in turns:
         places = _rotate(places, np.array(row[:3]), np.array(row[3:6]), row[6])

@@ -23,36 +23,13 @@ class Hits(NamedTuple):
     Attributes:
         triangle: Numbers (n,).
         pixel: Numbers (n,).
-        rows: The parts of triangles in single rows of pixels, from which the pairs were made.
+        interpolate: Function of values at the corners of all triangles (n_triangle, 3) that returns those at the
+            pixels' middles (n,), linear in between.
     """
 
     triangle: Index
     pixel: Index
-    rows: PixelRows
-
-    def interpolate(self, values: Array) -> Array:
-        """Values of triangles at their corners (n_triangle, 3) at the pixels' middles (n,), linear in between."""
-        rows, (one, two, three) = self.rows, values[self.rows.triangle].T
-        first, rise = (a * one + b * two + c * three for a, b, c in (rows.first, rows.rise))
-        return _repeat(first, rows.columns) + _repeat(rise, rows.columns) * rows.along
-
-
-class PixelRows(NamedTuple):
-    """The parts of triangles in single rows of pixels.
-
-    Attributes:
-        triangle: The triangle of each part (k,).
-        first: Weights (k,) of the triangle's three corners in the part's first pixel.
-        rise: Increments of these weights from pixel to pixel.
-        columns: Number of pixels of each part (k,).
-        along: Index of each pair in its row (n,), from 0.
-    """
-
-    triangle: Index
-    first: list[Array]
-    rise: list[Array]
-    columns: Index
-    along: Array
+    interpolate: Callable[[Array], Array]
 
 
 def rasterize(corners: Array, width: int, height: int) -> Iterator[Hits]:
@@ -101,8 +78,14 @@ def _rasterize_rows(part: Index, corners: Array, turned: Array, low: Array, high
     along, triangle = positions_in_rows(columns), _repeat(part, rows)
     pixel = _repeat((first + y * width).astype(np.int64), columns) + along
     two, three = (begin + slope * (first + 0.5) for begin, slope in zip(begins[1:], slopes[1:], strict=True))
-    weights, rise = [1.0 - two - three, two, three], [-slopes[1] - slopes[2], *slopes[1:]]
-    return Hits(_repeat(triangle, columns), pixel, PixelRows(triangle, weights, rise, columns, along.astype(float)))
+    weights, rises = [1.0 - two - three, two, three], [-slopes[1] - slopes[2], *slopes[1:]]
+
+    def interpolate(values: Array) -> Array:
+        one, two, three = values[triangle].T
+        start, rise = (a * one + b * two + c * three for a, b, c in (weights, rises))
+        return _repeat(start, columns) + _repeat(rise, columns) * along.astype(float)
+
+    return Hits(_repeat(triangle, columns), pixel, interpolate)
 
 
 def _repeat(values: NDArray[Any], counts: Index) -> Any:

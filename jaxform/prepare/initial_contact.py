@@ -7,8 +7,6 @@ On the host.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +27,9 @@ _FACING = 0.1  # cosine between the sheet's normal and a triangle's, below which
 _CHUNK = 2_000_000  # pairs of node and triangle processed together
 
 
-class InitialContact(NamedTuple):
-    """The initial contact of a sheet with the mold.
-
-    Signed triangle numbers (n_node,) as `State.wall`, 0 where a node is not in contact; and the nodes' positions
-    (n_node, 3) [m], on the mold for those in contact.
-    """
-
-    wall: NDArray[np.int32]
-    positions: Array
-
-
 def find_initial_contact(
     parison: Parison, triangles: NDArray[np.integer], pushes: np.ndarray, mold: Mold, grid: SearchGrid
-) -> InitialContact:
+) -> tuple[NDArray[np.int32], Array]:
     """Finds the nodes in contact with the mold, to a hundredth of the sheet's thickness.
 
     Args:
@@ -51,6 +38,10 @@ def find_initial_contact(
         pushes: Pressures; the sign of the first that is not 0 is the direction of the push.
         mold: The mold.
         grid: Its search structure.
+
+    Returns:
+        Signed triangle numbers (n_node,) as `State.wall`, 0 where a node is not in contact; and the nodes' positions
+        (n_node, 3) [m], on the mold for those in contact.
     """
     positions = np.asarray(parison.positions, float)
     node, triangle, gap = _contact_pairs(positions, tolerance(parison, grid), grid)
@@ -72,7 +63,7 @@ def find_initial_contact(
     # What is on the mold to rounding stays where it is.
     last = last[gap[last] > np.finfo(float).eps * float(grid.size)]
     moved[node[last]] = nearest_places(positions[node[last]], corners[triangle[last]])
-    return InitialContact(wall, np.where(np.asarray(parison.fixed), positions, moved))
+    return wall, np.where(np.asarray(parison.fixed), positions, moved)
 
 
 def tolerance(parison: Parison, grid: SearchGrid) -> float:

@@ -236,16 +236,16 @@ def _place_on_mold(
     parison: Parison, triangles: np.ndarray, pushes: np.ndarray, mold: Mold, grid: SearchGrid
 ) -> tuple[Parison, jax.Array | None]:
     """The parison with its nodes in contact exactly on the mold; and the initial contact (n_node,), None if none."""
-    found = initial_contact.find_initial_contact(parison, triangles, pushes, mold, grid)
-    if not np.any(found.wall):
+    wall, positions = initial_contact.find_initial_contact(parison, triangles, pushes, mold, grid)
+    if not np.any(wall):
         return parison, None
-    if len(bad := _degenerate(found.positions, triangles)):
+    if len(bad := _degenerate(positions, triangles)):
         raise InputError(
             f"the parison cannot be projected onto it: {len(bad)} of its triangles would be degenerate",
             "compare the sizes of mold and parison (`jaxform check`, mold.scale)",
             "mold",
         )
-    return dataclasses.replace(parison, positions=as_real(found.positions)), as_index(found.wall)
+    return dataclasses.replace(parison, positions=as_real(positions)), as_index(wall)
 
 
 def _reference_sheet(parison: Parison, pressure: Loading) -> ReferenceGeometry:

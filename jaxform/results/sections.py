@@ -17,18 +17,23 @@ Array = NDArray[np.float64]
 
 
 class SectionCurve(NamedTuple):
-    """Thickness [m] over arc length [m] in the formed part, (n,) each, and the name of the curve.
+    """Thickness of the wall along a curve in the formed part.
 
-    Where it was to run through a place, `marked` is the arc length there. Where its points are in the formed part,
-    `place` says (n, 3) [m]. `own` is a mask (n,) of the points in the part that was asked for; None for all.
+    Attributes:
+        place: Points (n, 3) [m] in the formed part, in order.
+        thickness: Thickness there (n,) [m].
+        arc: Arc length (n,) [m] in the formed part.
+        own: Mask (n,) of the points in the part that was asked for; None for all.
+        label: Name of the curve.
+        marked: Arc length [m] at the place through which it was to run; None where there is none.
     """
 
-    arc: Array
-    thickness: Array
-    label: str
     place: Array
-    marked: float | None = None
+    thickness: Array
+    arc: Array
     own: NDArray[np.bool_] | None = None
+    label: str = ""
+    marked: float | None = None
 
     @property
     def part_thickness(self) -> Array:
@@ -64,9 +69,7 @@ def meridian_arc(scene: Scene, result: Result) -> Array:
     if len(on_axis) < 2:
         on_axis = np.arange(len(start))
     order = on_axis[np.argsort(radius[on_axis])]
-    path = np.asarray(result.positions, float)[order]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    return np.interp(radius, radius[order], arc)
+    return np.interp(radius, radius[order], arc_length(np.asarray(result.positions, float)[order]))
 
 
 def curves(
@@ -91,7 +94,7 @@ def curves(
             marked = float(np.interp(np.hypot(*np.asarray(through)[:2]), radius[outwards], arc[outwards]))
         wall, place = np.asarray(result.thickness, float)[order], np.asarray(result.positions, float)[order]
         own = None if part is None else _nodes_of(scene, part)[order]
-        return [SectionCurve(arc[order], wall, "all nodes", place, marked, own)]
+        return [SectionCurve(place, wall, arc[order], own, "all nodes", marked)]
     # Across the two longest sides of its box: along the third a sheet has next to no extent.
     longest = np.argsort(-np.ptp(start, axis=0), kind="stable")[:2]
     found = []
@@ -100,25 +103,20 @@ def curves(
         name = f"section {'xyz'[axis]} = {1e3 * level:.4g} mm of the initial sheet"
         pieces = cuts(scene, result, axis, level, part=part)
         if through is None:
-            found += [_curve_of(piece, name) for piece in pieces[:1]]
+            found += [piece._replace(label=name) for piece in pieces[:1]]
         elif pieces:
-            found.append(_nearest(pieces, scene, result, np.asarray(through), name))
+            found.append(_nearest(pieces, scene, result, np.asarray(through))._replace(label=name))
     return found
 
 
-def _nearest(pieces: list[Cut], scene: Scene, result: Result, through: Array, name: str) -> SectionCurve:
+def _nearest(pieces: list[SectionCurve], scene: Scene, result: Result, through: Array) -> SectionCurve:
     """The piece of a section that passes nearest to a place [m] in the initial sheet."""
     corners = np.asarray(scene.parison.positions, float)[np.asarray(scene.parison.triangles)]
     element = int(np.argmin(np.linalg.norm(corners.mean(1) - through, axis=1)))
     place = np.asarray(result.positions, float)[np.asarray(scene.parison.triangles)[element]].mean(0)
     away = [np.linalg.norm(piece.place - place, axis=1) for piece in pieces]
     best = int(np.argmin([distance.min() for distance in away]))
-    curve = _curve_of(pieces[best], name)
-    return curve._replace(marked=float(curve.arc[np.argmin(away[best])]))
-
-
-def _curve_of(piece: Cut, name: str) -> SectionCurve:
-    return SectionCurve(piece.arc, piece.thickness, name, piece.place, own=piece.own)
+    return pieces[best]._replace(marked=float(pieces[best].arc[np.argmin(away[best])]))
 
 
 def _nodes_of(scene: Scene, part: ArrayLike) -> NDArray[np.bool_]:
@@ -143,20 +141,9 @@ def _middle(scene: Scene, axis: int) -> float:
     return float(0.5 * (along.min() + along.max()))
 
 
-class Cut(NamedTuple):
-    """Cut of a part by a plane: places (n, 3) [m] in the formed part and thickness [m] there (n,), in order.
-
-    `own` is a mask (n,) of those in the part that was asked for; None for all.
-    """
-
-    place: Array
-    thickness: Array
-    own: NDArray[np.bool_] | None = None
-
-    @property
-    def arc(self) -> Array:
-        """Arc length [m] in the formed part from the first place (n,)."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.place, axis=0), axis=1))])
+def arc_length(places: Array) -> Array:
+    """Arc length (n,) [m] of a line through places (n, 3) [m], from the first one."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
 
 
 def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple[Array, Array]]:
@@ -170,7 +157,7 @@ def section(scene: Scene, result: Result, axis: int, level: float) -> list[tuple
 
 def cuts(
     scene: Scene, result: Result, axis: int, level: float, *, formed: bool = False, part: ArrayLike | None = None
-) -> list[Cut]:
+) -> list[SectionCurve]:
     """Cut of the initial sheet, or of the formed part itself, by the plane at `level` [m] across an axis.
 
     Args:
@@ -200,7 +187,8 @@ def cuts(
     value = wall[edge[:, 0]] + share * (wall[edge[:, 1]] - wall[edge[:, 0]])
     own = None if part is None else _nodes_of(scene, part)[edge].all(1)
     pieces = [
-        Cut(place[path], value[path], None if own is None else own[path]) for path in _chains(index.reshape(-1, 2))
+        SectionCurve(place[path], value[path], arc_length(place[path]), None if own is None else own[path])
+        for path in _chains(index.reshape(-1, 2))
     ]
     return sorted(pieces, key=lambda piece: -piece.arc[-1])
 

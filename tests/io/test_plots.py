@@ -179,7 +179,7 @@ def test_of_a_part_the_diagram_draws_what_is_in_it_and_the_rest_faintly(name: st
     changes = {"positions": jnp.asarray(formed), "thickness": jnp.asarray(wall)}
     result = dataclasses.replace(result, **changes)
     picture = plots.part_picture(dataclasses.replace(scene, part=jaxform.make_part(trim=("z", 1e-9, "below"))), result)
-    faint, drawn = picture.diagram.lines[:2]
+    faint, drawn = picture.lines[:2]
     assert faint.style["label"] == "cut off the part" and faint.style["color"] != drawn.style["color"]
     shown = np.isfinite(drawn.up)
     np.testing.assert_array_equal(faint.across, drawn.across)
@@ -188,7 +188,7 @@ def test_of_a_part_the_diagram_draws_what_is_in_it_and_the_rest_faintly(name: st
     middle = np.median(faint.across) if name == "rectangle" else 0.0
     reach = np.abs(faint.across - middle)
     assert shown[reach < 400].all() and not shown[reach > 800].any() and 0.2 < shown.mean() < 0.9
-    whole = plots.part_picture(scene, result).diagram.lines
+    whole = plots.part_picture(scene, result).lines
     assert np.isfinite(whole[0].up).all() and all(line.style["label"] != "cut off the part" for line in whole)
 
 

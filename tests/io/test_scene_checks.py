@@ -173,11 +173,13 @@ def test_a_hole_in_the_mold_is_told_with_its_place(hole: float) -> None:
         mold=jaxform.make_mold(corners, walls),
     )
     bare = survey(scene).bare
-    assert bare is not None and bare.radius == pytest.approx(hole, abs=0.006)
+    assert bare is not None
+    radius, middle = bare
+    assert radius == pytest.approx(hole, abs=0.006)
     if hole < 0.1:
         warn_of_scene(scene)
         return
-    np.testing.assert_allclose(bare.middle, [0.2, 0.1, 0.0], atol=0.01)
+    np.testing.assert_allclose(middle, [0.2, 0.1, 0.0], atol=0.01)
     with pytest.warns(
         jaxform.InputWarning, match=r"4\S* % of the sheet has no mold in front of it.*within 0\.09\d m of"
     ):

@@ -138,7 +138,7 @@ def test_neither_long_nor_high_handles_nor_the_end_of_a_lip_are_covered_or_count
 def test_a_bottle_is_refused_with_what_to_do_instead(degrees):
     shape = mold("hollow bottle", degrees, fine=1.0)
     with pytest.raises(
-        InputError, match=r"is a bottle: its hollow is about .. mm wide behind a neck of.*--drape --direction=\+[xyz] "
+        InputError, match=r"is a bottle: its cavity is about .. mm wide behind a neck of.*--drape --direction=\+[xyz] "
     ):
         patches.refuse_bottles(shape)
     found = patches.widest_chamber(shape)
