@@ -11,9 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import InputError, Result, Scene
-from jaxform.mesh import topology
-from jaxform.model.replacement import number_at
-from jaxform.results.part import mask_part
+from jaxform.extend import boundary_nodes, mask_part, number_at
 from optimize.designs import KEPT, Point, Study
 from optimize.objectives import LeastMass, Objective, Target, Weighted
 from optimize.sheets import ThicknessField, ThicknessProfile
@@ -160,7 +158,7 @@ def _spans_flat_rim(scene: Scene) -> bool:
     positions = np.asarray(scene.parison.positions, float)
     centred = positions - positions.mean(0)
     spread = np.linalg.svd(centred.T @ centred, compute_uv=False)
-    rim = topology.boundary_nodes(np.asarray(scene.parison.triangles))
+    rim = boundary_nodes(np.asarray(scene.parison.triangles))
     held = np.asarray(scene.parison.clamped) | np.asarray(scene.parison.fixed).any(1)
     return bool(spread[2] <= _FLAT * spread[0] and rim.size and held[rim].all())
 

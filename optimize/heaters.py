@@ -13,7 +13,7 @@ from scipy import optimize
 
 import jaxform
 from jaxform import InputError, Scene
-from jaxform.model.replacement import number_at
+from jaxform.extend import number_at
 from optimize.sheets import first_positions, images, spread_to_forest
 from optimize.variables import Bounds, apply_bounds, check_bounds, full_reach, invert_bounds
 

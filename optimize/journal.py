@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from jaxform import InputError
-from jaxform.core.disk import atomic_path, write_error
+from jaxform.scene_files import atomic_path, write_error
 
 Answer = dict[str, Any]
 

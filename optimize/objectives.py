@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxform import InputError, Result, Scene, simulate
-from jaxform.mesh.profiles import Profile
+from jaxform import InputError, Profile, Result, Scene, simulate
 from optimize.wall_statistics import formed_area, nodal_area, nodal_volume
 
 

@@ -19,8 +19,7 @@ import numpy as np
 
 import jaxform
 from jaxform import Result, Scene
-from jaxform.core.compilation import compile_function
-from jaxform.results.part import mask_part
+from jaxform.extend import compile_function, mask_part
 from optimize import progress_messages
 from optimize.designs import COLUMNS, Limits, Point, Study
 from optimize.gradients import gradient_error, slope_within

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Result
-from jaxform.results.summary import SLOW_ENOUGH
+from jaxform.extend import QUASI_STATIC_LIMIT
 from optimize.designs import Point
 from optimize.pressures import PressureKnots
 from optimize.search import Search
@@ -35,7 +35,7 @@ def warn_of_insensitive_variables(search: Search, point: Point, first: Result, w
     size = max(abs(point.value), abs(point.objective))
     if not np.all(np.isfinite(point.gradient)) or not 0.0 < size < np.inf:
         return
-    slow = float(first.energy.quasi_static_error) <= SLOW_ENOUGH
+    slow = float(first.energy.quasi_static_error) <= QUASI_STATIC_LIMIT
     begin, found = 0, []
     for index, (variable, own) in enumerate(search.parts(point.free)):
         gradient = point.gradient[begin : begin + own.size]
@@ -72,7 +72,7 @@ def _sentence(index: int, variable: Variable, change: float, first: Result, ever
         what = f"this search can hardly improve the design: {what}"
     error = float(first.energy.quasi_static_error)
     remedy = "widen its bounds, or choose another variable"
-    if not isinstance(variable, SheetVariable) and error <= SLOW_ENOUGH:
+    if not isinstance(variable, SheetVariable) and error <= QUASI_STATIC_LIMIT:
         remedy = (
             f"the process is slow (energy.quasi_static_error is {100 * error:.2g} %), and the wall of a slow process "
             "depends on neither pressure nor stiffness nor density: design the sheet's thickness (thickness-profile), "

@@ -10,10 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import interpolate, optimize
 
-from jaxform import InputError, Scene
-from jaxform.mesh import bisection
-from jaxform.mesh.profiles import Profile
-from jaxform.results import sections
+from jaxform import InputError, Profile, Scene
+from jaxform.extend import extend_values, symmetry_planes
 from optimize.variables import (
     Bounds,
     apply_log_bounds,
@@ -230,7 +228,7 @@ def _spaced_nodes(positions: Array, smoothness: float) -> Array:
 def images(scene: Scene, points: Array) -> list[Array]:
     """Points (n, 3) [m] and their images in the scene's symmetry planes."""
     images = [points]
-    for axis, level in sections.symmetry_planes(scene).items():
+    for axis, level in symmetry_planes(scene).items():
         flip = np.where(np.arange(3) == axis, -1.0, 1.0)
         images += [image * flip + 2 * level * (np.arange(3) == axis) for image in images]
     return images
@@ -244,4 +242,4 @@ def first_positions(scene: Scene) -> Array:
 def spread_to_forest(scene: Scene, weights: Array) -> Array:
     """Weights at the mesh's nodes (n, k), extended to all nodes that refinement may insert (n_node, k)."""
     forest = scene.tables.forest
-    return weights if forest is None else bisection.extend_values(weights, np.asarray(forest.ends).T, forest.depth)
+    return weights if forest is None else extend_values(weights, np.asarray(forest.ends).T, forest.depth)

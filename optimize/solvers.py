@@ -13,7 +13,7 @@ import numpy as np
 
 import jaxform
 from jaxform import InputError, Result, Scene
-from jaxform.results.part import part_elements
+from jaxform.extend import part_elements
 from optimize import feasibility, sensitivity_check
 from optimize.descent import adam, lbfgs
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Point, Study

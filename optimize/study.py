@@ -13,14 +13,19 @@ import jax
 import numpy as np
 
 import jaxform
-from jaxform import Scene
-from jaxform.core.disk import atomic_path
-from jaxform.core.errors import InputError
-from jaxform.core.store import Store
-from jaxform.io import files, geometry, schema
-from jaxform.mesh import meshes
-from jaxform.mesh.profiles import Profile
-from jaxform.results.result import drop_unused
+from jaxform import InputError, Profile, Scene
+from jaxform.extend import Store, drop_unused
+from jaxform.scene_files import (
+    Mesh,
+    StudyDocument,
+    atomic_path,
+    build,
+    nodal_field,
+    read_scene,
+    read_study,
+    schema,
+    transfer_values,
+)
 from optimize.designs import COLUMNS, LIMIT_COLUMNS, Study
 from optimize.heaters import HeaterZones
 from optimize.objectives import FormingTime, KineticEnergy, LeastMass, Objective, Target, Uniform, Weighted
@@ -42,10 +47,10 @@ def load_study(name_or_path: str | Path, store: Store | None = None) -> Study:
     Raises:
         InputError: There is no such study or scene, or something in one of them is wrong.
     """
-    return build_study(files.read_study(name_or_path), store)
+    return build_study(read_study(name_or_path), store)
 
 
-def build_study(document: files.StudyDocument, store: Store | None = None) -> Study:
+def build_study(document: StudyDocument, store: Store | None = None) -> Study:
     """The study of a document, with its scene.
 
     Args:
@@ -55,7 +60,7 @@ def build_study(document: files.StudyDocument, store: Store | None = None) -> St
     Raises:
         InputError: Something in the study or its scene does not fit.
     """
-    scene = files.build(document.scene, store)
+    scene = build(document.scene, store)
     solver = document.model.solver
     options = {name: value for name, value in solver.model_dump().items() if value is not None}
     try:
@@ -72,7 +77,7 @@ def build_study(document: files.StudyDocument, store: Store | None = None) -> St
         raise error.with_context(file=document.file) from None
 
 
-def _digest(document: files.StudyDocument, scene: Scene) -> str:
+def _digest(document: StudyDocument, scene: Scene) -> str:
     """Hash of all that determines a search except its length, so that one that has ended can be continued."""
     data = {key: value for key, value in document.data.items() if key not in ("description", "sweep")}
     data["solver"] = {key: value for key, value in data["solver"].items() if key not in _HOW_LONG}
@@ -95,7 +100,7 @@ def _variable(table: schema.Variable, scene: Scene) -> Variable:
     return (Scale if isinstance(table, schema.ScaleTable) else ThicknessProfile)(scene, **options)
 
 
-def _objectives(document: files.StudyDocument, scene: Scene) -> Objective:
+def _objectives(document: StudyDocument, scene: Scene) -> Objective:
     tables = document.model.objective
     if not isinstance(tables, list):
         tables = [tables]
@@ -103,7 +108,7 @@ def _objectives(document: files.StudyDocument, scene: Scene) -> Objective:
     return parts[0][1] if len(parts) == 1 else Weighted(parts)
 
 
-def _objective(table: schema.ObjectiveTable, document: files.StudyDocument, scene: Scene) -> Objective:
+def _objective(table: schema.ObjectiveTable, document: StudyDocument, scene: Scene) -> Objective:
     if isinstance(table, schema.LeastMassTable):
         return LeastMass(scene, table.minimum)
     if isinstance(table, schema.FormingTimeTable):
@@ -113,7 +118,7 @@ def _objective(table: schema.ObjectiveTable, document: files.StudyDocument, scen
     return Uniform() if isinstance(table, schema.UniformTable) else KineticEnergy()
 
 
-def _target(table: schema.TargetTable, document: files.StudyDocument, scene: Scene) -> Target:
+def _target(table: schema.TargetTable, document: StudyDocument, scene: Scene) -> Target:
     wanted, key = table.thickness, "objective.thickness"
     if isinstance(wanted, schema.TargetProfile):
         initial = wanted.along.startswith("initial-")
@@ -123,17 +128,17 @@ def _target(table: schema.TargetTable, document: files.StudyDocument, scene: Sce
     if isinstance(wanted, schema.FieldReference):
         path = document.folder / wanted.file
         positions = np.asarray(scene.parison.positions, float)
-        return Target(scene, geometry.nodal_field(path, wanted.field, positions, key), limit=table.limit)
+        return Target(scene, nodal_field(path, wanted.field, positions, key), limit=table.limit)
     if isinstance(wanted, schema.SceneReference):
         return Target(scene, _wall_of(wanted.scene, document, scene), limit=table.limit)
     return Target(scene, wanted, limit=table.limit)
 
 
-def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarray:
+def _wall_of(name: str, document: StudyDocument, scene: Scene) -> np.ndarray:
     """The wall (n_node,) [m] that another scene makes, at the initial places of this one's nodes."""
     key = "objective.thickness.scene"
     try:
-        other = files.build(files.read_scene(name, document.folder))
+        other = build(read_scene(name, document.folder))
     except InputError as error:
         raise error.with_context(key=key) from None
     result = formed_part(other)
@@ -143,9 +148,7 @@ def _wall_of(name: str, document: files.StudyDocument, scene: Scene) -> np.ndarr
     places, triangles = np.asarray(other.parison.positions, float), np.asarray(result.triangles)
     try:
         wall = np.asarray(result.thickness, float)
-        return geometry.transfer_values(
-            meshes.Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float)
-        )
+        return transfer_values(Mesh(places, triangles, {}), wall, np.asarray(scene.parison.positions, float))
     except InputError as error:
         raise error.with_context(key=key) from None
 

@@ -17,7 +17,7 @@ import numpy as np
 
 import jaxform
 from jaxform import InputError, Scene
-from jaxform.model.replacement import number_at
+from jaxform.extend import number_at
 
 Bounds = tuple[float, float]
 

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 
 import jaxform
 from jaxform import Result, Scene
-from jaxform.mechanics import membrane
 
 
 def formed_area(result: Result) -> jax.Array:
@@ -29,7 +28,8 @@ def nodal_volume(result: Result) -> jax.Array:
 
 
 def _to_nodes(result: Result, values: jax.Array) -> jax.Array:
-    return membrane.sum_to_nodes(values / 3.0, result.triangles.T, result.thickness.size)
+    shares = jnp.tile(values / 3.0, 3)
+    return jnp.zeros(result.thickness.size, values.dtype).at[result.triangles.T.ravel()].add(shares)
 
 
 class WallStatistics(NamedTuple):

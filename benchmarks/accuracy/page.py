@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.pages import Found, days, save
-from jaxform.results.summary import SLOW_ENOUGH
+from jaxform.results.summary import QUASI_STATIC_LIMIT
 
 
 def write(found: Found, folder: Path) -> None:
@@ -230,8 +230,8 @@ def _slow(found: Found, folder: Path) -> str:
     ratio = np.array([row["quasi_static_error"] / row["error"] for row in seen])
     seen_by = {name: [row for row in part["rows"] if row in seen] for name, part in found.items()}
     low, middle, high = np.percentile(ratio, [5, 50, 95])
-    off = [row for row in rows if row["error"] > 2 * SLOW_ENOUGH]
-    fine = [row for row in rows if row["error"] < 0.5 * SLOW_ENOUGH]
+    off = [row for row in rows if row["error"] > 2 * QUASI_STATIC_LIMIT]
+    fine = [row for row in rows if row["error"] < 0.5 * QUASI_STATIC_LIMIT]
     lines = [
         "## How slow is slow enough\n",
         "Done slowly, the wall depends on neither pressure nor stiffness. How far it is from the slow one, on the same "
@@ -247,10 +247,10 @@ def _slow(found: Found, folder: Path) -> str:
         f"By scene, in the middle: {_middles(seen_by)}. For a shallow part the prediction is too high.\n"
         if len(seen_by) > 2
         else "",
-        f"With `quasi_static = true` in [solver] a run that predicts more than {100 * SLOW_ENOUGH:.2g} % says so, "
-        f"with what to do. Of the {len(off)} runs that are off by more than {200 * SLOW_ENOUGH:.2g} % it warns of "
-        f"{_warning_count(off)}, and of {_warning_count(fine)} of the {len(fine)} that are off by less than "
-        f"{50 * SLOW_ENOUGH:.2g} %. The kinetic energy that "
+        f"With `quasi_static = true` in [solver] a run that predicts more than {100 * QUASI_STATIC_LIMIT:.2g} % says "
+        f"so, with what to do. Of the {len(off)} runs that are off by more than {200 * QUASI_STATIC_LIMIT:.2g} % it "
+        f"warns of {_warning_count(off)}, and of {_warning_count(fine)} of the {len(fine)} that are off by less than "
+        f"{50 * QUASI_STATIC_LIMIT:.2g} %. The kinetic energy that "
         "is left at the end, or with which the sheet hits the mold, predicts worse: "
         f"the latter is off by a factor of {_spread(seen, 'hit'):.0f} either way in nine out of ten, the peak alone by "
         f"{_spread(seen, 'kinetic'):.1f}, the sum above by {_spread(seen, 'quasi_static_error'):.1f}.\n",
@@ -276,7 +276,7 @@ def _middles(rows: dict[str, list[Found]]) -> str:
 
 
 def _warning_count(rows: list[Found]) -> int:
-    return sum(row["quasi_static_error"] > SLOW_ENOUGH for row in rows)
+    return sum(row["quasi_static_error"] > QUASI_STATIC_LIMIT for row in rows)
 
 
 def _spread(rows: list[Found], key: str) -> float:
@@ -296,7 +296,7 @@ def _draw_quasi_static_error(found: Found, path: Path) -> None:
     line = np.array([0.01, 100.0])
     axes.plot(line, line, "k-", linewidth=1)
     axes.fill_between(line, line / 3, 3 * line, color="k", alpha=0.07, linewidth=0, label="within a factor of 3")
-    axes.axvline(100 * SLOW_ENOUGH, color="C3", linestyle="--", linewidth=1.2, label="warned of from here")
+    axes.axvline(100 * QUASI_STATIC_LIMIT, color="C3", linestyle="--", linewidth=1.2, label="warned of from here")
     axes.set(xscale="log", yscale="log", xlim=(0.01, 100), ylim=(0.01, 300))
     axes.set(xlabel="predicted by the energies [%]", ylabel="deviation from the slow wall, rms [%]")
     for axis in (axes.xaxis, axes.yaxis):

@@ -18,7 +18,7 @@ from jaxform.model import mesh_connectivity
 from jaxform.model.scene import Scene
 from jaxform.model.tables import SHORT_WINDOW
 from jaxform.prepare import window_budget
-from jaxform.results.summary import SLOW_ENOUGH
+from jaxform.results.summary import QUASI_STATIC_LIMIT
 from jaxform.runs.loop import is_compiled
 
 # Measured on one core of a 2-core machine (docs/speed.md says more): of an element and of a step by itself, and what a
@@ -176,7 +176,7 @@ def _run_lines(scene: Scene, store: Store) -> Iterator[str]:
         wait = _SECONDS_TO_COMPILE[scene.refinement is not None]
         yield f"compiles first, for about {wait} s: no scene of this kind and size was run on this machine before"
     if scene.solver.quasi_static:
-        most = f"{100 * SLOW_ENOUGH:.2g} %"
+        most = f"{100 * QUASI_STATIC_LIMIT:.2g} %"
         yield f"quasi-static process: a warning follows if inertia or damping change the wall by more than {most}"
 
 

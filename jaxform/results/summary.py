@@ -114,7 +114,7 @@ def _describe_gap(result: Result) -> str:
     return f": {left.width:.3g} m remain at {format_place(left.place)}, {share}"
 
 
-SLOW_ENOUGH = 0.01  # predicted quasi-static error above which a slow process is warned of
+QUASI_STATIC_LIMIT = 0.01  # predicted quasi-static error above which a slow process is warned of
 _NODES_BEYOND = 1e-6  # of the sheet's size: tolerated penetration of a node
 _ELEMENTS_BEYOND = 0.5  # of the longest side of an element: tolerated penetration of the element
 
@@ -248,7 +248,7 @@ def warnings_of(result: Result, scene: Scene) -> list[str]:
 
 def _warnings_of_inertia(result: Result, scene: Scene) -> list[str]:
     error = float(result.energy.quasi_static_error)
-    if not scene.solver.quasi_static or not error > SLOW_ENOUGH:
+    if not scene.solver.quasi_static or not error > QUASI_STATIC_LIMIT:
         return []
     peak = float(result.energy.kinetic_peak / jnp.abs(result.energy.work))
     drag = error - peak

@@ -17,7 +17,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Law
-from jaxform.mechanics.constitutive import Overstress, ViscousMemory
+from jaxform.extend import (
+    Overstress,
+    ViscousMemory,
+    advance_memory,
+    initial_overstress,
+    principal_nominal_stress,
+    principal_overstress,
+)
 from optimize.fitting import states
 
 _TERMS, _POINTS = 10, 30  # of each polynomial; of Gauss along the radius
@@ -47,16 +54,16 @@ def inflate_bubble(law: Law, plan: states.Path, scale: float, viscous: bool) -> 
     def step(carry: Any, now: tuple[jax.Array, jax.Array]) -> tuple[Any, tuple[jax.Array, jax.Array]]:
         found, past = carry
         height, passed = now
-        memory = None if modes is None or past is None else states.memory_after(modes, past, passed)
+        memory = None if modes is None or past is None else advance_memory(modes, past, passed)
         made = _equilibrium(law, memory, found, height, scale)
         one, two = _stretches(made[:-1])
-        past = None if memory is None else states.overstress(memory, one, two)
+        past = None if memory is None else principal_overstress(memory, one, two)
         radial, hoop = _stretches_at(made[:-1], jnp.zeros(1))
         # Without modes a height that has no equilibrium must not spoil the search at the next one.
         found = jnp.where(jnp.all(jnp.isfinite(made)), made, found) if modes is None else made
         return (found, past), (scale * made[-1], 1.0 / (radial * hoop)[0])
 
-    past: Overstress | None = None if modes is None else states.at_first(modes, _POINTS)
+    past: Overstress | None = None if modes is None else initial_overstress(modes, _POINTS)
     first = jnp.zeros(2 * _TERMS + 1).at[_TERMS].set(plan.value[0]).at[-1].set(4.0 * plan.value[0])
     _, (pressure, wall) = jax.lax.scan(step, (first, past), (jnp.asarray(plan.value), jnp.asarray(plan.step)))
     return pressure[plan.row], wall[plan.row]
@@ -96,7 +103,7 @@ def _forces(found: jax.Array, law: Law, memory: ViscousMemory | None, height: ja
     """Residual forces (2 n_term + 1,), in units of the scale; the last one is the height's."""
     coefficients = found[:-1]
     (one, two), back = jax.vjp(_stretches, coefficients)
-    stress = states.nominal(law, one, two, memory)
+    stress = principal_nominal_stress(law, one, two, memory)
     weight = 2.0 * _WEIGHT * _RADIUS / scale
     inside = back((weight * stress[0], weight * stress[1]))[0]
     return jnp.append(inside - found[-1] * jax.grad(_volume)(coefficients), _pole(found) - height)

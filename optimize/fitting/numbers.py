@@ -12,10 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import Law
-from jaxform.core.parameters import list_parameter_names, parameter_ranges
-from jaxform.core.pytree import as_real
-from jaxform.core.ranges import LEAST, MOST, Range
-from jaxform.materials import LAWS, MODES, Modes
+from jaxform.extend import LAWS, LEAST, MODES, MOST, Modes, Range, as_real, list_parameter_names, parameter_ranges
 
 Array = np.ndarray
 

@@ -8,9 +8,7 @@ import jax
 import numpy as np
 
 from jaxform import InputError
-from jaxform.core.errors import warn_of
-from jaxform.core.parameters import list_parameter_names
-from jaxform.materials import LAWS, MODES
+from jaxform.extend import LAWS, MODES, list_parameter_names, warn_of
 from optimize.fitting import solving
 from optimize.fitting.numbers import make_numbers
 from optimize.fitting.outcome import Fit, Match

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxform import InputError
+from jaxform.extend import principal_nominal_stress
 from optimize.fitting import states
 from optimize.fitting.numbers import Numbers
 from optimize.fitting.problem import Problem, without_bubbles
@@ -114,7 +115,7 @@ def _slopes_and_least(
 
         def true_stress(logs: jax.Array) -> jax.Array:
             stretch = jnp.exp(logs)
-            first, second = states.nominal(law, stretch[:1], stretch[1:])
+            first, second = principal_nominal_stress(law, stretch[:1], stretch[1:])
             return jnp.stack([stretch[0] * first[0], stretch[1] * second[0]])
 
         slopes = jax.vmap(jax.jacfwd(true_stress))(jnp.log(jnp.stack([one, sum(across)], axis=1)))

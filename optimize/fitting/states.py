@@ -1,4 +1,4 @@
-"""Stresses of a sheet that is strained alike everywhere, by the very functions that the simulator's elements use."""
+"""Stress of a sample in a test: its states, its path from row to row, and the stress along it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxform import Law
-from jaxform.materials import Modes
-from jaxform.mechanics import constitutive
-from jaxform.mechanics.constitutive import Overstress, Response, ViscousMemory
+from jaxform.extend import (
+    Overstress,
+    advance_memory,
+    initial_overstress,
+    principal_nominal_stress,
+    principal_overstress,
+)
 
 STATES = ("uniaxial", "equibiaxial", "pure-shear")
 """States of a pulled sheet: across the pull it is free, pulled as much, or held."""
@@ -26,46 +30,6 @@ def crosswise(state: str, stretch: jax.Array) -> jax.Array:
     if state == "equibiaxial":
         return stretch
     return jnp.ones_like(stretch) if state == "pure-shear" else 1.0 / jnp.sqrt(stretch)
-
-
-def nominal(
-    law: Law, one: jax.Array, two: jax.Array, memory: ViscousMemory | None = None
-) -> tuple[jax.Array, jax.Array]:
-    """Nominal stresses [Pa] along two principal stretches (n,) in the plane, free across it.
-
-    Args:
-        law: The material model; of its Maxwell branches only what `memory` has counts.
-        one: The first stretch.
-        two: The second stretch.
-        memory: Memory of the branches; None for the long-term stress.
-    """
-    none, unit = jnp.zeros_like(one), jnp.ones_like(one)
-    metric = one * one, none, two * two
-    inverse = jnp.stack([unit, none, unit])
-    stress = constitutive.weighted_stress(metric, inverse, unit, Response(law.elastic, memory))
-    return one * stress[0], two * stress[2]
-
-
-def at_first(modes: Modes, count: int) -> Overstress:
-    """The overstress of Maxwell branches at places (count,) that were never strained."""
-    unit = jnp.ones((count,), modes.time.dtype)
-    none = jnp.zeros_like(unit)
-    inverse = jnp.stack([unit, none, unit])
-    return constitutive.overstress(
-        (unit, none, unit), inverse, constitutive.present_memory(modes.initial_stress(inverse), modes)
-    )
-
-
-def memory_after(modes: Modes, past: Overstress, step: jax.Array) -> ViscousMemory:
-    """The memory of Maxwell branches after a step [s] with the strain linear in time; a step of 0 is a jump."""
-    recursion = modes.recursion(step)
-    return ViscousMemory(jnp.stack(past.updated_history(recursion)), recursion.gain, modes.kind)
-
-
-def overstress(memory: ViscousMemory, one: jax.Array, two: jax.Array) -> Overstress:
-    """The overstress of Maxwell branches with such a memory at places that now have these stretches (n,)."""
-    none, unit = jnp.zeros_like(one), jnp.ones_like(one)
-    return constitutive.overstress((one * one, none, two * two), jnp.stack([unit, none, unit]), memory)
 
 
 class Path(NamedTuple):
@@ -114,13 +78,13 @@ def nominal_stress(law: Law, state: str, stretch: jax.Array, pulled: Path | None
     """
     modes = law.viscous
     if modes is None or pulled is None:
-        return nominal(law, stretch, crosswise(state, stretch))[0]
+        return principal_nominal_stress(law, stretch, crosswise(state, stretch))[0]
     whole, steps = jnp.asarray(pulled.value), jnp.asarray(pulled.step)
     one, two = whole[:, None], crosswise(state, whole)[:, None]
 
     def row(past: Overstress, now: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[Overstress, jax.Array]:
         one, two, step = now
-        memory = memory_after(modes, past, step)
-        return overstress(memory, one, two), nominal(law, one, two, memory)[0][0]
+        memory = advance_memory(modes, past, step)
+        return principal_overstress(memory, one, two), principal_nominal_stress(law, one, two, memory)[0][0]
 
-    return jax.lax.scan(row, at_first(modes, 1), (one, two, steps))[1][jnp.asarray(pulled.row)]
+    return jax.lax.scan(row, initial_overstress(modes, 1), (one, two, steps))[1][jnp.asarray(pulled.row)]

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxform import InputError
-from jaxform.core import disk
-from jaxform.core.errors import warn_of
+from jaxform.extend import warn_of
+from jaxform.scene_files import expand_path, read_text
 from optimize.fitting.states import STATES
 
 Array = np.ndarray
@@ -111,7 +111,7 @@ def read_table(source: str) -> Table:
     # What no text file could have in it would stop the results later.
     name = " ".join(str(path).encode("utf-8", "backslashreplace").decode().split())
     try:
-        columns, settings = _parse(disk.read_text(path), name)
+        columns, settings = _parse(read_text(path), name)
         kind = kind or _kind(path, columns, settings)
         if kind == "bubble":
             return _bubble(name, columns, settings)
@@ -124,8 +124,8 @@ def _split(source: str) -> tuple[str, Path]:
     """The kind that is written before a path, and the path."""
     before, _, after = source.partition("=")
     if after and known(before):
-        return known(before), disk.expand_path(after)
-    return "", disk.expand_path(source)
+        return known(before), expand_path(after)
+    return "", expand_path(source)
 
 
 def known(word: str) -> str:

@@ -12,7 +12,7 @@ import pytest
 
 import jaxform
 from benchmarks.accuracy import cases, membranes, page, validate
-from jaxform.results.summary import SLOW_ENOUGH, warnings_of
+from jaxform.results.summary import QUASI_STATIC_LIMIT, warnings_of
 from tests import scenes
 
 
@@ -55,7 +55,7 @@ def test_a_fast_process_is_warned_of_and_a_slow_one_is_not() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         slow = jaxform.run(_hurry(40.0))
-    assert float(slow.energy.quasi_static_error) < SLOW_ENOUGH < float(fast.energy.quasi_static_error)
+    assert float(slow.energy.quasi_static_error) < QUASI_STATIC_LIMIT < float(fast.energy.quasi_static_error)
     off = np.asarray(fast.element_thickness) / np.asarray(slow.element_thickness) - 1
     moved = cases.rms(off, np.asarray(fast.element_volume))
     # A shallow cup, whose wall deviates less than that of the deep ones from which the prediction comes.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -15,6 +18,25 @@ def test_packages_import_those_below_them_alone() -> None:
         [sys.executable, "-c", code, "--no-logo", "--no-cache"], cwd=ROOT, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stdout
+
+
+def test_code_built_on_jaxform_uses_its_public_modules() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    forbidden = next(one for one in contracts if one.get("source_modules") == ["optimize"])
+    packages = {path.parent.name for path in (ROOT / "jaxform").glob("*/__init__.py")} - {"scenes"}
+    assert set(forbidden["forbidden_modules"]) == {f"jaxform.{name}" for name in packages}
+    public = {"", *(path.stem for path in (ROOT / "jaxform").glob("*.py")), "scenes"}
+    for folder in ("optimize", "tests/examples"):
+        for path in (ROOT / folder).rglob("*.py"):
+            # Imports for types and inside of functions count here, too.
+            found = re.findall(r"^\s*(?:from|import) jaxform\.?([\w]*)", path.read_text(), re.MULTILINE)
+            assert set(found) <= public, path
+
+
+def test_public_modules_name_what_they_have() -> None:
+    for name in ("extend", "scene_files", "shapes", "molds", "plot"):
+        module = importlib.import_module(f"jaxform.{name}")
+        assert all(hasattr(module, one) for one in module.__all__)
 
 
 def test_only_kernels_ask_for_barriers_or_the_backend() -> None:

@@ -1,0 +1,52 @@
+"""Names for code that is built on jaxform, such as `optimize`: parameters, material points, programs, results."""
+
+from jaxform.core.compilation import compile_function
+from jaxform.core.errors import warn_of
+from jaxform.core.parameters import list_parameter_names, parameter_ranges
+from jaxform.core.pytree import as_real
+from jaxform.core.ranges import LEAST, MOST, Range
+from jaxform.core.store import Store
+from jaxform.materials import LAWS, MODES, Modes
+from jaxform.mechanics.constitutive import Overstress, ViscousMemory
+from jaxform.mechanics.material_point import (
+    advance_memory,
+    initial_overstress,
+    principal_nominal_stress,
+    principal_overstress,
+)
+from jaxform.mesh.bisection import extend_values
+from jaxform.mesh.topology import boundary_nodes
+from jaxform.model.replacement import number_at
+from jaxform.results.part import mask_part, part_elements
+from jaxform.results.result import drop_unused
+from jaxform.results.sections import symmetry_planes
+from jaxform.results.summary import QUASI_STATIC_LIMIT
+
+__all__ = [
+    "LAWS",
+    "LEAST",
+    "MODES",
+    "MOST",
+    "QUASI_STATIC_LIMIT",
+    "Modes",
+    "Overstress",
+    "Range",
+    "Store",
+    "ViscousMemory",
+    "advance_memory",
+    "as_real",
+    "boundary_nodes",
+    "compile_function",
+    "drop_unused",
+    "extend_values",
+    "initial_overstress",
+    "list_parameter_names",
+    "mask_part",
+    "number_at",
+    "parameter_ranges",
+    "part_elements",
+    "principal_nominal_stress",
+    "principal_overstress",
+    "symmetry_planes",
+    "warn_of",
+]

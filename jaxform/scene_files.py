@@ -1,0 +1,23 @@
+"""Scene and study files, fields in mesh files, and files that are written whole or not at all."""
+
+from jaxform.core.disk import atomic_path, expand_path, read_text, write_error
+from jaxform.io import schema
+from jaxform.io.files import SceneDocument, StudyDocument, build, read_scene, read_study
+from jaxform.io.geometry import nodal_field, transfer_values
+from jaxform.mesh.meshes import Mesh
+
+__all__ = [
+    "Mesh",
+    "SceneDocument",
+    "StudyDocument",
+    "atomic_path",
+    "build",
+    "expand_path",
+    "nodal_field",
+    "read_scene",
+    "read_study",
+    "read_text",
+    "schema",
+    "transfer_values",
+    "write_error",
+]
