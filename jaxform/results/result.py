@@ -158,7 +158,7 @@ class Result:
         status: Bits of `jaxform.Status`; 0 when all went well.
         schedule: The decisions taken, for `simulate` to take them again.
         seconds: Wall-clock time where the host loop took it, else None.
-        filling: Filling of the mold, where `run` measured it, else None.
+        filling: Filling of the mold, where it was measured: `run` does that where it is not certain; else None.
         temperature: Temperature at the nodes (n_node,) [degC], where the sheet cools; at the end time where nothing can
             move any
             more before. None where it keeps its initial one.

@@ -17,6 +17,7 @@ from jaxform.core.promotion import device_context, with_standard_promotion
 from jaxform.core.store import PACKAGE, Store
 from jaxform.model.replacement import check_numbers, check_scene
 from jaxform.model.scene import Scene
+from jaxform.results.filling import may_be_unfilled
 from jaxform.results.part_warnings import has_burst, warnings_of_part
 from jaxform.results.result import Result, Seconds
 from jaxform.results.summary import add_filling, warnings_of
@@ -173,7 +174,7 @@ def _run(
         on_end(final)
     if has_burst(final, own):
         final = dataclasses.replace(final, status=final.status | Status.BURST)
-    if own.fill:
+    if may_be_unfilled(final, own):
         final = add_filling(final, own)
     for sentence in (*warnings_of(final, own), *warnings_of_part(final, own)):
         warnings.warn(sentence, InputWarning, stacklevel=2, skip_file_prefixes=(str(PACKAGE),))

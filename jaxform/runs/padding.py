@@ -46,6 +46,7 @@ from jaxform.runs.arrays import (
 from jaxform.sheet.discretization import NEVER
 from jaxform.sheet.state import Schedule
 from jaxform.tools.mold import Mold
+from jaxform.tools.search import SearchGrid
 
 # Cache of values computed from parts of a scene, for as long as these exist; scenes share them with their parts.
 
@@ -186,6 +187,10 @@ def _mold(mold: Mold) -> Mold:
     return jax.device_put(pad_mold(mold))
 
 
+def _grid(grid: SearchGrid) -> SearchGrid:
+    return jax.device_put(pad_grid(grid))
+
+
 class _PaddedTables(NamedTuple):
     """Padded tables, their limits of refinement, and the places of a scene's nodes and triangles in them."""
 
@@ -227,7 +232,7 @@ def _pad_tables(
         mobility=pad_nodal(tables.mobility, order, 0.0),
         size=tables.size,
         box=tables.box,
-        grid=None if tables.grid is None else pad_grid(tables.grid),
+        grid=None if tables.grid is None else cache_by_identity(_grid, tables.grid),
         forest=grown,
         initial_contact=None if tables.grid is None else pad_initial_contact(tables.initial_contact, order),
         longest_window=tables.longest_window,

@@ -20,7 +20,7 @@ _FINEST = 200  # pieces of triangles along the mold's longest side
 _MOST_PIECES = 100_000, 2  # in all or for each triangle, whichever are more
 _ASKED, _MORE = 32, 2  # points, the farthest by their bounds, that are measured first, and times as many each round
 _POINTS = 4096  # that are looked up together
-_THREADED = 1024  # points whose query is spread over the cores
+_THREADED = 2048  # points whose query is spread over the cores
 _CHUNK = 50_000  # pairs of point and triangle processed together
 
 

@@ -38,6 +38,8 @@ def _shape(name: str) -> Mold:
             profile=[[0.0, 1.0], [0.3, 1.0], [0.31, 0.6], [0.4, 0.6], [0.41, 1.0], [0.9, 1.0], [1.0, 0.0]],
             segments=40,
         )
+    elif name == "slivers":
+        shape = molds.revolved(profile=[[0.0, 1.0], [0.7, 1.0], [1.0, 0.0], [0.8, -0.1]], segments=1500)
     else:
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
         faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]]
@@ -105,7 +107,7 @@ def test_nodes_that_land_one_by_one_land_as_all_at_once(name: str) -> None:
     np.testing.assert_allclose(one.impact, np.where(one.nodes.stuck, before, 0.0), rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.parametrize("name", ["cup", "ribs", "box"])
+@pytest.mark.parametrize("name", ["cup", "ribs", "box", "slivers"])
 def test_cells_know_a_true_bound_and_list_all_that_is_in_reach(name: str) -> None:
     wall = _shape(name)
     grid = build_grid(np.asarray(wall.vertices), np.asarray(wall.triangles))

@@ -254,6 +254,17 @@ def test_what_scenes_share_is_padded_once_while_it_is_there() -> None:
     assert gone[0]() is None and gone[1]() is None
 
 
+def test_a_search_grid_is_padded_once_for_all_sizes_of_a_sheet() -> None:
+    """Its cells' lists take far longer to copy than a sheet's arrays, and `check` asks for three sizes."""
+    scene = dish(0.05, 60)
+    smaller, larger = (padding.pad_to_bucket(scene, least).scene for least in (0, 2000))
+    assert len(smaller.parison.triangles) < len(larger.parison.triangles)
+    one, other = smaller.tables.grid, larger.tables.grid
+    assert one is not None and other is not None
+    for name in ("bound", "start", "ends", "listed", "outlines", "frames"):
+        assert getattr(one, name).unsafe_buffer_pointer() == getattr(other, name).unsafe_buffer_pointer()
+
+
 def test_what_can_be_written_into_is_padded_anew() -> None:
     scene = dish(0.05, 60)
     assert scene.mold is not None
