@@ -23,6 +23,7 @@ from jaxform.core.errors import InputError
 from jaxform.core.ranges import LEAST, MOST, RANGES, Range
 
 MOST_LENGTH = 1e6
+NO_KEY = "is not a valid key here"
 
 
 def _finite(value: float) -> float:
@@ -91,7 +92,7 @@ class Table(BaseModel):
                 raise validation_error("is not supported yet", cls.later[key], key)
             if key not in cls.model_fields:
                 free = [name for name in cls.model_fields if name not in data]
-                raise validation_error("is not a valid key here", _suggestion(key, free, list(cls.model_fields)), key)
+                raise validation_error(NO_KEY, _suggestion(key, free, list(cls.model_fields)), key)
         return data
 
 

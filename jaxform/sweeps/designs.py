@@ -21,7 +21,7 @@ from jaxform.core.ranges import RANGES
 from jaxform.io import catalog, files, scene_rewriting, schema
 from jaxform.io.files import SceneDocument
 from jaxform.io.schema.sweep import MOST_DESIGNS
-from jaxform.io.validation import validate
+from jaxform.io.validation import NO_KEY, validate
 from jaxform.sweeps.sampling import sample
 
 SCENE = "scene"
@@ -30,7 +30,6 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _WHOLE = re.compile(r"[-+]?\d{1,18}")
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_-]*)((?:\[-?\d+\])*)")
 _ALTERNATIVES = (("parison.elements", "parison.element_size"),)
-_NO_KEY = "is no key here"
 _UNITS = {allowed.unit for allowed in RANGES.values()} | {"Pa", "K", "degrees", "m^2"}
 Step = str | int
 
@@ -235,7 +234,7 @@ def _relocate(path: str, value: Any, places: Sequence[Path]) -> Any:
     if isinstance(value, dict):
         return {key: _relocate(f"{path}.{key}", item, places) for key, item in value.items()}
     last = [step for step in parse_path(path) if isinstance(step, str)][-1]
-    if last not in ("path", "file", "reference") or path.endswith("shift.reference"):
+    if last not in ("path", "file", "reference", "model_file") or path.endswith("shift.reference"):
         return value
     if isinstance(value, list):
         return [_relocate(path, item, places) for item in value]
@@ -275,7 +274,7 @@ def _refuse(table: Rows, errors: list[InputError]) -> None:
     key = re.sub(r"\[-?\d+\]", "", first.key)
     in_column = any(key == path or key.startswith(f"{path}.") or path.startswith(f"{key}.") for path in columns)
     same = all((error.key, error.problem) == (first.key, first.problem) for error in errors)
-    misnamed = first.problem == _NO_KEY or first.problem.startswith(("is no list", "is in no table"))
+    misnamed = first.problem == NO_KEY or first.problem.startswith(("is no list", "is in no table"))
     if not same or (in_column and not misnamed):
         return
     raise dataclasses.replace(first, file=table.file) if in_column else first

@@ -24,8 +24,10 @@ _WORDS = {
     "wall_cv": ("spread of the wall", 100.0, "%"),
     "mass": ("mass", 1e3, "g"),
     "m": ("", 1e3, "mm"),
+    "Pa": ("", 1e-3, "kPa"),
 }
 _MOST_VARIABLES = 8
+_WIDE = 30.0  # ratio of the largest to the least value from which a scale is logarithmic
 _MOST_CATEGORIES = 24
 _MOST_LEVELS, _GROUPS = 12, 5  # more values of a variable than that are grouped into so many groups of the same size
 _GOOD, _DOUBTFUL, _FAILED, _MEAN = "#0072b2", "#8b939d", "#c02626", "#d55e00"
@@ -44,6 +46,17 @@ class Axis:
     label: str
     values: Array
     names: tuple[str, ...] = ()
+
+    @property
+    def logarithmic(self) -> bool:
+        """True if the values span so much that an even scale hides the small ones."""
+        known = self.values[np.isfinite(self.values)]
+        return not self.names and bool(known.min() > 0 and known.max() > _WIDE * known.min())
+
+    @property
+    def line(self) -> str:
+        """Style of a line through means: none between texts, which have no order."""
+        return "none" if self.names else "-"
 
 
 def draw_all(folder: Path, paths: Sequence[str], rows: Sequence[Row], units: Mapping[str, str]) -> list[str]:
@@ -120,10 +133,14 @@ def _means(variable: Axis, response: Array, good: Mask) -> tuple[Array, Array]:
     return np.array([values[group].mean() for group in groups]), np.array([found[group].mean() for group in groups])
 
 
-def _name_ticks(axes: Any, variable: Axis, *, up: bool = False) -> None:
+def _set_scale(axes: Any, variable: Axis, *, up: bool = False) -> None:
+    """Sets the names or the scale of an axis."""
+    if variable.logarithmic:
+        (axes.set_yscale if up else axes.set_xscale)("log")
     if variable.names:
         ticks: dict[str, Any] = {} if up else {"rotation": 35, "ha": "right"}
         (axes.set_yticks if up else axes.set_xticks)(range(len(variable.names)), variable.names, fontsize=8, **ticks)
+        (axes.set_ylim if up else axes.set_xlim)(-0.5, len(variable.names) - 0.5)
 
 
 def _draw_thinnest(path: Path, variables: Sequence[Axis], wall: Axis, good: Mask, note: str) -> None:
@@ -142,9 +159,10 @@ def _draw_thinnest(path: Path, variables: Sequence[Axis], wall: Axis, good: Mask
         if failed.any():
             bottom = np.zeros(int(failed.sum()))
             axes.plot(variable.values[failed], bottom, "x", color=_FAILED, markersize=6, label="failed")
-        axes.plot(*_means(variable, wall.values, good), "-", color=_MEAN, linewidth=2, label="mean")
+        means: dict[str, Any] = {"color": _MEAN, "linestyle": variable.line, "marker": "_" if variable.names else None}
+        axes.plot(*_means(variable, wall.values, good), linewidth=2, markersize=16, label="mean", **means)
         axes.set(xlabel=variable.label, ylabel=wall.label)
-        _name_ticks(axes, variable)
+        _set_scale(axes, variable)
     for axes in cells[len(variables) :]:
         axes.set_visible(False)
     cells[0].legend(frameon=False, fontsize=8)
@@ -161,14 +179,15 @@ def _draw_effects(path: Path, variables: Sequence[Axis], responses: Sequence[Axi
         mean = float(np.nanmean(response.values[good]))
         for axes, variable in zip(row, variables, strict=True):
             axes.axhline(mean, color=_DOUBTFUL, linewidth=1, linestyle="--")
-            axes.plot(*_means(variable, response.values, good), "o-", color=_GOOD, markersize=4)
+            means = _means(variable, response.values, good)
+            axes.plot(*means, marker="o", linestyle=variable.line, color=_GOOD, markersize=4)
             axes.grid(alpha=0.25)
             axes.spines[["top", "right"]].set_visible(False)
             axes.margins(y=0.15)
         row[0].set_ylabel(response.label)
     for axes, variable in zip(cells[-1], variables, strict=True):
         axes.set_xlabel(variable.label)
-        _name_ticks(axes, variable)
+        _set_scale(axes, variable)
     figure.tight_layout()
     _save(figure, path)
 
@@ -183,21 +202,32 @@ def _draw_matrix(path: Path, variables: Sequence[Axis], responses: Sequence[Axis
             axes = cells[i, j]
             x, y = across.values[good], up.values[good]
             if i == j:
-                axes.hist(x[np.isfinite(x)], bins=min(12, max(4, len(x) // 4)), color=_DOUBTFUL)
+                _draw_distribution(axes, across, x[np.isfinite(x)])
                 axes.set_yticks([])
             else:
                 shown = i >= len(variables) > j
                 axes.plot(x, y, "o", color=_GOOD if shown else _DOUBTFUL, markersize=3, alpha=0.8)
-            axes.tick_params(labelsize=7, labelbottom=i == len(every) - 1, labelleft=j == 0 and i > 0)
+            axes.tick_params(labelsize=7, which="both", labelbottom=i == len(every) - 1, labelleft=j == 0 and i > 0)
+            _set_scale(axes, across)
+            if i != j:
+                _set_scale(axes, up, up=True)
             if i == len(every) - 1:
                 axes.set_xlabel(across.label, fontsize=8)
-                _name_ticks(axes, across)
             if j == 0:
                 axes.set_ylabel(up.label, fontsize=8)
-                if i > 0:
-                    _name_ticks(axes, up, up=True)
     figure.tight_layout(pad=0.6)
     _save(figure, path)
+
+
+def _draw_distribution(axes: Any, column: Axis, values: Array) -> None:
+    """How many designs have which value."""
+    count = min(12, max(4, len(values) // 4))
+    edges: Any = np.linspace(values.min(), values.max(), count + 1)
+    if column.names:
+        edges = np.arange(len(column.names) + 1) - 0.5
+    elif column.logarithmic:
+        edges = np.geomspace(values.min(), values.max(), count + 1)
+    axes.hist(values, bins=edges, color=_DOUBTFUL)
 
 
 def _save(figure: Any, path: Path) -> None:

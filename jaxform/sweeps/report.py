@@ -18,7 +18,7 @@ _PICTURES = {
     "main_effects.png": "Main effects",
     "scatter_matrix.png": "Scatter matrix",
 }
-_SHOWN = {"m": (1e3, "mm"), "kg": (1e3, "g")}
+_SHOWN = {"m": (1e3, "mm"), "kg": (1e3, "g"), "Pa": (1e-3, "kPa")}
 _HIDDEN = ("folder", "digest")
 
 

@@ -11,13 +11,14 @@ import os
 import queue
 import signal
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from threading import Thread
 from typing import Any
 
 from jaxform.core.cores import SHARE, usable_cores
 from jaxform.core.errors import InputError
 
+_GATHERERS = 16  # results that are brought from a cluster at a time
 _THREADS = (SHARE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Environment variables by which XLA (the first) and libraries of linear algebra learn how many threads to start."""
 
@@ -115,6 +116,8 @@ class DaskWorkers(Executor):
     def __init__(self, client: Any) -> None:
         """See the class."""
         self._client = client
+        # Dask calls back on one thread, which must not wait for a result that is lost and computed again.
+        self._gatherers = ThreadPoolExecutor(_GATHERERS)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """The future of a call on a worker."""
@@ -131,11 +134,12 @@ class DaskWorkers(Executor):
             finally:
                 done.release()
 
-        remote.add_done_callback(gather)
+        remote.add_done_callback(lambda done: self._gatherers.submit(gather, done))
         return result
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Closes the connection; the cluster goes on."""
+        self._gatherers.shutdown(wait=False, cancel_futures=True)
         self._client.close()
 
 
@@ -151,7 +155,7 @@ def connect(address: str) -> DaskWorkers:
         remedy = "install it: pip install 'jaxform[cluster]'"
         raise InputError("needs Dask, which is not installed", remedy, "--scheduler", address) from None
     try:
-        return DaskWorkers(Client(address, timeout="20s"))
+        return DaskWorkers(Client(address, timeout="15s"))
     except (OSError, ValueError, TimeoutError) as error:
         problem = f"cannot be reached ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
         raise InputError(problem, "start `dask scheduler`, and give its address", "--scheduler", address) from None

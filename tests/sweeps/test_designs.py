@@ -103,7 +103,7 @@ def test_columns_are_separated_by_commas_semicolons_or_tabs(tmp_path: Path, mark
         ("profile[x]\n1\n", "is no path of a scene file"),
         ('material.c\n"1\n', "is not a table"),
         ("solver.safty\n0.5\n0.6\n", "did you mean safety"),
-        ("mould.depth\n0.1\n", "mould: is no key here"),
+        ("mould.depth\n0.1\n", "mould: is not a valid key here"),
         ("material.c[0]\n1e5\n", "is no list in the scene"),
         ("material.c.value\n1e5\n", "is in no table of the scene"),
     ],
