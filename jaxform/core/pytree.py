@@ -19,6 +19,8 @@ import numpy as np
 from jax.core import Tracer
 from numpy.typing import ArrayLike
 
+from jaxform.core.errors import InputError
+
 
 def static(**kwargs: Any) -> Any:
     """A dataclass field that is a choice, not data: part of the tree's structure, known before tracing."""
@@ -55,6 +57,19 @@ def abbreviate(value: Any) -> str:
     if dataclasses.is_dataclass(value) or (isinstance(value, tuple) and hasattr(value, "_fields")):
         return f"{type(value).__name__}(...)"
     return repr(value)
+
+
+def check_untraced() -> None:
+    """Refuses to build a scene inside a function that JAX traces, where no array has values.
+
+    Raises:
+        InputError: It is called inside such a function.
+    """
+    if isinstance(as_real(0.0), Tracer):
+        raise InputError(
+            "a scene is built inside a function that JAX traces (`jit`, `scan`), where arrays have no values",
+            "load or build it before, and change its numbers inside by `replace`",
+        )
 
 
 def row_count(array: Any) -> str:

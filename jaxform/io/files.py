@@ -17,7 +17,7 @@ from jaxform.core import disk
 from jaxform.core.errors import InputError
 from jaxform.core.parameters import parameter_ranges
 from jaxform.core.promotion import with_standard_promotion
-from jaxform.core.pytree import as_real
+from jaxform.core.pytree import as_real, check_untraced
 from jaxform.core.ranges import check, current_keys
 from jaxform.core.store import Store
 from jaxform.io import catalog, geometry, schema
@@ -26,7 +26,7 @@ from jaxform.io.model_files import import_models_of
 from jaxform.io.scene_checks import warn_of_scene, warn_of_thin_features
 from jaxform.io.validation import validate
 from jaxform.loads import make_pressure
-from jaxform.mesh import bisection, shapes
+from jaxform.mesh import bisection, meshes, shapes
 from jaxform.mesh.profiles import Profile
 from jaxform.model.scene import Parison, Refinement, Scene, make_parison, make_refinement, make_solver
 from jaxform.prepare.refinement_setup import extend_parison
@@ -167,7 +167,9 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
     model = document.model
     with error_context(document.file):
         pressure, solver = model.pressure, model.solver
-        find_mold = functools.cache(lambda: build_mold(document, store))
+        check_untraced()
+        read = functools.cache(meshes.read_mesh)  # [part] asks for the mold's files again
+        find_mold = functools.cache(lambda: build_mold(document, store, read))
         sheet = build_sheet(document, store, find_mold)
         refinement, forest = _refinement(document, sheet)
         grown = _extend_sheet(sheet, forest)
@@ -187,7 +189,7 @@ def build_unchecked(document: SceneDocument, store: Store | None = None) -> Scen
             mold=find_mold(),
             cooling=_cooling(document),
             fill=model.mold is None or model.mold.fill,
-            part=build_part(document, find_mold(), store),
+            part=build_part(document, find_mold(), store, read),
             name=document.name,
             frames=model.output.frames,
             store=store,

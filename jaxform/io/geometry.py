@@ -20,7 +20,7 @@ from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import footprint, molds, motion
 from jaxform.tools.mold import Mold, make_mold
-from jaxform.tools.slivers import has_slivers, merge_slivers
+from jaxform.tools.slivers import collapse_short_sides, has_slivers
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
@@ -114,20 +114,33 @@ def build_profile(table: schema.ProfileTable, key: str) -> Profile:
     return Profile(table.along, tuple(table.at), tuple(table.value), key).positive()
 
 
+ReadMesh = Callable[..., meshes.Mesh]
+
+
 def _paths(table: schema.FileMold) -> list[str]:
     return [table.path] if isinstance(table.path, str) else list(table.path)
 
 
-def _shape_of_files(document: SceneDocument, table: schema.FileMold, names: Sequence[str]) -> molds.MoldShape:
+def _shape_of_files(
+    document: SceneDocument, table: schema.FileMold, names: Sequence[str], read: ReadMesh
+) -> molds.MoldShape:
     """A mold of files of these names, as its table places them."""
     with error_context("", "mold.path"):
-        parts = [meshes.read_mesh(disk.expand_path(name, document.folder), scale=table.scale) for name in names]
+        parts = [read(disk.expand_path(name, document.folder), scale=table.scale) for name in names]
         mesh = parts[0] if len(parts) == 1 else meshes.merge(parts)
         return molds.from_mesh(mesh, translate=table.translate, rotate=table.rotate)
 
 
-def build_part(document: SceneDocument, mold: Mold | None, store: Store | None = None) -> Part | None:
+def build_part(
+    document: SceneDocument, mold: Mold | None, store: Store | None = None, read: ReadMesh = meshes.read_mesh
+) -> Part | None:
     """The part of the formed sheet that the document's [part] selects; None without one.
+
+    Args:
+        document: The document.
+        mold: Its mold.
+        store: Where merged slivers are kept.
+        read: Reads a mold's file of a path and a scale.
 
     Raises:
         InputError: It names a file that is none of the mold's, or the box has no inside.
@@ -136,7 +149,7 @@ def build_part(document: SceneDocument, mold: Mold | None, store: Store | None =
     if table is None:
         return None
     trim = None if table.trim is None else (table.trim.axis, table.trim.at, table.trim.keep)
-    walls = None if table.molds is None else _wall_triangles(document, table.molds, mold, store)
+    walls = None if table.molds is None else _wall_triangles(document, table.molds, mold, store, read)
     return make_part(box=table.box, trim=trim, walls=walls)
 
 
@@ -147,24 +160,33 @@ def cover_triangles(document: SceneDocument, mold: Mold | None, store: Store | N
         return None
     names = _paths(table)
     covers = [name for name in names if Path(name).name == COVERS]
-    return _triangles_of_files(document, table, covers, mold, store) if covers else None
+    return _triangles_of_files(document, table, covers, mold, store, meshes.read_mesh) if covers else None
 
 
-def _wall_triangles(document: SceneDocument, wanted: Sequence[str], mold: Mold | None, store: Store | None) -> Any:
+def _wall_triangles(
+    document: SceneDocument, wanted: Sequence[str], mold: Mold | None, store: Store | None, read: ReadMesh
+) -> Any:
     """Mask of the mold's triangles (n_triangle,) that belong to the wanted files."""
     table = document.model.mold
     if mold is None or not isinstance(table, schema.FileMold):
         raise InputError("there is no mold of files", "give part.box or part.trim instead", "part.molds", list(wanted))
     names = _paths(table)
-    return _triangles_of_files(document, table, [names[k] for k in select_mold_files(names, wanted)], mold, store)
+    chosen = [names[k] for k in select_mold_files(names, wanted)]
+    return _triangles_of_files(document, table, chosen, mold, store, read)
 
 
 def _triangles_of_files(
-    document: SceneDocument, table: schema.FileMold, names: Sequence[str], mold: Mold, store: Store | None
+    document: SceneDocument,
+    table: schema.FileMold,
+    names: Sequence[str],
+    mold: Mold,
+    store: Store | None,
+    read: ReadMesh,
 ) -> Any:
     """Mask of the mold's triangles (n_triangle,) that belong to files of these names."""
-    chosen = _shape_of_files(document, table, names)
-    whole = _shape_of_files(document, table, _paths(table))
+    read = functools.cache(read)
+    chosen = _shape_of_files(document, table, names, read)
+    whole = _shape_of_files(document, table, _paths(table), read)
     merged, source = _merge_slivers(whole, store)
     # Triangles are identified by their centroids, which do not depend on welding or on triangles left out.
     middles, near = _centroids(whole), _SAME * meshes.size(whole.vertices)
@@ -182,18 +204,19 @@ def _centroids(surface: molds.MoldShape | Mold) -> Any:
 
 def _merge_slivers(shape: molds.MoldShape, store: Store | None) -> tuple[molds.MoldShape, Any]:
     """The surface with its slivers merged, which is kept, and the number (m,) that each triangle had before."""
+    if not has_slivers(shape.vertices, shape.triangles):
+        return shape, np.arange(len(shape.triangles))
 
     def merge() -> dict[str, Any]:
-        vertices, triangles, source = merge_slivers(shape.vertices, shape.triangles)
+        vertices, triangles, source = collapse_short_sides(shape.vertices, np.asarray(shape.triangles, np.int64))
         return {"vertices": vertices, "triangles": triangles, "source": source}
 
-    many = has_slivers(shape.vertices, shape.triangles)
-    found = (store or Store()).arrays("merged", (shape.vertices, shape.triangles), merge) if many else merge()
+    found = (store or Store()).arrays("merged", (shape.vertices, shape.triangles), merge)
     return molds.MoldShape(found["vertices"], found["triangles"], shape.dropped), found["source"]
 
 
-def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | None:
-    """The mold of a document, or None."""
+def build_mold(document: SceneDocument, store: Store | None = None, read: ReadMesh = meshes.read_mesh) -> Mold | None:
+    """The mold of a document, or None; `read` reads a file of a path and a scale."""
     table = document.model.mold
     if table is None:
         return None
@@ -206,7 +229,7 @@ def build_mold(document: SceneDocument, store: Store | None = None) -> Mold | No
         kept = (store or Store()).arrays("bottle", (numbers,), lambda: _arrays(molds.bottle_half(**numbers)))
         shape = molds.MoldShape(kept["vertices"], kept["triangles"])
     else:
-        shape = _shape_of_files(document, table, _paths(table))
+        shape = _shape_of_files(document, table, _paths(table), read)
     if isinstance(table, schema.FileMold | schema.RevolvedMold):
         shape, _ = _merge_slivers(shape, store)
     moves = None if table.motion is None else motion.make_motion(**table.motion.model_dump())

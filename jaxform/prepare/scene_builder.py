@@ -12,7 +12,7 @@ import numpy as np
 from jaxform.contact.lists import PAIRS_PER_NODE
 from jaxform.core.errors import InputError
 from jaxform.core.promotion import with_standard_promotion
-from jaxform.core.pytree import as_index, as_real, cast_to_precision
+from jaxform.core.pytree import as_index, as_real, cast_to_precision, check_untraced
 from jaxform.core.store import PACKAGE, Store
 from jaxform.loads import Loading
 from jaxform.materials import Cooling, Law
@@ -118,6 +118,7 @@ def build_scene(
         InputError: If the parison's mesh is degenerate, can move away as a whole, or starts through the mold; or if
             the run would take more steps than anyone would wait for.
     """
+    check_untraced()
     _warn_of_float32()
     # Parts may have been made before x64 was switched.
     parison, solver = cast_to_precision(parison), cast_to_precision(solver)

@@ -60,9 +60,14 @@ def merge_slivers(vertices: Array, triangles: NDArray[np.integer]) -> tuple[Arra
         Vertices and triangles of the merged surface, and the number (m,) that each triangle had before.
     """
     places, left = np.asarray(vertices, float), np.asarray(triangles, np.int64)
-    source, error = np.arange(len(left)), np.zeros(len(left))
     if not has_slivers(places, left):
-        return places, left.astype(np.int32), source
+        return places, left.astype(np.int32), np.arange(len(left))
+    return collapse_short_sides(places, left)
+
+
+def collapse_short_sides(places: Array, left: Integers) -> tuple[Array, NDArray[np.int32], Integers]:
+    """The same of a surface that is known to have many slivers (see `has_slivers`)."""
+    source, error = np.arange(len(left)), np.zeros(len(left))
     tolerance = _TOLERANCE * float(np.ptp(places[left], axis=(0, 1)).max())
     random, refused = np.random.default_rng(0), np.zeros(0, np.int64)
     for _ in range(_MOST_ROUNDS):

@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
+import jaxform
 from jaxform.core.store import Store
 from jaxform.io import files, geometry
 from jaxform.mesh import meshes
-from jaxform.tools import molds
+from jaxform.tools import molds, slivers
 
 REST = """
 thickness = 1.0e-3
@@ -103,3 +105,37 @@ def test_a_mold_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(meshes, "read_mesh", lambda *path, **scale: read.append(path) or reader(*path, **scale))
     files.build_unchecked(document, Store(tmp_path / "kept"))
     assert len(read) == 1
+
+
+def test_a_part_of_some_of_the_mold_s_files_reads_none_of_them_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And whether a mold has slivers is asked once for the mold and once for the part."""
+    _write_mold(tmp_path, 0.03)
+    ball = molds.revolved(profile=[[0.0, -0.2], [0.01, -0.2], [0.01, -0.19]], segments=12)
+    meshes.write_stl(tmp_path / "other.stl", ball.vertices, ball.triangles)
+    text = MOLD.replace('path = "mold.stl"', 'path = ["mold.stl", "other.stl"]')
+    document, read, reader = _document(tmp_path, RIM, text + '[part]\nmolds = ["mold.stl"]\n'), [], meshes.read_mesh
+    monkeypatch.setattr(meshes, "read_mesh", lambda *path, **scale: read.append(path) or reader(*path, **scale))
+    asked: list[int] = []
+    has_slivers = slivers.has_slivers
+    for module in (geometry, slivers):
+        monkeypatch.setattr(module, "has_slivers", lambda *mesh: asked.append(1) or has_slivers(*mesh))
+    scene = files.build_unchecked(document, Store(tmp_path / "kept"))
+    assert scene.part is not None and scene.part.walls is not None and len(read) == 2 and len(asked) == 2
+    assert int(np.asarray(scene.part.walls).sum()) == len(np.asarray(scene.part.walls)) - len(ball.triangles)
+
+
+def test_a_scene_is_not_built_inside_a_traced_function(tmp_path: Path) -> None:
+    """One clear error, whatever part of a scene would be met first; where arrays have values it is built."""
+    words = r"built inside a function that JAX traces.*load or build it before"
+    built = files.load("dish-coarse")
+    parts = {name: getattr(built, name) for name in ("parison", "material", "pressure", "solver", "mold")}
+    for build in (
+        lambda: jaxform.load("dish-coarse"),
+        lambda: jaxform.scenes.dish(),
+        lambda: jaxform.build_scene(**parts),
+    ):
+        with pytest.raises(jaxform.InputError, match=words):
+            jax.jit(lambda factor, build=build: factor * build().solver.end_time)(1.0)
+    assert jax.grad(lambda factor: factor * jaxform.load("dish-coarse").solver.end_time)(1.0) == built.solver.end_time
