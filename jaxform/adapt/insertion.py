@@ -165,22 +165,6 @@ class _Insertions(NamedTuple):
         )[0]
 
 
-class _PreviousMesh(NamedTuple):
-    """The finer mesh, and how many of its nodes were there before."""
-
-    mesh: RefinedMesh
-    count: jax.Array
-
-    def ancestor(self, place: jax.Array, forest: BisectionHierarchy) -> jax.Array:
-        """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
-
-        def move_up(place: jax.Array) -> jax.Array:
-            above = self.mesh.place[forest.ends[0, self.mesh.node[place]]]
-            return jnp.where(place < self.count, place, above)
-
-        return jax.lax.while_loop(lambda place: jnp.any(place >= self.count), move_up, place)
-
-
 def insert_nodes(
     state: State,
     mesh: RefinedMesh,
@@ -231,8 +215,19 @@ def insert_nodes(
         nodes = _to_frame(nodes, frame)
     nodes = map_blocks(nodes, lambda nodes, births: _interpolate_nodes(nodes, births, scene, forest, volumes, frame))
     if tool is not None:
-        older, time = _PreviousMesh(mesh, old.node_count), state.time
-        nodes = map_blocks(nodes, lambda nodes, births: _place_on_mold(nodes, births, tool, adaptivity, older, time))
+
+        def older(place: jax.Array) -> jax.Array:
+            """The places (n,) themselves where nodes were before; else that of an end of their edge, or of an end's."""
+
+            def move_up(place: jax.Array) -> jax.Array:
+                return jnp.where(place < old.node_count, place, mesh.place[forest.ends[0, mesh.node[place]]])
+
+            return jax.lax.while_loop(lambda place: jnp.any(place >= old.node_count), move_up, place)
+
+        def place_on_mold(nodes: Nodes, births: _Insertions) -> Nodes:
+            return _place_on_mold(nodes, births, tool, adaptivity, older, state.time)
+
+        nodes = map_blocks(nodes, place_on_mold)
     if frame is not None:
         nodes = _to_frame(nodes, ToolFrame(-frame.offset, -frame.velocity))
     return dataclasses.replace(state, nodes=nodes).replace_nodes(mode=state.nodes.mode)
@@ -308,32 +303,39 @@ def _weight(volumes: jax.Array, owner: jax.Array, end: jax.Array, forest: Bisect
     return lost[0] / (lost[0] + lost[1])
 
 
-class _NodeViews(NamedTuple):
-    """Paths from the sheet to new nodes (n,): their begins (3, n) [m], and their crossings with the mold."""
-
-    begin: jax.Array
-    seen: Crossings
-
-
 def _place_on_mold(
-    nodes: Nodes, births: _Insertions, tool: Tool, adaptivity: Adaptivity, older: _PreviousMesh, time: jax.Array
+    nodes: Nodes,
+    births: _Insertions,
+    tool: Tool,
+    adaptivity: Adaptivity,
+    older: Callable[[jax.Array], jax.Array],
+    time: jax.Array,
 ) -> Nodes:
-    """The nodes with the block's new ones put on the mold where they touch or penetrate it; near it, at rest."""
+    """The nodes with the block's new ones put on the mold where they touch or penetrate it; near it, at rest.
+
+    Args:
+        nodes: The nodes.
+        births: The block of new ones.
+        tool: The mold.
+        adaptivity: The adaptive refinement.
+        older: Function that returns the places (n,) of nodes from before of which those at places (n,) descend.
+        time: The present time [s].
+    """
     (mold, grid), (limits, forest) = tool, adaptivity
     points, stuck = births.block_of(nodes.positions), births.block_of(nodes.stuck)
     free, places = births.new & ~stuck, jax.lax.stop_gradient(points)
     found = save_decision(nearest_triangle(places, free, grid))
-    outlook = save_decision(_outlook(places, free, nodes, births, older, tool, forest))
+    begin, seen = save_decision(_paths_from_sheet(places, free, nodes, [older(end) for end in births.ends], tool))
     touches = free & (found.distance <= search.touch_distance(grid))
-    beyond = free & ~touches & (outlook.seen.count % 2 == 1)
+    beyond = free & ~touches & (seen.count % 2 == 1)
     ends = [nodes.stuck[at] for at in births.ends]
     sticks = births.join_ends(ends, lambda first, second: stuck | beyond | touches & first & second, forest.depth)
     lands = births.new & sticks & ~stuck
     # The nearest triangle, and the one that the way from the sheet crosses last, in one go.
-    last = outlook.seen.triangle
+    last = seen.triangle
     both, known = jnp.append(found.triangle, last), jnp.append(free & (found.triangle >= 0), free & (last >= 0))
     nearest, front = jnp.split(closest_place(jnp.tile(points, 2), mold, jnp.maximum(both, 0), known), 2, axis=1)
-    turned = beyond & _is_behind(nearest - places, found.triangle, outlook.seen, mold)
+    turned = beyond & _is_behind(nearest - places, found.triangle, seen, mold)
     chosen = jnp.where(turned, jnp.maximum(last, 0), found.triangle)
     triangle, flies = jnp.maximum(chosen, 0), free & ~lands & (chosen >= 0)
     point = jnp.where(turned, front, nearest)
@@ -344,7 +346,7 @@ def _place_on_mold(
         gap, size = jnp.where(flies, points - point, 1.0), jnp.minimum(length, grid.reach)
         velocities = jnp.where(flies, _velocity_share(gap, size), 1.0)[None] * velocities
     # It is on the side of the place where its path begins; the path to one beyond may begin at another triangle.
-    above = jnp.where(beyond, -_height(places, mold, triangle), _height(outlook.begin, mold, triangle))
+    above = jnp.where(beyond, -_height(places, mold, triangle), _height(begin, mold, triangle))
     side = jnp.where(above < 0.0, -1, 1)
     return dataclasses.replace(
         nodes,
@@ -356,21 +358,19 @@ def _place_on_mold(
     )
 
 
-def _outlook(
-    points: jax.Array,
-    free: jax.Array,
-    nodes: Nodes,
-    births: _Insertions,
-    older: _PreviousMesh,
-    tool: Tool,
-    forest: BisectionHierarchy,
-) -> _NodeViews:
+def _paths_from_sheet(
+    points: jax.Array, free: jax.Array, nodes: Nodes, older: list[jax.Array], tool: Tool
+) -> tuple[jax.Array, Crossings]:
     """Paths to new nodes at points (3, n) [m] from an older node, which is on the sheet's side of the mold.
 
-    A path begins at a free end if there is one, else at one with a known contact triangle, a little before that.
+    A path begins at a free one of two older nodes, at places (n,), if there is one, else at one with a known contact
+    triangle, a little before that.
+
+    Returns:
+        Where the paths begin (3, n) [m], and their crossings with the mold.
     """
     mold, grid = tool
-    first, second = (older.ancestor(end, forest) for end in births.ends)
+    first, second = older
     stuck, wall = nodes.stuck, nodes.wall
     worse = stuck[first] & (~stuck[second] | (wall[first] == 0) & (wall[second] != 0))
     place = jnp.where(worse, second, first)
@@ -379,7 +379,7 @@ def _outlook(
     begin = jax.lax.stop_gradient(nodes.positions[:, place] + off[None] * _normal(mold, triangle))
     way = begin - points
     _, bound = search.cell_bounds(points, grid)
-    return _NodeViews(begin, ray_crossings(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid))
+    return begin, ray_crossings(begin, points, free & (jnp.square(bound) <= dot(way, way)), grid)
 
 
 def _is_behind(gap: jax.Array, nearest: jax.Array, seen: Crossings, mold: Mold) -> jax.Array:

@@ -315,9 +315,9 @@ def _inherit_state(new: State, state: State, mesh: RefinedMesh, forest: Bisectio
     """The state on a new mesh, with the quantities that its elements inherit from the old ones."""
     if state.memory is None and state.heat is None:
         return new
-    ancestors = find_ancestry(state.refined_mesh, mesh, forest)
-    memory = None if state.memory is None else inherit_stress(state.memory, ancestors)
-    heat = None if state.heat is None else state.heat.select(ancestors.element)
+    element, parts = find_ancestry(state.refined_mesh, mesh, forest)
+    memory = None if state.memory is None else inherit_stress(state.memory, element, parts)
+    heat = None if state.heat is None else state.heat.select(element)
     return dataclasses.replace(new, memory=memory, heat=heat)
 
 

@@ -8,7 +8,6 @@ lists change in place, and nothing is as long as the forest. There is nothing to
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -194,21 +193,15 @@ def _add_corners(mesh: RefinedMesh, places: list[jax.Array], middle: jax.Array, 
 # Inheritance of stress and other element quantities by the parts of a bisected element, and its basis.
 
 
-class Ancestry(NamedTuple):
-    """The ancestors of a mesh's elements in an earlier mesh.
+def find_ancestry(
+    before: RefinedMesh, after: RefinedMesh, forest: BisectionHierarchy
+) -> tuple[jax.Array, list[jax.Array]]:
+    """The ancestors of a mesh's elements in the mesh `before`.
 
-    Attributes:
-        element: The element of the earlier mesh that each lies in (n_element,).
-        parts: From that down to the element, in reverse: which part each bisection made it (n_element,), 0 or 1; -1
-            where there was none.
+    Returns:
+        The element of the earlier mesh that each lies in (n_element,); and from that down to the element, in reverse,
+        which part each bisection made it (n_element,), 0 or 1, -1 where there was none.
     """
-
-    element: jax.Array
-    parts: list[jax.Array]
-
-
-def find_ancestry(before: RefinedMesh, after: RefinedMesh, forest: BisectionHierarchy) -> Ancestry:
-    """The ancestors of a mesh's elements in the mesh `before`."""
     old = jnp.arange(before.element.size) < before.element_count
     slot = jnp.full(forest.bound.size, -1, jnp.int32)
     slot = slot.at[jnp.where(old, before.element, forest.bound.size)].set(
@@ -219,18 +212,23 @@ def find_ancestry(before: RefinedMesh, after: RefinedMesh, forest: BisectionHier
         found = slot[triangle] >= 0
         parts.append(jnp.where(found, -1, (triangle - forest.root_count) % 2))
         triangle = jnp.where(found, triangle, jnp.maximum((triangle - forest.root_count) // 2, 0))
-    return Ancestry(jnp.maximum(slot[triangle], 0), parts)
+    return jnp.maximum(slot[triangle], 0), parts
 
 
-def inherit_stress(memory: jax.Array, ancestors: Ancestry) -> jax.Array:
+def inherit_stress(memory: jax.Array, element: jax.Array, parts: list[jax.Array]) -> jax.Array:
     """The stress of modes (4 n_mode, n_element) of a mesh's elements, from that of their ancestors; differentiable.
 
     A triangle (peak, a, b) has the parts (middle, peak, a) and (middle, b, peak): their edges are halves of the sum and
     the difference of its own, and so a stress has in their basis sums and differences of its components.
+
+    Args:
+        memory: Stress of the ancestors' mesh.
+        element: The ancestors, and
+        parts: the ways down from them, as `find_ancestry` gives them.
     """
     rows = memory.reshape(-1, 4, memory.shape[1])
-    a, mixed, b, across = jnp.moveaxis(rows[:, :, ancestors.element], 1, 0)
-    for part in reversed(ancestors.parts):
+    a, mixed, b, across = jnp.moveaxis(rows[:, :, element], 1, 0)
+    for part in reversed(parts):
         sum_, difference = a + 2.0 * mixed + b, a - 2.0 * mixed + b
         one, two = part == 0, part == 1
         a, mixed, b = (

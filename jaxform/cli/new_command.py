@@ -156,5 +156,5 @@ def _cavity_lines(made: Draft) -> Iterator[str]:
 def _clamp_words(made: Draft) -> str:
     depth = 1e3 * made.found.depth
     if made.drape is not None:
-        return f"clamped {1e3 * made.drape.site.margin:.3g} mm around the buck, which is {depth:.3g} mm high"
+        return f"clamped {1e3 * made.drape.margin:.3g} mm around the buck, which is {depth:.3g} mm high"
     return f"clamped {'on the flange' if made.planform.flange else 'along the rim'}; drawn {depth:.3g} mm deep"

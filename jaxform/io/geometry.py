@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError
@@ -16,20 +18,18 @@ from jaxform.core.store import Arrays, Store
 from jaxform.io import previous_results, schema
 from jaxform.io.scene_text import COVERS
 from jaxform.mesh import meshes, shapes
+from jaxform.mesh.meshes import Mesh
 from jaxform.mesh.profiles import Profile
 from jaxform.model.part import Part, make_part, select_mold_files
 from jaxform.tools import footprint, molds, motion
+from jaxform.tools.distances import Distances, interpolate, weights
 from jaxform.tools.mold import Mold, make_mold
 from jaxform.tools.slivers import collapse_short_sides, has_slivers
 
 if TYPE_CHECKING:
     from jaxform.io.files import SceneDocument
-from dataclasses import replace
 
-from numpy.typing import NDArray
-
-from jaxform.mesh.meshes import Mesh
-from jaxform.tools.distances import Distances, interpolate, weights
+Array = NDArray[np.float64]
 
 _SAME = 1e-6  # of the mold's size: middles of triangles that are as near are those of one triangle
 
@@ -238,7 +238,6 @@ def build_mold(document: SceneDocument, store: Store | None = None, read: ReadMe
 
 # Nodal fields in mesh files, carried over to another mesh by initial position.
 
-Array = NDArray[np.float64]
 
 SAME_PLACE = 1e-9
 """Distance up to which two nodes are at the same place, relative to the size of the field's mesh."""

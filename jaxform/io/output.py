@@ -27,6 +27,8 @@ from jaxform.results.summary import summarize, summarize_at_once, wrinkle_fracti
 from jaxform.runs.host import Moment
 from jaxform.tools.mold import Mold
 
+Array = NDArray[np.float64]
+
 
 def write_result(
     scene: Scene,
@@ -245,7 +247,6 @@ def _valid(value: Any) -> Any:
 
 # The files of a fit: the table of the material for a scene, its rows, and the picture of data and fit.
 
-Array = NDArray[np.float64]
 
 _COLORS = (AFTER, "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
 

@@ -25,6 +25,9 @@ from jaxform.tools.opening import rotation_to_z
 from jaxform.tools.patches import find_side_holes
 from jaxform.tools.ribs import Ribs, slender_feature
 
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 # Distance of a moving mold from the sheet. On the host.
 
 _NEAR = 1e-4  # of the sheet's size: a mold that touches it at first may well pull it along
@@ -63,8 +66,6 @@ def warn_of_motion(scene: Scene, file: str) -> None:
         file=file,
     )
 
-
-Array = NDArray[np.float64]
 
 _ALIKE = 15.0  # times as large as the sheet, or as small, a mold may be
 _GUESS = 5.0  # by which a mold in other units than m may be larger or smaller than the sheet
@@ -395,7 +396,6 @@ def _unit_mismatch(ratio: float, factors: dict[str, float], units: str) -> float
 
 # A mold with holes in its side walls, which no view along the push shows. On the host, before a run.
 
-Mask = NDArray[np.bool_]
 
 _LEAKS_PIXELS = 800  # of the longer side of the sheet
 

@@ -13,11 +13,13 @@ from jaxform.io.unit_checks import Units
 from jaxform.mesh import masks, meshes
 from jaxform.mesh.meshes import Mesh
 from jaxform.tools import buck, patches, scans
-from jaxform.tools.buck import Buck, Site, Undercut
+from jaxform.tools.buck import Buck
 from jaxform.tools.covers import Covers
 from jaxform.tools.footprint import Planform
 from jaxform.tools.halves import MoldCompletion
 from jaxform.tools.opening import Opening
+
+Array = NDArray[np.float64]
 
 # A first scene in which a sheet is draped over a male mold: the frame, the platen, the way of the mold.
 
@@ -32,18 +34,22 @@ class Drape:
 
     Attributes:
         buck: The buck in its orientation.
-        site: Place of the sheet.
+        planform: Planform of the sheet, in the plane of the view.
+        margin: Distance from the body to the frame [m].
+        platen: The surface added around the body, in the file's axes [m]; None where the mold has its own.
         added: Additions to the mold, in its file's axes [m]: platen, walls down to it, covers on holes; None where
             there are none.
         holes: Number of covered holes.
-        undercut: The deepest one, in the file's axes [m]; None where there is none.
+        undercut: Depth [m] and place (3,) [m] of the deepest one, in the file's axes; None where there is none.
     """
 
     buck: Buck
-    site: Site
+    planform: Planform
+    margin: float
+    platen: Mesh | None
     added: Mesh | None
     holes: int
-    undercut: Undercut | None
+    undercut: tuple[float, Array] | None
 
     @property
     def narrowest(self) -> float:
@@ -61,7 +67,7 @@ class Drape:
     @property
     def draw(self) -> float:
         """Approximate area stretch of the sheet, which also lines the sides of the body."""
-        return 1.0 + 2 * self.buck.height / max(self.narrowest + self.site.margin, 1e-12)
+        return 1.0 + 2 * self.buck.height / max(self.narrowest + self.margin, 1e-12)
 
     def stroke(self, thickness: float) -> float:
         """Stroke of the mold [m] for a sheet of this thickness [m]: until the frame is on the platen."""
@@ -86,22 +92,24 @@ def drape(mold: Mesh, direction: Array | None) -> Drape:
     """
     lids = patches.close_necks(mold)
     stands = buck.find_buck(meshes.merge([mold, *lids]), direction)
-    site = buck.fit_site(stands)
+    planform, margin, platen = buck.fit_sheet(stands)
     rims = scans.find_rims(mold)
     turn = stands.view.turn
     walls, fans = ([], []) if rims is None else scans.close_rims(mold, rims, turn, stands.base)
     closing = [*lids, *(Mesh(part.positions @ turn, part.triangles) for part in [*walls, *fans])]
     deepest = buck.deepest_undercut(stands, meshes.merge([mold, *closing]))
-    parts = [*([] if site.platen is None else [site.platen]), *closing]
-    return Drape(stands, site, meshes.merge(parts) if parts else None, len(fans) + len(lids), deepest)
+    parts = [*([] if platen is None else [platen]), *closing]
+    added = meshes.merge(parts) if parts else None
+    return Drape(stands, planform, margin, platen, added, len(fans) + len(lids), deepest)
 
 
 def warn(made: Drape, scale: float) -> None:
     """Warns of what the sheet cannot reach, and of a mold without a base."""
     if made.undercut is not None:
-        place = ", ".join(f"{x:.4g}" for x in made.undercut.place / scale)
+        depth, where = made.undercut
+        place = ", ".join(f"{x:.4g}" for x in where / scale)
         problem = (
-            f"is undercut by up to {1e3 * made.undercut.depth:.3g} mm, at ({place}) of the file: "
+            f"is undercut by up to {1e3 * depth:.3g} mm, at ({place}) of the file: "
             "the sheet does not touch it there, and the part cannot be released"
         )
         warn_of(problem, "close it in the mold, or give another --direction", key="--mold")
@@ -113,15 +121,13 @@ def warn(made: Drape, scale: float) -> None:
 def lines(made: Drape) -> Iterator[str]:
     """Description of the setup, line by line."""
     side = buck.direction_name(made.buck.direction)
-    on = "on the platen of the file" if made.site.platen is None else "on an added platen (platen.stl)"
+    on = "on the platen of the file" if made.platen is None else "on an added platen (platen.stl)"
     yield f"taken as a male mold, {on}: the sheet comes from {side} of the file and is draped over it"
     if made.buck.others:
         yield f"other orientations are possible: --direction={' or --direction='.join(made.buck.others)}"
     if made.holes:
         yield f"platen.stl closes {made.holes} hole{'s' if made.holes > 1 else ''} too"
 
-
-Array = NDArray[np.float64]
 
 STIFFNESS, ALPHA, DENSITY = 0.02e6, 0.1, 1000.0
 """Parameters of the placeholder material, a hot thermoplastic sheet: c [Pa], alpha, density [kg/m^3]."""

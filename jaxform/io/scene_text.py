@@ -109,7 +109,7 @@ def _parison(made: Draft) -> list[str]:
     shape = made.planform.shape
     where = "on the flange" if made.planform.flange else "along the rim"
     if made.drape is not None:
-        where = f"in a frame {_number(1e3 * made.drape.site.margin, 3)} mm around the buck, which is behind it"
+        where = f"in a frame {_number(1e3 * made.drape.margin, 3)} mm around the buck, which is behind it"
     if isinstance(shape, Circle):
         own = ['shape = "disc"', f"radius = {_number(shape.radius)}"]
     elif isinstance(shape, OrientedRectangle):

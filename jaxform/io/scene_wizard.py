@@ -105,7 +105,7 @@ def _draft_cavity(mold: Mesh, rest: MoldCompletion | None, wishes: UserChoices, 
 def _draft_buck(mold: Mesh, wishes: UserChoices, known: dict[str, Any]) -> Draft:
     """A first scene in which a sheet is draped over a buck, by what is `known` already of its `Draft`."""
     made = scene_choices.drape(mold, wishes.direction)
-    planform = made.site.planform
+    planform = made.planform
     area = abs(outlines.area(planform.polygon))
     width = _width(planform.polygon, area)
     thickness = wishes.thickness or round_digits(_THICKNESS * width)

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from jaxform.core.errors import InputError
 from jaxform.mesh.profiles import Profile
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
 
 def ring(radius: float, segments: int, symmetry: str) -> NDArray[np.float64]:
     """Nodes of a ring or arc, counter-clockwise, exactly on the cut planes: (k, 3)."""
@@ -144,8 +147,6 @@ def check_count(count: float, element_size: float | None) -> None:
 # around the ring at once. Were a ring to have six segments more than the last, the nodes from which a segment begins
 # would lie above each other on six spokes, along which the sheet is thinner than beside them.
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _UNIT = 6  # numbers of segments are this times a power of two, or times three of them
 _POWERS = 24

@@ -16,6 +16,9 @@ from jaxform.core.errors import InputError
 from jaxform.mesh import facets, formats, topology
 from jaxform.mesh.rows import distinct_rows
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
 FORMATS = formats.ENDINGS
 WELD_TOLERANCE = 1e-9
 """Distance below which nodes are one, relative to the diagonal of the bounding box."""
@@ -275,8 +278,6 @@ def _scalars(data: Mapping[str, Any], count: int) -> dict[str, NDArray[np.float6
 
 # Faces with any number of corners, cut in triangles that cover them once; on the host.
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 _MOST_CORNERS = 2000  # of a face that no fan covers: the search for ears takes time with their square
 _FLAT = 1e-9  # a triangle's area, relative to its face's, down to which it may point the wrong way
 

@@ -12,6 +12,7 @@ from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Integers = NDArray[np.integer]
 
 MOST_CORNERS = 20_000
 _SAME = 1e-9  # of the polygon's size: corners as near as that are one
@@ -167,7 +168,6 @@ def _distance_to_side(points: Array, begin: Array, end: Array) -> Array:
 
 # Plane shapes round points and masks: smallest circle and rectangle, contours, closed rims. On the host.
 
-Integers = NDArray[np.integer]
 
 _ROUNDS = 4000  # of the search for the smallest circle: its radius is then right to one in so many
 _NEARLY = 0.99  # of the area of a rectangle along the axes, above which one that is turned is not worth it

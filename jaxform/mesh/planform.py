@@ -14,6 +14,7 @@ from jaxform.mesh.bisection import Snap
 from jaxform.mesh.rows import positions_in_rows
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Size = Callable[[Array], Array]
 """Length of the sides (n,) [m] at points (n, 2) [m]."""
 
@@ -168,7 +169,6 @@ def interpolator(points: Array, values: Array) -> Callable[[Array], Array]:
 
 # Triangles over a polygon of a user's own: regular, smaller in necks, two across every one of them. On the host.
 
-Index = NDArray[np.int64]
 
 _FLATTER = (0.1, 0.02, 0.002)  # of the local size, how far the rim may be from the polygon; less where it has to be
 _SHORT = 0.25  # of the local size: corners nearer than that are one

@@ -26,6 +26,7 @@ from jaxform.results import sections
 if TYPE_CHECKING:
     from jaxform.results.result import Result
 
+Array = NDArray[np.float64]
 
 _MOST = 2.0  # how far from the mean a value may be carried, as a factor: past a sharp bend the gradient means little
 _SPREADS = 6.0  # how far a value may be carried to a rim, in standard deviations there: a linear function needs 3
@@ -108,7 +109,6 @@ def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
 # One element's thickness is of first order in the element size, and of many elements the thinnest is the one that
 # misses most. The recovered thickness at the nodes is of second order (see `jaxform.results.recovery`).
 
-Array = NDArray[np.float64]
 
 _ALIKE = 1e-6  # of the size: radii and heights that differ by less are those of one ring
 _ROUND = 12  # nodes or vertices to a whole ring, at least, that is round

@@ -211,44 +211,33 @@ _SEEN = 3.0  # pixels: less is no undercut
 _PIXELS = 480  # of the longer side
 
 
-class Undercut(NamedTuple):
-    """The place where a mold recedes farthest under what is above it.
-
-    Attributes:
-        depth: Its depth, sideways [m].
-        place: The place, in the file's axes (3,) [m].
-    """
-
-    depth: float
-    place: Array
-
-
-def deepest_undercut(buck: Buck, mold: Mesh) -> Undercut | None:
-    """The deepest undercut above the platen; None where there is none.
+def deepest_undercut(buck: Buck, mold: Mesh) -> tuple[float, Array] | None:
+    """The deepest undercut above the platen, where the mold recedes farthest under what is above it; None for none.
 
     Args:
         buck: The mold in its pose.
         mold: The mold (n, 3) [m], not turned, its rims closed.
+
+    Returns:
+        Its depth, sideways [m], and its place (3,) [m], in the file's axes.
     """
     turn = buck.view.turn
     corners = (mold.positions @ turn.T)[mold.triangles]
     view = heights.view_heights(heights.make_viewed_surface(mold.positions, mold.triangles), turn, _PIXELS)
     found = [_undercut_at(level, corners, view) for level in np.linspace(buck.top, buck.base, _LEVELS + 2)[1:-1]]
-    worst = max(found, key=lambda one: one.depth)
-    if worst.depth < _SEEN * view.pixel:
-        return None
-    return Undercut(worst.depth, worst.place @ turn)
+    depth, place = max(found, key=lambda one: one[0])
+    return None if depth < _SEEN * view.pixel else (depth, place @ turn)
 
 
-def _undercut_at(level: float, corners: Array, view: heights.Heights) -> Undercut:
-    """The deepest undercut at a height [m], its place after turning."""
+def _undercut_at(level: float, corners: Array, view: heights.Heights) -> tuple[float, Array]:
+    """The depth [m] of the deepest undercut at a height [m], and its place (3,) [m] after turning."""
     wall = _section(level, corners, view)
     part, _ = masks.label_parts(~wall)
     shadow = view.height < level - 0.5 * view.pixel
     depth = np.where((part == part[0, 0]) & ~wall, masks.distance(shadow), 0.0)
     row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
     place = view.low + view.pixel * (np.array([column, row]) + 0.5)
-    return Undercut(float(depth[row, column]) * view.pixel, np.append(place, level))
+    return float(depth[row, column]) * view.pixel, np.append(place, level)
 
 
 def _section(level: float, corners: Array, view: heights.Heights) -> Mask:
@@ -283,22 +272,13 @@ _BEYOND = 0.03  # of the sheet's width, by which a platen reaches beyond the she
 _RINGS, _SECTORS, _CELLS = 12, 72, 24  # of a platen's mesh: gaps are measured at its nodes
 
 
-class Site(NamedTuple):
-    """The sheet over a male mold, and the platen around it.
+def fit_sheet(buck: Buck) -> tuple[Planform, float, Mesh | None]:
+    """The sheet for a male mold, a disc or a rectangle with a margin of about the body's height, and the platen.
 
-    Attributes:
-        planform: Planform of the sheet, in the plane of the view.
-        margin: Distance from the body to the frame [m].
-        platen: The surface added around the body, as the mold's file has it [m]; None where the mold has its own.
+    Returns:
+        The planform of the sheet, in the plane of the view; the distance from the body to the frame [m]; and the
+        surface to be added around the body, as the mold's file has it [m], None where the mold has its own.
     """
-
-    planform: Planform
-    margin: float
-    platen: Mesh | None
-
-
-def fit_site(buck: Buck) -> Site:
-    """The sheet for a male mold, a disc or a rectangle with a margin of about the body's height, and the platen."""
     body = _around(buck)
     wide = 2 * body.radius if isinstance(body, Circle) else float(body.sides.min())
     height = buck.height
@@ -307,11 +287,11 @@ def fit_site(buck: Buck) -> Site:
         for share in _NARROWER:
             planform = Planform(_enlarge(body, share * margin), True)
             if _lies_before(planform, buck):
-                return Site(_platen_site(planform, share, buck), share * margin, None)
+                return _platen_planform(planform, share, buck), share * margin, None
     planform = Planform(_enlarge(body, margin), True)
     mesh = _mesh(planform.shape)
     turned = np.column_stack([mesh.positions[:, :2], np.full(len(mesh.positions), buck.base)])
-    return Site(planform, margin, Mesh(turned @ buck.view.turn, mesh.triangles))
+    return planform, margin, Mesh(turned @ buck.view.turn, mesh.triangles)
 
 
 def _lies_before(planform: Planform, buck: Buck) -> bool:
@@ -321,7 +301,7 @@ def _lies_before(planform: Planform, buck: Buck) -> bool:
     return bool((buck.view.inside_polygon(planform.polygon) & buck.view.inside).sum() >= _WITHIN * wanted)
 
 
-def _platen_site(planform: Planform, share: float, buck: Buck) -> Planform:
+def _platen_planform(planform: Planform, share: float, buck: Buck) -> Planform:
     """The sheet over all of a platen that is narrow beside the body; else the one that there is."""
     corners = outlines.hull(buck.view.places(buck.view.inside))
     around = outlines.smallest_rectangle(corners)

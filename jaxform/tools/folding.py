@@ -11,16 +11,12 @@ from numpy.typing import NDArray
 
 from jaxform.tools.crossings import all_columns, bounding_boxes, expand_ranges, intersect, short_pieces
 
+Array = NDArray[np.float64]
+Integers = NDArray[np.integer]
+
 # Pairs of triangles of two sets that may meet, found by cells that are made for one search. On the host.
 
 _WIDE = 2.0  # cells, in boxes: most triangles then need not be cut
-
-
-class _PieceCells(NamedTuple):
-    """The cells of a set's pieces, in the order of the cells: cell and piece of each entry (n_entry,)."""
-
-    cell: Integers
-    piece: Integers
 
 
 class _PieceBoxes(NamedTuple):
@@ -35,8 +31,8 @@ class _PieceBoxes(NamedTuple):
         pieces, owner = short_pieces(corners, width, low, high)
         return cls(*bounding_boxes(pieces), owner)
 
-    def cells(self, corner: Array, width: float, shape: Integers) -> _PieceCells:
-        """The cells of each piece: at most two along each axis."""
+    def cells(self, corner: Array, width: float, shape: Integers) -> tuple[Integers, Integers]:
+        """Cells (n_entry,), ascending, and the pieces (n_entry,) in them: at most two along each axis."""
         first, last = (np.floor((end - corner) / width).astype(np.int64) for end in (self.low, self.high))
         found = []
         for step in np.ndindex(2, 2, 2):
@@ -45,7 +41,7 @@ class _PieceBoxes(NamedTuple):
             found.append((np.ravel_multi_index(tuple(index[piece].T), tuple(shape)), piece))
         cell, piece = (np.concatenate(parts) for parts in zip(*found, strict=True))
         order = np.argsort(cell, kind="stable")
-        return _PieceCells(cell[order], piece[order])
+        return cell[order], piece[order]
 
 
 def overlapping_pairs(one: Array, other: Array) -> Iterator[tuple[Integers, Integers]]:
@@ -64,19 +60,16 @@ def overlapping_pairs(one: Array, other: Array) -> Iterator[tuple[Integers, Inte
         return
     corner = np.min([pieces.low.min(0) for pieces in sets], axis=0)
     shape = np.max([np.floor((pieces.high - corner) / width).max(0) for pieces in sets], axis=0) + 2
-    mine, theirs = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
-    begin, end = (np.searchsorted(theirs.cell, mine.cell, side) for side in ("left", "right"))
+    (cell, mine), (other_cell, theirs) = (pieces.cells(corner, width, shape.astype(np.int64)) for pieces in sets)
+    begin, end = (np.searchsorted(other_cell, cell, side) for side in ("left", "right"))
     for row, place in expand_ranges(begin, end):
-        first, second = mine.piece[row], theirs.piece[place]
+        first, second = mine[row], theirs[place]
         for axis in range(3):
             over = sets[0].low[first, axis] <= sets[1].high[second, axis]
             over &= sets[0].high[first, axis] >= sets[1].low[second, axis]
             first, second = first[over], second[over]
         yield sets[0].owner[first], sets[1].owner[second]
 
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.integer]
 
 _FIRST = 300  # elements that are checked first
 _MOST_PAIRS = 600_000  # of these and others, from which the rest is not checked

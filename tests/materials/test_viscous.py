@@ -276,7 +276,7 @@ def test_parts_inherit_the_stress_in_their_own_basis(kind: Any) -> None:
         g = membrane.metric(*membrane.edges(moved, triangles)[1:])
         return jnp.stack(kind.measure(constitutive.strain_state(g, inverse)))
 
-    found = remeshing.inherit_stress(measure(before), remeshing.find_ancestry(before, last, forest))
+    found = remeshing.inherit_stress(measure(before), *remeshing.find_ancestry(before, last, forest))
     np.testing.assert_allclose(found[:, :used], measure(last)[:, :used], rtol=1e-10, atol=1e-10)
 
 

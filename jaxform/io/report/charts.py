@@ -17,6 +17,9 @@ from jaxform.mesh import topology
 from jaxform.results import sections
 from jaxform.results.sections import SectionCurve
 
+Array = NDArray[np.float64]
+Chart = dict[str, Any]
+
 # Measuring points for a first part, and its wall along sections, from stored results.
 
 _ALIKE = 0.02  # of the mean, by which the wall of a representative place may differ from it
@@ -114,9 +117,6 @@ def _clamped_nodes(part: StoredPart, symmetry: Mapping[str, float]) -> NDArray[n
     rim[edges.ravel()] = True
     return rim & (part.nodal["contact_time"] == 0.0)
 
-
-Array = NDArray[np.float64]
-Chart = dict[str, Any]
 
 _KEPT = 5e-3  # of a limit, by which it may be broken
 

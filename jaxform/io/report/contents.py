@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import math
+import zlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,10 +19,8 @@ from jaxform.mesh.meshes import Mesh
 
 if TYPE_CHECKING:
     from jaxform.tools.motion import Motion
-import base64
-import json
-import math
-import zlib
+
+Array = NDArray[np.float64]
 
 # Arrays and facts packed into text that a browser unpacks: 16 bits a number, differences, deflate, base64.
 #
@@ -132,8 +134,6 @@ def _differences(codes: NDArray[np.int64]) -> NDArray[np.int64]:
     change = np.diff(codes, prepend=0).astype(np.int16).astype(np.int64)
     return ((change << 1) ^ (change >> 15)) & 65535
 
-
-Array = NDArray[np.float64]
 
 _MOST_WALLS = 60_000  # triangles of a mold; a finer one is drawn more roughly
 _FINEST = 2048  # cells along a mold that is drawn more roughly, at first

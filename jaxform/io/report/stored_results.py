@@ -8,23 +8,22 @@ import tomllib
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from jaxform.core import disk
 from jaxform.core.errors import InputError
+from jaxform.io import previous_results
 from jaxform.io.previous_results import AGAIN
 from jaxform.mesh import meshes
 
 if TYPE_CHECKING:
     from jaxform.tools.motion import Motion
-from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-
-from jaxform.io import previous_results
+Array = NDArray[np.float64]
 
 # Facts of summary.json that the report shows, checked: the file may be of another version, or by somebody else.
 
@@ -105,8 +104,6 @@ def read_summary(folder: Path) -> dict[str, Any]:
         problem = "is of another kind than is expected, the file is of another version or damaged"
         raise InputError(problem, AGAIN, key, first["input"], str(path)) from None
 
-
-Array = NDArray[np.float64]
 
 _NODAL = (*meshes.REFERENCE, "thickness", "initial_thickness", "contact_time")
 _OF_ELEMENTS = ("thickness", "stretch_1", "stretch_2", "level")
