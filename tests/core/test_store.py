@@ -18,6 +18,7 @@ from jaxform.core import compilation, store
 from jaxform.core.store import Store
 from jaxform.io import files
 from jaxform.runs.host import run
+from jaxform.tools import molds, search
 from tests.scenes import assert_same, cup, free_disc, mooney
 
 # The runs end before the sheet reaches the cup.
@@ -225,8 +226,21 @@ def test_the_folder_does_not_grow_without_end(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(store, "_MOST_BYTES", 10_000)
     kept = Store(tmp_path)
     for key in range(12):
-        kept.arrays("numbers", (key,), lambda: {"x": np.zeros(200)})
-    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
+        kept.arrays("numbers", (key,), lambda: {"x": np.random.default_rng(0).uniform(size=200)})
+    assert 5_000 < sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
+
+
+def test_search_grids_of_several_fine_molds_find_place_beside_the_programs(tmp_path: Path) -> None:
+    """Each of 100 000 triangles would take 60 to 100 MB of the folder's 300, and the next would push it out."""
+    profile = [[0.0, 0.08], [0.07, 0.08], [0.0975, 0.0], [0.1, 0.0], [0.072, 0.083], [0.0, 0.083]]
+    shape, kept = molds.revolved(profile=profile, segments=1000), Store(tmp_path)
+    plain = search.build_grid(shape.vertices, shape.triangles, 0.002)
+    made = search.build_grid(shape.vertices, shape.triangles, 0.002, kept)
+    found = search.build_grid(shape.vertices, shape.triangles, 0.002, Store(tmp_path))
+    assert _same(made, plain) and _same(found, plain)
+    lists = sum(np.asarray(getattr(plain, name)).nbytes for name in ("bound", "start", "ends", "listed"))
+    assert lists > 1_000_000
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 0.25 * lists
 
 
 def test_a_changed_byte_anywhere_in_the_package_is_other_source(tmp_path: Path) -> None:
